@@ -1,0 +1,81 @@
+"""Errors that a user can mend: each says where, what was found and what was expected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class UserError(Exception):
+    """A mistake in usage, configuration or input; ends the command with exit status 2.
+
+    Parameters
+    ----------
+    problem
+        What is wrong, as a sentence without the place.
+    file
+        The file it was found in, if any.
+    where
+        The line, column or field inside the file, e.g. ``"line 14"`` or ``"[posterior] ensembles"``.
+    found, expected
+        What stood there and what should have.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        file: str | Path | None = None,
+        where: str | None = None,
+        found: object | None = None,
+        expected: str | None = None,
+    ) -> None:
+        self.problem = problem
+        self.file = None if file is None else str(file)
+        self.where = where
+        self.found = None if found is None else str(found)
+        self.expected = expected
+        super().__init__(self._message())
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Exceptions are rebuilt from args when they cross process boundaries; keywords would be lost.
+        return _rebuild, (type(self), self.problem, self.file, self.where, self.found, self.expected)
+
+    def _message(self) -> str:
+        place = ", ".join(part for part in (self.file, self.where) if part)
+        text = f"{place}: {self.problem}" if place else self.problem
+        if self.found is not None:
+            text += f" Found: {self.found}."
+        if self.expected is not None:
+            text += f" Expected: {self.expected}."
+        return text
+
+
+def _rebuild(
+    kind: type[UserError],
+    problem: str,
+    file: str | None,
+    where: str | None,
+    found: str | None,
+    expected: str | None,
+) -> UserError:
+    return kind(problem, file=file, where=where, found=found, expected=expected)
+
+
+class ConfigError(UserError):
+    """A configuration file or command-line option that cannot be run as written."""
+
+
+class RecordingError(UserError):
+    """A recording that cannot be read, or that a task cannot use."""
+
+
+class BenchError(UserError):
+    """A virtual bench whose parameters make no physical sense, or whose simulation fails."""
+
+
+class CurveError(UserError):
+    """A gap curve that cannot be used with this fit."""
+
+
+class ResultError(UserError):
+    """A stored result that is missing, damaged, unfinished, or in the way."""

@@ -1,0 +1,68 @@
+"""Units at the edges: rpm, degrees and milliseconds come in, SI goes on.
+
+Each quantity that a recording may hold has one unit inside the package, named at the end of its
+channel name; ``convert`` brings a column in another accepted unit to it.
+"""
+
+from __future__ import annotations
+
+import math
+
+RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
+"""Revolutions per minute in one radian per second."""
+
+# dimension -> unit -> factor to the first unit of that dimension
+_FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "speed": {
+        "rpm": 1.0,
+        "rad/s": RPM_PER_RAD_PER_S,
+        "deg/s": 1.0 / 6.0,
+        "rev/s": 60.0,
+        "Hz": 60.0,
+    },
+    "angle": {
+        "rad": 1.0,
+        "deg": math.pi / 180.0,
+        "rev": 2.0 * math.pi,
+        "mrad": 1e-3,
+    },
+    "current": {"A": 1.0, "mA": 1e-3},
+    "torque": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3},
+}
+
+_DIMENSION_OF_SUFFIX = {
+    "_s": "time",
+    "_rpm": "speed",
+    "_rad": "angle",
+    "_a": "current",
+    "_nm": "torque",
+}
+
+
+def dimension_of(channel: str) -> str | None:
+    """The dimension of a channel by its unit suffix, ``None`` where it has none we know."""
+    for suffix, dimension in _DIMENSION_OF_SUFFIX.items():
+        if channel.endswith(suffix):
+            return dimension
+    return None
+
+
+def accepted_units(channel: str) -> tuple[str, ...]:
+    """Units in which a column for this channel may come, the package's own first."""
+    dimension = dimension_of(channel)
+    return () if dimension is None else tuple(_FACTORS[dimension])
+
+
+def conversion_factor(channel: str, unit: str) -> float:
+    """Factor that brings a value in ``unit`` to the channel's own unit.
+
+    Raises
+    ------
+    KeyError
+        If the unit is not one of :func:`accepted_units`.
+    """
+    dimension = dimension_of(channel)
+    if dimension is None:
+        raise KeyError(unit)
+    return _FACTORS[dimension][unit]
