@@ -4,33 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-
-TIME = "time_s"
-MOTOR_SPEED = "motor_speed_rpm"
-MOTOR_POSITION = "motor_position_rad"
-MOTOR_CURRENT = "motor_current_a"
-MOTOR_TORQUE = "motor_torque_nm"
-LOAD_POSITION = "load_position_rad"
-REFERENCE_SPEED = "reference_speed_rpm"
-
-CHANNELS: Mapping[str, str] = MappingProxyType(
-    {
-        MOTOR_SPEED: "motor speed",
-        MOTOR_POSITION: "motor position",
-        MOTOR_CURRENT: "motor current",
-        MOTOR_TORQUE: "motor torque",
-        LOAD_POSITION: "load position",
-        REFERENCE_SPEED: "reference speed",
-    }
+from bayesbl.recording.channels import (
+    CHANNELS,
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    MOTOR_TORQUE,
+    REFERENCE_SPEED,
+    TIME,
 )
-"""Channels the package knows by name, with their long names."""
+
+__all__ = [
+    "CHANNELS",
+    "LOAD_POSITION",
+    "MOTOR_CURRENT",
+    "MOTOR_POSITION",
+    "MOTOR_SPEED",
+    "MOTOR_TORQUE",
+    "REFERENCE_SPEED",
+    "TIME",
+    "FloatArray",
+    "Recording",
+    "Source",
+]
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
