@@ -1,0 +1,140 @@
+"""The nine symbols of the disturbance model, and which of them a fit leaves free."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from bayesbl.errors import ConfigError
+
+AMPLITUDE = "amplitude_rpm"
+START = "start_time_s"
+DECAY = "decay_rate_per_s"
+FREQUENCY = "angular_frequency_rad_per_s"
+MEAN = "mean_speed_rpm"
+WINDOW_START = "window_start_s"
+WINDOW_END = "window_end_s"
+SEPARATION = "pulse_separation_s"
+ROTATION = "rotation_period_s"
+
+
+@dataclass(frozen=True, slots=True)
+class Symbol:
+    """One symbol of the paper's eq. 6: its name here, in the paper, its unit and meaning."""
+
+    name: str
+    paper: str
+    unit: str
+    long_name: str
+
+
+SYMBOLS: Mapping[str, Symbol] = MappingProxyType(
+    {
+        s.name: s
+        for s in (
+            Symbol(AMPLITUDE, "A", "rpm", "amplitude of the impact ringing"),
+            Symbol(START, "t_0", "s", "start of the first positive pulse"),
+            Symbol(DECAY, "τ", "1/s", "decay rate of the ringing"),
+            Symbol(FREQUENCY, "ω", "rad/s", "angular frequency of the ringing"),
+            Symbol(MEAN, "v_t", "rpm", "mean motor speed"),
+            Symbol(WINDOW_START, "t_1", "s", "start of the pulse window"),
+            Symbol(WINDOW_END, "t_2", "s", "end of the pulse window"),
+            Symbol(SEPARATION, "T", "s", "time from a negative pulse to the positive one after it"),
+            Symbol(ROTATION, "T_w", "s", "period of one load rotation"),
+        )
+    }
+)
+"""The nine symbols in the paper's order (eq. 6, Table 2)."""
+
+LINEAR = (AMPLITUDE, MEAN)
+"""Symbols in which the model is linear: solved exactly unless fixed."""
+
+DEFAULT_FIXED: Mapping[str, float] = MappingProxyType({WINDOW_START: 0.0, WINDOW_END: 0.204})
+DEFAULT_RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {DECAY: (2.0, 80.0), FREQUENCY: (2.0 * math.pi, 2.0 * math.pi * 40.0)}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceModel:
+    """Which symbols of eq. 6 are free, and the load-angle baseline under them.
+
+    Attributes
+    ----------
+    baseline_harmonics
+        Harmonics k of the load angle 2π t / T_w fitted beside the pulses; 0 is the paper's model.
+    fixed
+        Symbol name to the value it is held at. The default holds the window of Table 2.
+    ranges
+        Symbol name to (low, high), inside which a free symbol is searched and sampled.
+
+    Raises
+    ------
+    ConfigError
+        If a name is not a symbol, if start and window start are both free (only their sum
+        enters the model), or if a range or the window is empty.
+    """
+
+    baseline_harmonics: int = 1
+    fixed: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_FIXED))
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in (*self.fixed, *self.ranges):
+            if name not in SYMBOLS:
+                raise ConfigError(
+                    "Not a symbol of the disturbance model.",
+                    where=name,
+                    expected="one of " + ", ".join(SYMBOLS),
+                )
+        if START not in self.fixed and WINDOW_START not in self.fixed:
+            raise ConfigError(
+                f"{START} and {WINDOW_START} cannot both be free: only their sum enters the model.",
+                where="[estimator.model] fixed",
+                expected=f"one of the two under fixed, e.g. {WINDOW_START} = 0.0",
+            )
+        for name, (low, high) in self.ranges.items():
+            if not low < high:
+                raise ConfigError(
+                    "The range is empty.",
+                    where=f"[estimator.model] ranges.{name}",
+                    found=[low, high],
+                    expected="low < high",
+                )
+        if self.baseline_harmonics < 0:
+            raise ConfigError(
+                "A negative number of harmonics.",
+                where="[estimator.model] baseline_harmonics",
+                found=self.baseline_harmonics,
+                expected="0 or more",
+            )
+        start, end = self.fixed.get(WINDOW_START), self.fixed.get(WINDOW_END)
+        if start is not None and end is not None and not start < end:
+            raise ConfigError(
+                "The pulse window is empty (eq. 3 needs t1 < t2).",
+                where="[estimator.model] fixed",
+                found=f"{WINDOW_START} = {start}, {WINDOW_END} = {end}",
+                expected=f"{WINDOW_START} < {WINDOW_END}",
+            )
+
+    @property
+    def searched(self) -> tuple[str, ...]:
+        """Free symbols that enter nonlinearly, in the paper's order."""
+        return tuple(n for n in SYMBOLS if n not in self.fixed and n not in LINEAR)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """All free symbols, in the paper's order."""
+        return tuple(n for n in SYMBOLS if n not in self.fixed)
+
+    @property
+    def amplitude_is_free(self) -> bool:
+        """Whether A is solved for."""
+        return AMPLITUDE not in self.fixed
+
+    @property
+    def mean_is_free(self) -> bool:
+        """Whether v_t is solved for."""
+        return MEAN not in self.fixed

@@ -1,0 +1,113 @@
+"""The disturbance model as the paper writes it: eq. 3, 5 and 6 over an array of times.
+
+This is the reference that the fast kernel is held against, and the path for recordings whose
+samples are not evenly spaced.
+
+One thing differs from eq. 3, in one sample per pulse: the hard end of the window is resolved to
+the sampling by a ramp one sample wide, centred on t2. A hard edge makes the sum of squares jump
+whenever t0, T or T_w moves a pulse's last sample across it, and then neither a least-squares
+amplitude nor a likelihood is continuous.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+
+def impact(
+    since_start_s: FloatArray,
+    decay_rate_per_s: float,
+    angular_frequency_rad_per_s: float,
+    window_length_s: float,
+    sampling_period_s: float,
+) -> FloatArray:
+    """Ringing after one impact of unit amplitude, eq. 3: e^{−τu} sin(ωu) within the window.
+
+    Parameters
+    ----------
+    since_start_s
+        Time u = t − t1 since the impact, any shape, s.
+    window_length_s
+        t2 − t1 in s.
+    sampling_period_s
+        Width of the ramp at the window's end, s.
+
+    Returns
+    -------
+    Same shape as ``since_start_s``, dimensionless.
+    """
+    u = np.maximum(since_start_s, 0.0)
+    ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
+    return np.asarray(
+        ramp * np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
+    )
+
+
+def impact_times(
+    first_s: float, rotation_period_s: float, window_length_s: float, begin_s: float, end_s: float
+) -> FloatArray:
+    """Starts first_s + i·T_w, i any integer, of all windows that touch [begin_s, end_s]."""
+    low = np.ceil((begin_s - window_length_s - first_s) / rotation_period_s)
+    high = np.floor((end_s - first_s) / rotation_period_s)
+    return np.asarray(first_s + rotation_period_s * np.arange(low, high + 1.0))
+
+
+def pulse_train(
+    time_s: FloatArray,
+    first_impact_s: float,
+    decay_rate_per_s: float,
+    angular_frequency_rad_per_s: float,
+    window_length_s: float,
+    pulse_separation_s: float,
+    rotation_period_s: float,
+    sampling_period_s: float,
+) -> FloatArray:
+    """Σ_i f(t − i·T_w) of eq. 6 with A = 1 and f(t) = g(t) − g(t + T).
+
+    All pulses that fall into the recording are there, however many rotations it holds and the
+    ones cut by its ends included.
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,), s.
+    first_impact_s
+        t0 + t1: start of one positive pulse, s.
+
+    Returns
+    -------
+    Shape (n,), dimensionless.
+    """
+    reach = window_length_s + sampling_period_s
+    train = np.zeros_like(time_s)
+    for sign, first in ((1.0, first_impact_s), (-1.0, first_impact_s - pulse_separation_s)):
+        for start in impact_times(first, rotation_period_s, reach, time_s[0], time_s[-1]):
+            train += sign * impact(
+                time_s - start,
+                decay_rate_per_s,
+                angular_frequency_rad_per_s,
+                window_length_s,
+                sampling_period_s,
+            )
+    return train
+
+
+def baseline_columns(time_s: FloatArray, rotation_period_s: float, harmonics: int) -> FloatArray:
+    """The speed without impacts: constant, cos and sin of each load-angle harmonic.
+
+    Gravity leaks into the speed once per load rotation through the finite speed loop; without
+    these columns it would be fitted by the pulses.
+
+    Returns
+    -------
+    Shape (n, 1 + 2·harmonics): ``[1, cos φ, sin φ, cos 2φ, sin 2φ, …]`` with φ = 2π t / T_w and
+    t counted from the middle of the recording.
+    """
+    middle = 0.5 * (time_s[0] + time_s[-1])
+    angle = 2.0 * np.pi / rotation_period_s * (time_s - middle)
+    columns = [np.ones_like(time_s)]
+    for k in range(1, harmonics + 1):
+        columns += [np.cos(k * angle), np.sin(k * angle)]
+    return np.stack(columns, axis=1)
