@@ -1,0 +1,110 @@
+"""The kinds of value that configurations hold, each with the sentence that refuses a wrong one."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic_core import PydanticCustomError
+
+from bayesbl.recording.channels import CHANNELS, TIME, did_you_mean, is_mappable
+from bayesbl.signal.parameters import SYMBOLS
+
+BASE_DIRECTORY = "base_directory"
+"""Key of the validation context: the folder that relative paths start from."""
+
+PUBLISHED = "published"
+"""The curve of the paper's eq. 4."""
+
+
+def refuse(problem: str, *, found: object = None, expected: str | None = None) -> NoReturn:
+    """Refuse a value with a sentence; ``found`` replaces the whole value in the message."""
+    context = {"problem": problem.replace("{", "{{"), "found": found, "expected": expected}
+    raise PydanticCustomError("refused", "{problem}", context)
+
+
+def resolve(path: str | Path, info: ValidationInfo) -> Path:
+    """A path taken relative to the folder of the configuration, symbolic steps removed."""
+    base = (info.context or {}).get(BASE_DIRECTORY, Path.cwd())
+    return Path(os.path.normpath(os.path.join(base, os.path.expanduser(path))))
+
+
+def _output_path(value: object, info: ValidationInfo) -> Path:
+    if not isinstance(value, str | Path) or not str(value).strip() or "\0" in str(value):
+        refuse("This is not a path.", expected="a path as text")
+    return resolve(value, info)
+
+
+def _input_path(value: object, info: ValidationInfo) -> Path:
+    path = _output_path(value, info)
+    if os.path.isdir(path):
+        refuse("This is a folder.", found=path, expected="a file")
+    if not os.path.exists(path):
+        refuse("There is no such file.", found=path, expected="an existing file")
+    return path
+
+
+def _curve_source(value: object, info: ValidationInfo) -> Path | str:
+    return PUBLISHED if value == PUBLISHED else _input_path(value, info)
+
+
+def as_tuple(value: object) -> object:
+    """A list of the file as the immutable kind."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
+    if not bounds[0] < bounds[1]:
+        refuse("The range is empty.", expected="[low, high] with low < high")
+    return bounds
+
+
+def _symbol(name: str) -> str:
+    if name not in SYMBOLS:
+        refuse(
+            "This is not a symbol of the disturbance model." + did_you_mean(name, SYMBOLS),
+            expected=f"one of {', '.join(SYMBOLS)}",
+        )
+    return name
+
+
+def _channel(name: str) -> str:
+    if not is_mappable(name):
+        refuse(
+            "There is no such channel." + did_you_mean(name, (TIME, *CHANNELS)),
+            expected=f"one of {', '.join((TIME, *CHANNELS))}, or a torque's name ending in _nm",
+        )
+    return name
+
+
+def _name(name: str) -> str:
+    if not re.fullmatch(r"\w[\w .,+-]{0,59}", name):
+        refuse(
+            "This cannot be a name.",
+            expected="at most 60 letters, digits, spaces and . , + - _, a letter or digit first",
+        )
+    return name
+
+
+def column_entry(value: object) -> object:
+    """``"Speed"`` is short for ``{name = "Speed"}``."""
+    return {"name": value} if isinstance(value, str) else value
+
+
+OutputPath = Annotated[Path, BeforeValidator(_output_path)]
+InputPath = Annotated[Path, BeforeValidator(_input_path)]
+CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
+Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
+SymbolName = Annotated[str, AfterValidator(_symbol)]
+ChannelName = Annotated[str, AfterValidator(_channel)]
+Name = Annotated[str, AfterValidator(_name)]
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class Section(BaseModel):
+    """A table of the configuration: no unknown key, no silent conversion, no change later."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

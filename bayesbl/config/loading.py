@@ -1,0 +1,309 @@
+"""From a TOML file or command-line options to a validated configuration, and back to TOML.
+
+A configuration is validated whole: everything that is wrong with it is reported at once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED
+from bayesbl.config.problems import (
+    Location,
+    Problem,
+    config_error,
+    field_name,
+    line_numbers,
+    location_of,
+    problems_of,
+)
+from bayesbl.config.schema import KINDS, RunConfig
+from bayesbl.errors import ConfigError
+from bayesbl.recording.channels import did_you_mean
+
+OPTIONS: Mapping[str, Location] = MappingProxyType(
+    {
+        "curve": ("curve", "source"),
+        "bench": ("estimator", "bench"),
+        "route": ("estimator", "route"),
+        "level": ("interval", "level"),
+        "limit_rad": ("joint", "limit_rad"),
+        "gear_ratio": ("joint", "gear_ratio"),
+        "seed": ("run", "seed"),
+        "workers": ("run", "workers"),
+        "out": ("run", "output"),
+    }
+)
+"""Command-line option to the field it sets."""
+
+_PATH_OPTIONS = frozenset({"curve", "bench", "out"})
+
+_COMES_LATER: tuple[tuple[Location, str], ...] = (
+    (("kind",), "sweep"),
+    (("kind",), "diagnose"),
+    (("estimator", "noise", "kind"), "student_t"),
+    (("estimator", "route"), "direct"),
+)
+"""What the schema names but this version does not do; delete a line when it does."""
+
+_Tables = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Document:
+    """A configuration as it was written, before validation.
+
+    ``origins`` names what an option set, by location: its problems are not the file's.
+    """
+
+    tables: _Tables
+    directory: Path
+    file: Path | None = None
+    text: str = ""
+    origins: Mapping[Location, str] = field(default_factory=dict)
+
+
+def load_config(path: str | Path, *, kind: str | None = None) -> RunConfig:
+    """Read and validate a configuration; relative paths start from its folder.
+
+    Parameters
+    ----------
+    path
+        A TOML file.
+    kind
+        The kind that the caller runs; any kind by default.
+
+    Raises
+    ------
+    ConfigError
+        With everything that is wrong: the file missing or no TOML, keys that are unknown, values
+        of a wrong type or out of range, files named in it that do not exist.
+    """
+    document = _read(Path(path))
+    found = document.tables.get("kind")
+    if kind is not None and found in KINDS and found != kind:
+        problem = Problem(
+            "This configuration is for another kind of run.",
+            where="kind",
+            found=f'"{found}"',
+            expected=f'"{kind}"',
+            line=line_numbers(document.text).get(("kind",)),
+        )
+        raise config_error([problem], document.file)
+    _set_default(
+        document.tables, ("run", "output"), str(Path("results", Path(path).stem).absolute())
+    )
+    return _validate(document)
+
+
+def config_from_options(
+    kind: str,
+    recordings: Sequence[str | Path] = (),
+    config: str | Path | None = None,
+    **options: object,
+) -> RunConfig:
+    """The configuration of a command: options over a configuration file over the defaults.
+
+    Parameters
+    ----------
+    kind
+        ``"fit"`` or ``"compare"``.
+    recordings
+        Files relative to the working directory; they replace those of ``config``.
+    config
+        A configuration to start from, of any kind that shares the sections.
+    options
+        Keys of :data:`OPTIONS`; ``None`` means not given. Paths are relative to the working
+        directory.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`load_config`; problems of options are named by the option.
+    """
+    document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
+    tables = {"schema": 1, **document.tables, "kind": kind}
+    origins: dict[Location, str] = {("kind",): "command"}
+    if recordings:
+        tables["recordings"] = _entries(recordings)
+        origins[("recordings",)] = "recordings"
+    for option, value in options.items():
+        if value is not None:
+            path_like = option in _PATH_OPTIONS and value != PUBLISHED
+            plain = str(Path(str(value)).absolute()) if path_like else value
+            _set(tables, OPTIONS[option], plain)
+            origins[OPTIONS[option]] = "--" + option.replace("_", "-")
+    _set_default(tables, ("run", "output"), _default_output(recordings, config))
+    return _validate(replace(document, tables=tables, origins=origins))
+
+
+def dump_config(config: RunConfig) -> str:
+    """The configuration as TOML, defaults filled in; it loads back to an equal one."""
+    return tomli_w.dumps(_plain(config.model_dump(by_alias=True, exclude_none=True)))
+
+
+def config_fingerprint(config: RunConfig) -> str:
+    """SHA-256 of what decides the numbers: everything but the workers and the output folder."""
+    problem = config.model_dump(mode="json", by_alias=True, exclude={"run": {"workers", "output"}})
+    return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
+
+
+def _read(path: Path) -> _Document:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except (FileNotFoundError, NotADirectoryError):
+        raise ConfigError(
+            "There is no such file.", file=path, expected="a configuration in TOML"
+        ) from None
+    except UnicodeDecodeError:
+        raise ConfigError(
+            "This is not a text file.", file=path, found="binary data", expected="TOML in UTF-8"
+        ) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(
+            "The file cannot be read.", file=path, found=reason, expected="a TOML file"
+        ) from None
+    return _Document(_parse(text, path), Path(os.path.abspath(path)).parent, path, text)
+
+
+def _parse(text: str, file: Path) -> _Tables:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError(
+            "The file is nested too deeply.", file=file, expected="sections, keys and values"
+        ) from None
+    except ValueError as error:
+        place = re.search(r" \(at (line \d+, column \d+|end of document)\)$", str(error))
+        problem = str(error)[: place.start()] if place else str(error)
+        raise ConfigError(
+            f"This is not valid TOML: {problem}.",
+            file=file,
+            where=place[1] if place else None,
+            expected='key = value; text stands in quotes, e.g. file = "before.csv"',
+        ) from None
+
+
+def _validate(document: _Document) -> RunConfig:
+    model = KINDS.get(_kind_of(document))
+    if model is None:
+        raise config_error([_wrong_kind(document)], document.file)
+    try:
+        config = model.model_validate(document.tables, context={BASE_DIRECTORY: document.directory})
+    except ValidationError as error:
+        problems = problems_of(error, model, document.text)
+        locations = [location_of(dict(item)) for item in error.errors()]
+        named = [_by_option(*pair, document) for pair in zip(problems, locations, strict=True)]
+        from_file = any(new is old for new, old in zip(named, problems, strict=True))
+        raise config_error(named, document.file if from_file else None) from None
+    later = [
+        (place, value) for place, value in _COMES_LATER if _get(document.tables, place) == value
+    ]
+    if later:
+        problems = [_comes_later(model, place, value, document) for place, value in later]
+        raise config_error(problems, document.file)
+    return config
+
+
+def _kind_of(document: _Document) -> str:
+    kind = document.tables.get("kind")
+    return kind if isinstance(kind, str) else ""
+
+
+def _wrong_kind(document: _Document) -> Problem:
+    kind = _kind_of(document)
+    line = line_numbers(document.text).get(("kind",))
+    expected = "one of " + ", ".join(f'"{name}"' for name in KINDS)
+    if "kind" not in document.tables:
+        return Problem("The kind of run is missing.", "kind", "nothing", expected)
+    if (("kind",), kind) in _COMES_LATER:
+        problem = "This kind of run comes later: it is not available in this version."
+    else:
+        problem = "There is no such kind of run." + did_you_mean(kind, KINDS)
+    return Problem(problem, "kind", repr(document.tables["kind"]), expected, line)
+
+
+def _by_option(problem: Problem, location: Location, document: _Document) -> Problem:
+    """The problem, named by the option that set the value, if one did."""
+    for length in range(len(location), 0, -1):
+        origin = document.origins.get(location[:length])
+        if origin == "recordings":
+            number = f" {int(location[1]) + 1}" if len(location) > 1 else "s"
+            return replace(problem, where=f"recording{number}", line=None)
+        if origin is not None:
+            return replace(problem, where=origin, line=None)
+    return problem
+
+
+def _comes_later(
+    model: type[RunConfig], location: Location, value: str, document: _Document
+) -> Problem:
+    problem = Problem(
+        "This comes later: it is not available in this version.",
+        where=field_name(model, location),
+        found=f'"{value}"',
+        expected="another choice",
+        line=line_numbers(document.text).get(location),
+    )
+    return _by_option(problem, location, document)
+
+
+def _entries(recordings: Sequence[str | Path]) -> list[_Tables]:
+    """Entries for recordings given by path, numbered where their names would be the same."""
+    paths = [Path(path).absolute() for path in recordings]
+    stems = [path.stem for path in paths]
+    return [
+        {
+            "name": stem if stems.count(stem) == 1 else f"{stem}-{number}",
+            "file": str(path),
+        }
+        for number, (path, stem) in enumerate(zip(paths, stems, strict=True), start=1)
+    ]
+
+
+def _default_output(recordings: Sequence[str | Path], config: str | Path | None) -> str:
+    stems = [Path(path).stem for path in recordings]
+    name = "_".join(dict.fromkeys((stems[0], stems[-1]))) if stems else Path(config or "run").stem
+    return str(Path("results", name).absolute())
+
+
+def _get(tables: _Tables, location: Location) -> object:
+    value: Any = tables
+    for key in location:
+        value = value.get(key) if isinstance(value, dict) else None
+    return value
+
+
+def _set(tables: _Tables, location: Location, value: object) -> None:
+    """Put a value into a section of its own copy; a section that is no table is left as it is."""
+    section, key = str(location[0]), str(location[1])
+    current = tables.get(section, {})
+    if isinstance(current, dict):
+        tables[section] = {**current, key: value}
+
+
+def _set_default(tables: _Tables, location: Location, value: object) -> None:
+    if _get(tables, location) is None:
+        _set(tables, location, value)
+
+
+def _plain(value: Any) -> Any:
+    """Paths as text, tuples as lists, all the way down."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,182 @@
+"""What validation found wrong in a configuration, said in sentences that name line and field."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from bayesbl.errors import ConfigError
+from bayesbl.recording.channels import did_you_mean
+
+Location = tuple[str | int, ...]
+"""Keys and list positions from the top of a configuration down to a value."""
+
+_TABLE = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
+_KEY = re.compile(r"""^\s*("[^"]*"|'[^']*'|[A-Za-z0-9_.-]+)\s*=""")
+_PREAMBLE = re.compile(r"^(Input should be (an instance of )?|(String|Value) should (have|be) )")
+_EXPECTED = {
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "a list",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "date_type": "a date, e.g. 2026-03-01",
+}
+_OUT_OF_RANGE = frozenset(
+    {"greater_than", "greater_than_equal", "less_than", "less_than_equal", "multiple_of"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong: a sentence, its place, what stood there, what should have."""
+
+    problem: str
+    where: str | None = None
+    found: str | None = None
+    expected: str | None = None
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return str(ConfigError(self.problem, **self.details()))
+
+    def details(self) -> dict[str, Any]:
+        """Place, found and expected, as :class:`ConfigError` takes them."""
+        line = None if self.line is None else f"line {self.line}"
+        where = ", ".join(part for part in (line, self.where) if part) or None
+        return {"where": where, "found": self.found, "expected": self.expected}
+
+
+def config_error(problems: Sequence[Problem], file: Path | None) -> ConfigError:
+    """All problems as one error, in the order of the file."""
+    ordered = sorted(problems, key=lambda problem: problem.line or 0)
+    if len(ordered) == 1:
+        return ConfigError(ordered[0].problem, file=file, **ordered[0].details())
+    lines = "".join(f"\n  {problem}" for problem in ordered)
+    return ConfigError(f"{len(ordered)} problems:{lines}", file=file)
+
+
+def problems_of(error: ValidationError, model: type[BaseModel], text: str) -> list[Problem]:
+    """The problems that pydantic found in a configuration of this model, read from ``text``."""
+    lines = line_numbers(text)
+    return [_problem(dict(item), model, lines) for item in error.errors(include_url=False)]
+
+
+def location_of(item: Mapping[str, Any]) -> Location:
+    """Where pydantic found an error, without its mark for a mapping's key."""
+    return tuple(part for part in item["loc"] if part != "[key]")
+
+
+def field_name(model: type[BaseModel], location: Location) -> str:
+    """A location as users write it: ``[estimator.model] fixed.window_end_s``."""
+    tables: list[str] = []
+    current: type[BaseModel] | None = model
+    rest = list(location)
+    while rest and (current := _section_of(current, rest[0])) is not None:
+        tables.append(str(rest.pop(0)))
+    if not tables:
+        return ".".join(map(str, rest))
+    in_list = bool(rest) and isinstance(rest[0], int)
+    position = f" {int(rest.pop(0)) + 1}" if in_list else ""
+    opening, closing = ("[[", "]]") if in_list else ("[", "]")
+    key = ".".join(map(str, rest))
+    return f"{opening}{'.'.join(tables)}{closing}{position}" + (f" {key}" if key else "")
+
+
+def line_numbers(text: str) -> dict[Location, int]:
+    """Line of each table header and key of a TOML text, as far as they stand at a line's start."""
+    lines: dict[Location, int] = {}
+    entries: dict[Location, int] = {}
+    table: Location = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _TABLE.match(line):
+            table = _keys(header[2])
+            if header[1] == "[[":
+                entries[table] = entries.get(table, -1) + 1
+                lines.setdefault(table, number)
+                table = (*table, entries[table])
+            lines.setdefault(table, number)
+        elif key := _KEY.match(line):
+            lines.setdefault((*table, *_keys(key[1])), number)
+    return lines
+
+
+def _keys(dotted: str) -> Location:
+    if dotted[0] in "\"'":
+        return (dotted[1:-1],)
+    return tuple(part.strip(" \t\"'") for part in dotted.split("."))
+
+
+def _problem(
+    item: Mapping[str, Any], model: type[BaseModel], lines: Mapping[Location, int]
+) -> Problem:
+    location = location_of(item)
+    line = next(
+        (lines[location[:n]] for n in range(len(location), 0, -1) if location[:n] in lines), None
+    )
+    where = field_name(model, location)
+    context = item.get("ctx") or {}
+    match item["type"]:
+        case "extra_forbidden":
+            known = _keys_at(model, location[:-1])
+            hint = did_you_mean(str(location[-1]), known)
+            expected = f"one of {', '.join(known)}" if known else "no key here"
+            return Problem(f"This key is not known.{hint}", where, None, expected, line)
+        case "missing":
+            return Problem("A required key is missing.", where, None, f'"{location[-1]}"', line)
+        case "refused":
+            found = context.get("found")
+            shown = _shown(item["input"] if found is None else found)
+            return Problem(str(item["msg"]), where, shown, context.get("expected"), line)
+        case kind:
+            expected = _EXPECTED.get(kind) or _PREAMBLE.sub("", str(item["msg"]))
+            return Problem(_sentence(kind), where, _shown(item["input"]), expected, line)
+
+
+def _sentence(kind: str) -> str:
+    if kind in _OUT_OF_RANGE:
+        return "The value is out of range."
+    if kind == "literal_error":
+        return "This is not one of the choices."
+    return "This value cannot be used."
+
+
+def _shown(value: object) -> str:
+    """A value roughly as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = str(value) if isinstance(value, Path) else repr(value)
+    return text if len(text) <= 200 else text[:199] + "…"
+
+
+def _keys_at(model: type[BaseModel], location: Location) -> list[str]:
+    """Keys that the table at a location may have."""
+    current: type[BaseModel] | None = model
+    for part in location:
+        # A position in a list, or a free key of a mapping, leads to the same section.
+        current = _section_of(current, part) or current
+    return [] if current is None else list(_fields(current))
+
+
+def _section_of(model: type[BaseModel] | None, key: str | int) -> type[BaseModel] | None:
+    """The section that a key of a section leads to, ``None`` where it leads to a plain value."""
+    annotation = None if model is None else _fields(model).get(str(key))
+    return None if annotation is None else _model_in(annotation)
+
+
+def _fields(model: type[BaseModel]) -> dict[str, Any]:
+    return {field.alias or name: field.annotation for name, field in model.model_fields.items()}
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    models = (_model_in(argument) for argument in get_args(annotation))
+    return next((model for model in models if model is not None), None)
