@@ -1,0 +1,772 @@
+"""Equations of motion and their integrator, compiled.
+
+Everything that numba compiles together stands in this one file: its cache looks only at the file
+of the outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
+
+State, shape (8,), SI: motor angle, motor speed, twist Δθ, twist speed Δω, integral of the speed
+error, then (only while an effect is on) lagged drive torque, lagged speed, Dahl z. The load angle
+is θ_m/N − Δθ. Twist and twist speed are states of their own because the contact depends on them
+alone and their error is what the step control must see.
+
+Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
+changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps.
+Within a step the region is fixed, so the right-hand side is smooth there.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Slot(IntEnum):
+    """Places in the flat parameter vector; ``effect__parameter`` for effects.
+
+    A vector of zeros in the effects' places is a bench without effects.
+    """
+
+    gear_ratio = 0
+    motor_inertia_kg_m2 = 1
+    load_inertia_kg_m2 = 2
+    shaft_stiffness_nm_per_rad = 3
+    shaft_damping_nm_s_per_rad = 4
+    gravity_torque_nm = 5
+    speed_gain_nm_s_per_rad = 6
+    integral_gain_nm_per_rad = 7
+    position_gain_per_s = 8
+    torque_constant_nm_per_a = 9
+    current_limit_a = 10
+    stiffness_sharpness_per_rad = 11
+    hard_dead_zone = 12  # 1: hard dead zone, 0: arctan
+    rigid = 13  # 1: one inertia, 0: two masses
+    reference_speed_rpm = 14
+    gap_rad = 15
+    start_angle_rad = 16
+    motor_start_angle_rad = 17
+    backlash__gap_rad = 18
+    motor_coulomb_friction__torque_nm = 19
+    motor_viscous_friction__coefficient_nm_s_per_rad = 20
+    motor_stribeck_friction__torque_nm = 21
+    motor_stribeck_friction__speed_rad_per_s = 22
+    friction_asymmetry__coefficient_nm_s_per_rad = 23
+    motor_torque_offset__torque_nm = 24
+    load_coulomb_friction__torque_nm = 25
+    load_viscous_friction__coefficient_nm_s_per_rad = 26
+    load_torque_offset__torque_nm = 27
+    gravity_phase__torque_nm = 28
+    gear_mesh_friction__coefficient = 29
+    motor_torque_ripple__torque_nm = 30
+    motor_torque_ripple__order = 31
+    motor_torque_ripple__phase_rad = 32
+    gear_transmission_error__angle_rad = 33
+    gear_transmission_error__order = 34
+    gear_transmission_error__phase_rad = 35
+    encoder_eccentricity__angle_rad = 36
+    encoder_eccentricity__phase_rad = 37
+    stiffness_hardening__stiffness_nm_per_rad3 = 38
+    shaft_hysteresis__torque_nm = 39
+    shaft_hysteresis__angle_rad = 40
+    current_loop_lag__time_s = 41
+    speed_sensor_lag__time_s = 42
+    friction_drift__torque_nm = 43
+    friction_drift__rate_nm_per_s = 44
+    channel_time_skew__position_s = 45
+    channel_time_skew__speed_s = 46
+    channel_time_skew__current_s = 47
+
+
+SLOTS = len(Slot)
+FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
+FIRST_SKEW = int(Slot.channel_time_skew__position_s)
+STATES = 8
+MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
+
+POSITION, SPEED, CURRENT = range(3)
+RPM = 60.0 / (2.0 * math.pi)
+PER_PI = 1.0 / math.pi
+
+# sign(ω) of friction is tanh(ω/width); both widths are about 1 rpm at the motor of a 1:100 gear.
+MOTOR_SIGN_WIDTH = 0.1  # rad/s
+LOAD_SIGN_WIDTH = 1e-3  # rad/s
+# The integral fades out while the demand passes the current limit by this share of it.
+ANTI_WINDUP_BAND = 0.01
+
+# Errors made in one step, as a share of the accuracy asked for: set by the study of random benches
+# in tests/test_physics_accuracy.py with a factor of three to spare.
+LOCAL_SHARE = 0.02
+# Longest step in radians of the fastest oscillation: what the dense output still follows.
+LONGEST_PHASE = 1.0
+
+DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
+MAX_STEPS_PER_SECOND = 200_000
+
+
+class Constants(NamedTuple):
+    """What the right-hand side needs of the parameter vector, divided out beforehand."""
+
+    ratio: float
+    per_ratio: float
+    per_motor_inertia: float
+    motor_inertia: float
+    per_load_inertia: float
+    load_inertia: float
+    stiffness: float
+    damping: float
+    gravity: float
+    speed_gain: float
+    integral_gain: float
+    position_gain: float
+    torque_limit: float
+    sharpness: float
+    hard: bool
+    rigid: bool
+    reference: float
+    gap: float
+    reference_angle: float
+    phase_offset: float
+    drift_start: float
+    effects: bool
+
+
+def _jit(function: Any) -> Any:
+    # contract: fused multiply-add only; nan and inf keep their meaning.
+    return numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(function)
+
+
+@_jit
+def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
+    """Constants of one run; ``reference_angle`` is where the position loop's ramp starts."""
+    effects = False
+    for i in range(FIRST_EFFECT, FIRST_SKEW):
+        if p[i] != 0.0:
+            effects = True
+    ratio = p[Slot.gear_ratio]
+    return Constants(
+        ratio,
+        1.0 / ratio,
+        1.0 / p[Slot.motor_inertia_kg_m2],
+        p[Slot.motor_inertia_kg_m2],
+        1.0 / p[Slot.load_inertia_kg_m2],
+        p[Slot.load_inertia_kg_m2],
+        p[Slot.shaft_stiffness_nm_per_rad],
+        p[Slot.shaft_damping_nm_s_per_rad],
+        p[Slot.gravity_torque_nm],
+        p[Slot.speed_gain_nm_s_per_rad],
+        p[Slot.integral_gain_nm_per_rad],
+        p[Slot.position_gain_per_s],
+        p[Slot.torque_constant_nm_per_a] * p[Slot.current_limit_a],
+        p[Slot.stiffness_sharpness_per_rad],
+        p[Slot.hard_dead_zone] != 0.0,
+        p[Slot.rigid] != 0.0,
+        p[Slot.reference_speed_rpm] / RPM,
+        p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
+        reference_angle,
+        p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
+        drift_start,
+        effects,
+    )
+
+
+@_jit
+def shaft_torque(twist, twist_speed, region, c):  # type: ignore[no-untyped-def]
+    """Shaft torque τ_s on the load side, N m (eqs. 1, 2 and the variable stiffness).
+
+    ``region`` counts the edges below the twist: −δ, δ for the dead zone, −δ, 0, δ for the arctan.
+    """
+    if c.hard:
+        if region == 1 and c.gap > 0.0:
+            return 0.0
+        flank = -c.gap if region == 0 else c.gap
+        return c.stiffness * (twist - flank) + c.damping * twist_speed
+    flank = -c.gap if region < 2 else c.gap
+    # π + arctan(α(x − δ)) − arctan(α(x + δ)) as one angle: no cancellation inside the gap.
+    opposite = 2.0 * c.sharpness * c.gap
+    adjacent = c.sharpness * c.sharpness * (c.gap - twist) * (c.gap + twist) - 1.0
+    if opposite < 0.01 * abs(adjacent):
+        # Away from the edges a series, exact to rounding, in a third of the time.
+        r = opposite / adjacent
+        r2 = r * r
+        angle = r * (1.0 - r2 * (1.0 / 3.0 - r2 * (0.2 - r2 / 7.0)))
+        if adjacent < 0.0:
+            angle += math.pi
+    else:
+        angle = math.atan2(opposite, adjacent)
+    return (c.stiffness * (twist - flank) + c.damping * twist_speed) * (angle * PER_PI)
+
+
+@_jit
+def limited(demand, error, c):  # type: ignore[no-untyped-def]
+    """Drive torque within the current limit, and the share of the error that is integrated.
+
+    Conditional integration: beyond the limit the integral stops unless the error drives the
+    demand back. It fades out over a narrow band, for a switch would chatter at the limit.
+    """
+    if abs(demand) <= c.torque_limit:
+        return demand, 1.0
+    torque = math.copysign(c.torque_limit, demand)
+    if error * demand < 0.0:
+        return torque, 1.0
+    excess = (abs(demand) - c.torque_limit) / (ANTI_WINDUP_BAND * c.torque_limit)
+    return torque, max(0.0, 1.0 - excess)
+
+
+@_jit
+def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
+    """Twist that the teeth see: Δθ and the transmission error."""
+    if not c.effects:
+        return twist
+    order = p[Slot.gear_transmission_error__order]
+    amplitude = p[Slot.gear_transmission_error__angle_rad]
+    phase = p[Slot.gear_transmission_error__phase_rad]
+    return twist + amplitude * math.sin(order * (angle + c.phase_offset) + phase)
+
+
+@_jit
+def sensed(y, p, c):  # type: ignore[no-untyped-def]
+    """Motor angle and speed as the encoder shows them, before any lag."""
+    if not c.effects:
+        return y[MOTOR_ANGLE], y[MOTOR_SPEED]
+    eccentricity = p[Slot.encoder_eccentricity__angle_rad]
+    phase = y[MOTOR_ANGLE] + c.phase_offset + p[Slot.encoder_eccentricity__phase_rad]
+    return (
+        y[MOTOR_ANGLE] + eccentricity * math.sin(phase),
+        y[MOTOR_SPEED] * (1.0 + eccentricity * math.cos(phase)),
+    )
+
+
+@_jit
+def controller(t, y, p, c):  # type: ignore[no-untyped-def]
+    """Recorded speed, speed error, torque after the limit, share integrated."""
+    angle, speed = sensed(y, p, c)
+    if c.effects and p[Slot.speed_sensor_lag__time_s] > 0.0:
+        speed = y[SENSED_SPEED]
+    error = c.reference - speed
+    if c.position_gain != 0.0:
+        error += c.position_gain * (c.reference_angle + c.reference * t - angle)
+    torque, share = limited(c.speed_gain * error + c.integral_gain * y[INTEGRAL], error, c)
+    return speed, error, torque, share
+
+
+@_jit
+def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
+    """Torque against the motor from motor-side effects, N m."""
+    direction = math.tanh(speed / MOTOR_SIGN_WIDTH)
+    drift = p[Slot.friction_drift__torque_nm]
+    drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
+    dry = p[Slot.motor_coulomb_friction__torque_nm] + drift
+    dry += p[Slot.gear_mesh_friction__coefficient] * abs(transmitted) * c.per_ratio
+    dry += p[Slot.friction_asymmetry__coefficient_nm_s_per_rad] * speed
+    if p[Slot.motor_stribeck_friction__torque_nm] != 0.0:
+        ratio = speed / p[Slot.motor_stribeck_friction__speed_rad_per_s]
+        dry += p[Slot.motor_stribeck_friction__torque_nm] * math.exp(-ratio * ratio)
+    ripple = 0.0
+    if p[Slot.motor_torque_ripple__torque_nm] != 0.0:
+        phase = p[Slot.motor_torque_ripple__order] * (angle + c.phase_offset)
+        ripple = p[Slot.motor_torque_ripple__torque_nm] * math.sin(
+            phase + p[Slot.motor_torque_ripple__phase_rad]
+        )
+    return (
+        dry * direction
+        + p[Slot.motor_viscous_friction__coefficient_nm_s_per_rad] * speed
+        + p[Slot.motor_torque_offset__torque_nm]
+        + ripple
+    )
+
+
+@_jit
+def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
+    """Torque against the load: gravity and load-side effects, N m."""
+    torque = c.gravity * math.sin(angle)
+    if c.effects:
+        torque += p[Slot.gravity_phase__torque_nm] * math.cos(angle)
+        torque += p[Slot.load_torque_offset__torque_nm]
+        torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
+        if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
+            torque += p[Slot.load_coulomb_friction__torque_nm] * math.tanh(speed / LOAD_SIGN_WIDTH)
+    return torque
+
+
+@_jit
+def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-untyped-def]
+    """Motor acceleration of a drive without compliance; losses exclude gear-mesh friction."""
+    reflected = c.load_inertia * c.per_ratio * c.per_ratio
+    acceleration = (torque - losses - load * c.per_ratio) / (c.motor_inertia + reflected)
+    mesh = p[Slot.gear_mesh_friction__coefficient] if c.effects else 0.0
+    if mesh != 0.0:
+        # The transmitted torque contains the acceleration: solved with its sign held.
+        transmitted = reflected * acceleration + load * c.per_ratio
+        factor = 1.0 + mesh * math.tanh(speed / MOTOR_SIGN_WIDTH) * math.copysign(1.0, transmitted)
+        acceleration = (torque - losses - load * c.per_ratio * factor) / (
+            c.motor_inertia + reflected * factor
+        )
+    return acceleration
+
+
+@_jit
+def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
+    """The same with every effect, and for the rigid drive."""
+    speed = y[MOTOR_SPEED]
+    twist = y[TWIST]
+    twist_speed = y[TWIST_SPEED]
+    _, error, torque, share = controller(t, y, p, c)
+    load_angle = y[MOTOR_ANGLE] * c.per_ratio - twist
+    load_speed = speed * c.per_ratio - twist_speed
+    losses = 0.0
+    shaft = 0.0
+    if not c.rigid:
+        if not c.effects:
+            shaft = shaft_torque(twist, twist_speed, region, c)
+        else:
+            seen = contact_twist(y[MOTOR_ANGLE], twist, p, c)
+            seen_speed = twist_speed
+            if p[Slot.gear_transmission_error__angle_rad] != 0.0:
+                order = p[Slot.gear_transmission_error__order]
+                phase = order * (y[MOTOR_ANGLE] + c.phase_offset)
+                phase += p[Slot.gear_transmission_error__phase_rad]
+                slope = p[Slot.gear_transmission_error__angle_rad] * order * math.cos(phase)
+                seen_speed += slope * speed
+            shaft = shaft_torque(seen, seen_speed, region, c)
+            compression = max(0.0, abs(seen) - c.gap)
+            shaft += math.copysign(
+                p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3, seen
+            )
+            shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]
+    if c.effects:
+        lag = p[Slot.current_loop_lag__time_s]
+        dy[DRIVE_TORQUE] = 0.0
+        if lag > 0.0:
+            dy[DRIVE_TORQUE] = (torque - y[DRIVE_TORQUE]) / lag
+            torque = y[DRIVE_TORQUE]
+        lag = p[Slot.speed_sensor_lag__time_s]
+        dy[SENSED_SPEED] = 0.0
+        if lag > 0.0:
+            _, fresh = sensed(y, p, c)
+            dy[SENSED_SPEED] = (fresh - y[SENSED_SPEED]) / lag
+        dy[DAHL] = 0.0
+        if p[Slot.shaft_hysteresis__torque_nm] != 0.0:
+            dy[DAHL] = (twist_speed - abs(twist_speed) * y[DAHL]) / p[
+                Slot.shaft_hysteresis__angle_rad
+            ]
+        losses = motor_losses(t, y[MOTOR_ANGLE], speed, shaft, p, c)
+    load = load_torque(load_angle, load_speed, p, c)
+    dy[MOTOR_ANGLE] = speed
+    dy[INTEGRAL] = share * error
+    if c.rigid:
+        dy[MOTOR_SPEED] = rigid_accelerations(torque, losses, load, speed, p, c)
+        dy[TWIST] = 0.0
+        dy[TWIST_SPEED] = 0.0
+        return
+    acceleration = (torque - shaft * c.per_ratio - losses) * c.per_motor_inertia
+    dy[MOTOR_SPEED] = acceleration
+    dy[TWIST] = twist_speed
+    dy[TWIST_SPEED] = acceleration * c.per_ratio - (shaft - load) * c.per_load_inertia
+
+
+@_jit
+def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
+    """Time derivative of the state into ``dy`` (design.md section 3 and the catalogue)."""
+    if c.effects or c.rigid:
+        full_right_hand_side(t, y, region, p, c, dy)
+        return
+    # The bench without effects, short enough to be inlined into the stages.
+    speed = y[MOTOR_SPEED]
+    twist = y[TWIST]
+    twist_speed = y[TWIST_SPEED]
+    error = c.reference - speed
+    if c.position_gain != 0.0:
+        error += c.position_gain * (c.reference_angle + c.reference * t - y[MOTOR_ANGLE])
+    torque = c.speed_gain * error + c.integral_gain * y[INTEGRAL]
+    share = 1.0
+    if abs(torque) > c.torque_limit:
+        torque, share = limited(torque, error, c)
+    shaft = shaft_torque(twist, twist_speed, region, c)
+    load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist)
+    acceleration = (torque - shaft * c.per_ratio) * c.per_motor_inertia
+    dy[MOTOR_ANGLE] = speed
+    dy[MOTOR_SPEED] = acceleration
+    dy[TWIST] = twist_speed
+    dy[TWIST_SPEED] = acceleration * c.per_ratio - (shaft - load) * c.per_load_inertia
+    dy[INTEGRAL] = share * error
+
+
+@_jit
+def lower_edge(region, c):  # type: ignore[no-untyped-def]
+    """Twist at which this contact region ends downwards."""
+    if region == 0:
+        return -math.inf
+    if region == 1:
+        return -c.gap
+    return c.gap if c.hard or region == 3 else 0.0
+
+
+@_jit
+def upper_edge(region, c):  # type: ignore[no-untyped-def]
+    """Twist at which this contact region ends upwards."""
+    if region == (2 if c.hard else 3):
+        return math.inf
+    return lower_edge(region + 1, c)
+
+
+@_jit
+def region_of(twist, c):  # type: ignore[no-untyped-def]
+    """Contact region that a twist lies in."""
+    region = 0
+    while twist > upper_edge(region, c):
+        region += 1
+    return region
+
+
+# Dormand & Prince 1980; dense output as in Hairer, Nørsett, Wanner, Solving ODEs I, II.6. Written
+# out as scalars: the compiler folds them into the loops, which arrays of coefficients prevent.
+A21 = 1 / 5
+A31, A32 = 3 / 40, 9 / 40
+A41, A42, A43 = 44 / 45, -56 / 15, 32 / 9
+A51, A52, A53, A54 = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
+A61, A62, A63, A64, A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
+B1, B3, B4, B5, B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
+E1, E3, E4, E5, E6, E7 = 71 / 57600, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40
+D1, D3, D4 = -12715105075 / 11282082432, 87487479700 / 32700410799, -10690763975 / 1880347072
+D5, D6, D7 = 701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423
+
+
+@_jit
+def step(t, y, h, region, p, c, k, y_new):  # type: ignore[no-untyped-def]
+    """One step from ``y`` into ``y_new``; ``k[0]`` is given, ``k[1:]`` filled, shape (7, n)."""
+    k1, k2, k3, k4, k5, k6, k7 = k[0], k[1], k[2], k[3], k[4], k[5], k[6]
+    n = y.size
+    for i in range(n):
+        y_new[i] = y[i] + h * (A21 * k1[i])
+    right_hand_side(t + 0.2 * h, y_new, region, p, c, k2)
+    for i in range(n):
+        y_new[i] = y[i] + h * (A31 * k1[i] + A32 * k2[i])
+    right_hand_side(t + 0.3 * h, y_new, region, p, c, k3)
+    for i in range(n):
+        y_new[i] = y[i] + h * (A41 * k1[i] + A42 * k2[i] + A43 * k3[i])
+    right_hand_side(t + 0.8 * h, y_new, region, p, c, k4)
+    for i in range(n):
+        y_new[i] = y[i] + h * (A51 * k1[i] + A52 * k2[i] + A53 * k3[i] + A54 * k4[i])
+    right_hand_side(t + 8 / 9 * h, y_new, region, p, c, k5)
+    for i in range(n):
+        slope = A61 * k1[i] + A62 * k2[i] + A63 * k3[i] + A64 * k4[i] + A65 * k5[i]
+        y_new[i] = y[i] + h * slope
+    right_hand_side(t + h, y_new, region, p, c, k6)
+    for i in range(n):
+        slope = B1 * k1[i] + B3 * k3[i] + B4 * k4[i] + B5 * k5[i] + B6 * k6[i]
+        y_new[i] = y[i] + h * slope
+    right_hand_side(t + h, y_new, region, p, c, k7)
+
+
+@_jit
+def error_of(h, k, scale):  # type: ignore[no-untyped-def]
+    """Largest component of the step's error estimate over its allowance; nan if diverged."""
+    worst = 0.0
+    for i in range(scale.size):
+        slope = E1 * k[0, i] + E3 * k[2, i] + E4 * k[3, i]
+        slope += E5 * k[4, i] + E6 * k[5, i] + E7 * k[6, i]
+        error = abs(h * slope) * scale[i]
+        if not error <= worst:
+            worst = error
+    return worst
+
+
+@_jit
+def dense_coefficients(y, y_new, h, k, dense):  # type: ignore[no-untyped-def]
+    """Coefficients of the interpolant over the step, ``dense`` of shape (5, n)."""
+    for i in range(y.size):
+        rise = y_new[i] - y[i]
+        bend = h * k[0, i] - rise
+        last = D1 * k[0, i] + D3 * k[2, i] + D4 * k[3, i]
+        last += D5 * k[4, i] + D6 * k[5, i] + D7 * k[6, i]
+        dense[0, i] = y[i]
+        dense[1, i] = rise
+        dense[2, i] = bend
+        dense[3, i] = rise - h * k[6, i] - bend
+        dense[4, i] = h * last
+
+
+@_jit
+def interpolated(dense, i, s):  # type: ignore[no-untyped-def]
+    """State ``i`` at the share ``s`` of the step."""
+    r = 1.0 - s
+    tail = dense[3, i] + r * dense[4, i]
+    return dense[0, i] + s * (dense[1, i] + r * (dense[2, i] + s * tail))
+
+
+@_jit
+def beyond(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
+    """How far an event has been passed at the share ``s`` of the step; negative before it.
+
+    ``kind``: −1 the lower edge of the contact region, 1 the upper one, 0 the load angle ``edge``.
+    """
+    angle = interpolated(dense, MOTOR_ANGLE, s)
+    twist = interpolated(dense, TWIST, s)
+    if kind == 0:
+        return math.copysign(1.0, c.reference) * (angle * c.per_ratio - twist - edge)
+    return kind * (contact_twist(angle, twist, p, c) - edge)
+
+
+@_jit
+def event_share(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
+    """Share of the step at which an event passed at ``s`` happened, by bisection."""
+    early = 0.0
+    late = s
+    for _ in range(40):
+        middle = 0.5 * (early + late)
+        if beyond(middle, dense, edge, kind, p, c) > 0.0:
+            late = middle
+        else:
+            early = middle
+    return late
+
+
+@_jit
+def emit(t, h, dense, n, row, first, start, dt, out, y, p, c):  # type: ignore[no-untyped-def]
+    """Samples of one output row that fall into the step; returns the next sample's number.
+
+    Rows of ``out``: the states themselves if it has eight, else position, speed, current, or
+    speed alone.
+    """
+    index = first
+    while index < out.shape[1]:
+        time = start + index * dt
+        if time > t + h:
+            break
+        s = (time - t) / h
+        if out.shape[0] == STATES:
+            for i in range(n):
+                out[i, index] = interpolated(dense, i, s)
+        else:
+            for i in range(n):
+                y[i] = interpolated(dense, i, s)
+            if row == POSITION:
+                out[0, index], _ = sensed(y, p, c)
+            elif row == SPEED:
+                speed, _, _, _ = controller(time, y, p, c)
+                out[0 if out.shape[0] == 1 else 1, index] = speed * RPM
+            else:
+                _, _, torque, _ = controller(time, y, p, c)
+                if c.effects and p[Slot.current_loop_lag__time_s] > 0.0:
+                    torque = y[DRIVE_TORQUE]
+                out[2, index] = torque / p[Slot.torque_constant_nm_per_a]
+        index += 1
+    return index
+
+
+@_jit
+def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
+    """Reciprocal of each state's allowance: what it does to the motor speed, in one step.
+
+    Returns the longest step.
+    """
+    speed = accuracy_rpm / RPM * LOCAL_SHARE
+    inertia = c.motor_inertia
+    if c.rigid:
+        inertia += c.load_inertia * c.per_ratio * c.per_ratio
+    motor_rate = math.sqrt(c.stiffness * c.per_ratio * c.per_ratio * c.per_motor_inertia)
+    load_rate = math.sqrt(c.stiffness * c.per_load_inertia)
+    loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
+    fastest = math.sqrt(motor_rate**2 + load_rate**2)
+    if c.rigid:
+        fastest = loop_rate
+    torque = speed * inertia * max(fastest, loop_rate)
+    scale[MOTOR_SPEED] = 1.0 / speed
+    scale[MOTOR_ANGLE] = fastest / speed
+    scale[TWIST] = c.ratio * motor_rate / speed
+    scale[TWIST_SPEED] = c.ratio / speed
+    scale[INTEGRAL] = c.integral_gain / torque
+    rate = max(fastest, 0.25 * loop_rate)
+    if c.effects:
+        scale[DRIVE_TORQUE] = 1.0 / torque
+        scale[SENSED_SPEED] = 1.0 / speed
+        scale[DAHL] = abs(p[Slot.shaft_hysteresis__torque_nm]) * c.per_ratio / torque
+        turning = abs(c.reference)
+        if p[Slot.motor_torque_ripple__torque_nm] != 0.0:
+            rate = max(rate, turning * abs(p[Slot.motor_torque_ripple__order]))
+        if p[Slot.gear_transmission_error__angle_rad] != 0.0:
+            rate = max(rate, turning * abs(p[Slot.gear_transmission_error__order]))
+        if p[Slot.encoder_eccentricity__angle_rad] != 0.0:
+            rate = max(rate, turning)
+    return min(LONGEST_PHASE / rate, 0.5 / (abs(c.reference * c.per_ratio) + 1e-3))
+
+
+@_jit
+def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm):  # type: ignore[no-untyped-def]
+    """Integrate ``y`` in place until a time or a load angle, sampling on the way.
+
+    Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew. Returns status, time
+    reached, number of right-hand sides.
+    """
+    n = y.size
+    k = np.empty((7, n))
+    y_new = np.empty(n)
+    scale = np.empty(n)
+    dense = np.empty((5, n))
+    next_sample = np.zeros(3, np.int64)
+    longest = error_scale(p, c, accuracy_rpm, scale)
+    has_edges = c.gap > 0.0 and not c.rigid
+    layer = 0.0 if c.hard else 1.0 / c.sharpness
+    evaluations = 0
+    budget = 1000 + int(MAX_STEPS_PER_SECOND * max(1.0, stop_time - t))
+    runaway = 50.0 * abs(c.reference) + 1e3
+    twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
+    region = region_of(twist, c) if has_edges else 0
+    if not has_edges and not c.hard:
+        region = 2
+    right_hand_side(t, y, region, p, c, k[0])
+    h = 0.1 * longest
+    for _ in range(budget):
+        if t >= stop_time:
+            return DONE, t, evaluations
+        h = min(h, longest)
+        last = t + h >= stop_time
+        if last:
+            h = stop_time - t
+        step(t, y, h, region, p, c, k, y_new)
+        evaluations += 6
+        error = error_of(h, k, scale)
+        if not error <= 1.0:
+            # nan and inf shrink the step too, until it is hopeless
+            h *= max(0.2, 0.9 * error**-0.2) if error < 1e30 else 0.1
+            if h < 1e-12:
+                return DIVERGED, t, evaluations
+            continue
+        if abs(y_new[MOTOR_SPEED]) > runaway:
+            return DIVERGED, t, evaluations
+        dense_coefficients(y, y_new, h, k, dense)
+        factor = min(6.0, 0.9 * max(error, 1e-8) ** -0.2)
+
+        share = 1.0
+        crossed = 0
+        if has_edges:
+            lower = lower_edge(region, c)
+            upper = upper_edge(region, c)
+            probes = 1
+            turn = 0.0
+            if y[TWIST_SPEED] * y_new[TWIST_SPEED] < 0.0:
+                probes = 2  # the twist turns inside the step: look there first
+                turn = y[TWIST_SPEED] / (y[TWIST_SPEED] - y_new[TWIST_SPEED])
+            for probe in range(probes):
+                s = turn if probe + 1 < probes else 1.0
+                if beyond(s, dense, lower, -1, p, c) > 0.0:
+                    crossed = -1
+                elif beyond(s, dense, upper, 1, p, c) > 0.0:
+                    crossed = 1
+                if crossed != 0:
+                    edge = lower if crossed < 0 else upper
+                    share = event_share(s, dense, edge, crossed, p, c)
+                    break
+        arrived = False
+        if beyond(share, dense, stop_angle, 0, p, c) >= 0.0:
+            share = event_share(share, dense, stop_angle, 0, p, c)
+            arrived = True
+            crossed = 0
+        if share < 1.0:
+            # The interpolant only says where; the state there is that of a full step.
+            h_next = h * factor
+            h *= share
+            last = False
+            step(t, y, h, region, p, c, k, y_new)
+            evaluations += 6
+            dense_coefficients(y, y_new, h, k, dense)
+        else:
+            h_next = h * factor
+
+        if out.shape[0] == STATES:
+            next_sample[0] = emit(t, h, dense, n, 0, next_sample[0], start, dt, out, y, p, c)
+        else:
+            for row in range(3):
+                if out.shape[0] == 1 and row != SPEED:
+                    continue
+                begin = start - p[FIRST_SKEW + row]
+                next_sample[row] = emit(
+                    t, h, dense, n, row, next_sample[row], begin, dt, out, y, p, c
+                )
+        t = stop_time if last else t + h
+        for i in range(n):
+            y[i] = y_new[i]
+            k[0, i] = k[6, i]
+        if arrived:
+            return DONE, t, evaluations
+        if crossed != 0:
+            region += crossed
+            right_hand_side(t, y, region, p, c, k[0])
+            evaluations += 1
+            # The arctan's layer is passed in steps of its own width.
+            approach = abs(k[0, TWIST]) + 1e-9
+            if layer > 0.0 and edge != 0.0:
+                h_next = min(h_next, 2.0 * layer / approach)
+        h = max(h_next, 1e-9)
+    return TOO_MANY_STEPS, t, evaluations
+
+
+@_jit
+def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
+    """Start of the settling: torques balanced at the reference speed, no acceleration."""
+    c = constants(p, 0.0, math.inf)
+    speed = c.reference
+    load = load_torque(load_angle, speed * c.per_ratio, p, c)
+    side = math.copysign(1.0, load if load != 0.0 else speed)
+    y[:] = 0.0
+    y[TWIST] = 0.0 if c.rigid else load / c.stiffness + side * c.gap
+    y[MOTOR_ANGLE] = c.ratio * (load_angle + y[TWIST])
+    y[MOTOR_SPEED] = speed
+    torque = load * c.per_ratio
+    if c.effects:
+        torque += motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    torque, _ = limited(torque, 0.0, c)
+    if c.integral_gain > 0.0:
+        y[INTEGRAL] = torque / c.integral_gain
+    if c.effects:
+        y[DRIVE_TORQUE] = torque
+        y[SENSED_SPEED] = speed
+
+
+@_jit
+def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-untyped-def]
+    """Steady rotation from the load angle ``start_angle_rad`` on, into ``out``.
+
+    The run begins ``settle_s`` or more before, in the middle of a tooth flank (gravity torque
+    largest, so nearly constant), and is recorded once the load passes the start angle. ``state``
+    receives the state there. Returns status, right-hand sides.
+    """
+    c = constants(p, 0.0, math.inf)
+    load_speed = c.reference * c.per_ratio
+    direction = math.copysign(1.0, load_speed)
+    start_angle = p[Slot.start_angle_rad]
+    flank = 0.5 * math.pi - math.atan2(p[Slot.gravity_phase__torque_nm], c.gravity)
+    ahead = (start_angle - flank) * direction - settle_s * abs(load_speed)
+    begin = flank + direction * math.pi * math.floor(ahead / math.pi)
+    y = np.empty(STATES if c.effects else STATES - 3)
+    quasi_static_state(p, begin, y)
+    c = constants(p, y[MOTOR_ANGLE], math.inf)
+    none = np.empty((1, 0))
+    longest = 4.0 * (start_angle - begin) / load_speed + 1.0
+    first = y.copy()
+    status, t, cost = integrate(0.0, y, longest, start_angle, 0.0, dt, none, p, c, accuracy_rpm)
+    if status != DONE:
+        return status, cost
+    if t >= longest:
+        return SATURATED, cost
+    state[:] = 0.0
+    state[: y.size] = y
+    c = constants(p, first[MOTOR_ANGLE], t)
+    lag = max(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
+    lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
+    stop = t + (out.shape[1] - 1) * dt + max(0.0, -lead) + 1e-9
+    if lag > 0.0:
+        # A channel that lags shows what was before the start: once more, now with the time known.
+        status, _, more = integrate(
+            0.0, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm
+        )
+    else:
+        status, _, more = integrate(
+            t, y, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm
+        )
+    return status, cost + more

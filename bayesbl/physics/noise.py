@@ -1,0 +1,93 @@
+"""Measurement: coloured noise, encoder counts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, signal
+
+from bayesbl.errors import BenchError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Stationary autoregressive Gaussian noise: n_t = Σ φ_k n_{t−k} + ε_t.
+
+    Attributes
+    ----------
+    standard_deviation
+        Of the noise itself (not of ε), in its channel's unit.
+    coefficients
+        φ_1 … φ_p; empty for white noise. They belong to the sampling they are used at.
+
+    Raises
+    ------
+    BenchError
+        If the standard deviation is negative or the coefficients are not stationary.
+    """
+
+    standard_deviation: float
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.standard_deviation) and self.standard_deviation >= 0.0):
+            raise BenchError(
+                "A noise's standard deviation is zero or a number above it.",
+                found=self.standard_deviation,
+            )
+        if self.coefficients:
+            roots = np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients))))
+            if not np.all(np.abs(roots) < 1.0):
+                raise BenchError(
+                    "Autoregressive noise with these coefficients grows without bound.",
+                    where="coefficients",
+                    found=list(self.coefficients),
+                    expected="roots of z^p - φ_1 z^(p-1) - … inside the unit circle",
+                )
+
+    def autocorrelation(self, lags: int) -> FloatArray:
+        """Autocorrelation at lags 0 … ``lags``, shape (lags + 1,)."""
+        order = len(self.coefficients)
+        # Yule-Walker: ρ_k = Σ φ_j ρ_|k−j| for k = 1 … p, ρ_0 = 1
+        system = np.eye(order + 1)
+        for k in range(1, order + 1):
+            for j, phi in enumerate(self.coefficients, start=1):
+                system[k, abs(k - j)] -= phi
+        right = np.zeros(order + 1)
+        right[0] = 1.0
+        rho = list(np.linalg.solve(system, right))
+        while len(rho) <= lags:
+            rho.append(sum(phi * rho[-j] for j, phi in enumerate(self.coefficients, start=1)))
+        return np.array(rho[: lags + 1])
+
+    def draw(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Stationary from the first sample on, shape (size,), the channel's unit."""
+        order = len(self.coefficients)
+        rho = self.autocorrelation(order)
+        innovation = math.sqrt(1.0 - float(np.dot(self.coefficients, rho[1:])))
+        white = rng.standard_normal(size)
+        if order == 0:
+            return self.standard_deviation * white
+        start = linalg.cholesky(linalg.toeplitz(rho[:order]), lower=True) @ rng.standard_normal(
+            order
+        )
+        denominator = np.concatenate(([1.0], -np.asarray(self.coefficients)))
+        state = signal.lfiltic([1.0], denominator, start)
+        noise, _ = signal.lfilter([1.0], denominator, innovation * white, zi=state)
+        drawn: FloatArray = self.standard_deviation * noise
+        return drawn
+
+
+NO_NOISE = NoiseModel(0.0)
+
+
+def quantised(angle_rad: FloatArray, counts: int) -> FloatArray:
+    """Angle as an encoder of ``counts`` per turn shows it, nearest count, rad."""
+    count = 2.0 * math.pi / counts
+    shown: FloatArray = np.rint(angle_rad / count) * count
+    return shown
