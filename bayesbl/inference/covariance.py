@@ -1,0 +1,102 @@
+"""How far the RMSE optimum scatters under the recording's noise: the sandwich covariance.
+
+The optimum is least squares whatever the noise, so its covariance is not the inverse curvature but
+V = (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ with Σ the covariance of the noise and J the Gauss-Newton matrix
+(White 1982; design.md section 5).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, matmul_toeplitz
+
+from bayesbl.errors import RecordingError
+from bayesbl.inference.noise import Noise
+from bayesbl.inference.optimum import Optimum
+from bayesbl.recording.types import FloatArray
+from bayesbl.signal.jacobian import jacobian, jacobian_columns
+
+
+@dataclass(frozen=True, slots=True)
+class Covariance:
+    """Scatter of the optimum, columns named as by :func:`jacobian_columns` (A first).
+
+    Attributes
+    ----------
+    names
+        The p free symbols and baseline coefficients.
+    sandwich
+        V, shape (p, p).
+    inverse_curvature
+        (JᵀJ)⁻¹, shape (p, p), before any noise variance is put to it.
+    """
+
+    names: tuple[str, ...]
+    sandwich: FloatArray
+    inverse_curvature: FloatArray
+
+    @property
+    def scale(self) -> float:
+        """κ = V_AA / [(JᵀJ)⁻¹]_AA in rpm²: exp(−SSE / 2κ) has the right width for A."""
+        return float(self.sandwich[0, 0] / self.inverse_curvature[0, 0])
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """By name, in the symbol's own unit."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.sandwich)).tolist(), strict=True))
+
+    @property
+    def calibration(self) -> FloatArray:
+        """Lower triangular C that turns scatter κ(JᵀJ)⁻¹ into V, shape (p, p).
+
+        Draws from exp(−SSE / 2κ) have the right width for A but not for the other symbols; C,
+        from Cholesky factors with A first, corrects those and leaves A as it is (the open-faced
+        sandwich of Shaby 2014).
+        """
+        source = np.linalg.cholesky(self.scale * self.inverse_curvature)
+        return np.asarray(np.linalg.cholesky(self.sandwich) @ np.linalg.inv(source))
+
+
+def covariance(optimum: Optimum, time_s: FloatArray, noise: Noise) -> Covariance:
+    """Sandwich covariance of an optimum under autoregressive noise.
+
+    Raises
+    ------
+    RecordingError
+        If the recording does not determine the free symbols (singular JᵀJ).
+    """
+    names = jacobian_columns(optimum.model)
+    columns = jacobian(optimum.model, time_s, optimum.symbols, optimum.baseline_rpm)
+    norms = np.sqrt((columns**2).sum(axis=0))
+    norms[norms == 0.0] = 1.0
+    columns = columns / norms
+    gram = columns.T @ columns
+    if np.linalg.cond(gram) > 1e12:
+        raise RecordingError(
+            "The recording does not determine all free symbols of the disturbance model.",
+            found="free: " + ", ".join(optimum.model.free),
+            expected="more rotations, or some symbol under [estimator.model] fixed",
+        )
+    factor = cho_factor(gram)
+    inverse = cho_solve(factor, np.eye(len(names)))
+    if noise.order:
+        noisy = matmul_toeplitz(noise.autocovariance(time_s.size), columns)
+    else:
+        noisy = noise.sd_rpm**2 * columns
+    middle = columns.T @ noisy
+    sandwich = inverse @ middle @ inverse
+    rescale = 1.0 / np.outer(norms, norms)
+    return Covariance(names, _symmetric(sandwich) * rescale, _symmetric(inverse) * rescale)
+
+
+def signal_to_noise(optimum: Optimum, spread: Covariance) -> float:
+    """A / √V_AA: how many standard deviations the amplitude stands above zero."""
+    amplitude = optimum.symbols[spread.names[0]]
+    return float(amplitude / math.sqrt(spread.sandwich[0, 0]))
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (matrix + matrix.T))

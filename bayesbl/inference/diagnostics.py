@@ -1,0 +1,140 @@
+"""Whether the sampling can be trusted, said in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+Outcome = Literal["converged", "usable", "withheld"]
+
+R_HAT_GOOD = 1.01
+R_HAT_BAD = 1.05
+FEWEST_EFFECTIVE = 400.0
+STEPS_PER_AUTOCORRELATION = 50.0
+WEAKEST_SIGNAL_TO_NOISE = 6.0
+AT_BOUND_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostics:
+    """How the sampling ended.
+
+    Attributes
+    ----------
+    r_hat, ess_bulk
+        By symbol; chains are the independent ensembles, never the walkers of one.
+    autocorrelation_steps
+        Longest integrated autocorrelation time over symbols and ensembles, steps.
+    steps
+        Steps each ensemble made after burn-in.
+    acceptance
+        Mean accepted share of proposals per ensemble, shape (e,).
+    outcome
+        ``converged``; ``usable`` with the warnings given; ``withheld`` where δ must not be read.
+    reasons
+        Why it is not simply converged, in sentences.
+    """
+
+    r_hat: Mapping[str, float]
+    ess_bulk: Mapping[str, float]
+    autocorrelation_steps: float
+    steps: int
+    acceptance: FloatArray
+    outcome: Outcome
+    reasons: tuple[str, ...]
+
+
+def rank_r_hat_and_ess(draws: Mapping[str, FloatArray]) -> tuple[dict[str, float], dict[str, float]]:
+    """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
+    import arviz
+
+    r_hat = {n: float(arviz.rhat(x, method="rank")) for n, x in draws.items()}
+    ess = {n: float(arviz.ess(x, method="bulk")) for n, x in draws.items()}
+    return r_hat, ess
+
+
+def integrated_time(chain: FloatArray) -> float:
+    """Integrated autocorrelation time in steps of one ensemble's chain, (step, walker, d).
+
+    The largest over the symbols; infinite for a chain that does not move.
+    """
+    from emcee.autocorr import integrated_time as estimate
+
+    spread = chain.reshape(-1, chain.shape[-1]).std(axis=0)
+    if len(chain) < 8 or np.any(spread == 0.0):
+        return math.inf
+    return float(np.max(estimate(chain, tol=0, quiet=True)))
+
+
+def judge(
+    r_hat: Mapping[str, float],
+    ess_bulk: Mapping[str, float],
+    autocorrelation_steps: float,
+    steps: int,
+    acceptance: FloatArray,
+    bounds_stable: bool,
+    signal_to_noise: float,
+    at_bound: Mapping[str, float],
+) -> Diagnostics:
+    """Turn the numbers into an outcome with its reasons.
+
+    Parameters
+    ----------
+    bounds_stable
+        Whether the interval's bounds agreed between the last two checks.
+    signal_to_noise
+        A / √V_AA.
+    at_bound
+        By symbol, the share of draws within one percent of its range of a bound.
+    """
+    warnings: list[str] = []
+    failures: list[str] = []
+    worst = max(r_hat, key=lambda n: r_hat[n])
+    if not r_hat[worst] < R_HAT_BAD:
+        failures.append(
+            f"The ensembles disagree: R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_BAD} "
+            "is needed); the posterior may have several modes or an ensemble may be stuck."
+        )
+    elif r_hat[worst] > R_HAT_GOOD:
+        warnings.append(f"R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_GOOD} is good).")
+    if not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
+        text = (
+            f"The chain is short: {steps} steps for an autocorrelation time of "
+            f"{autocorrelation_steps:.0f} (more than {STEPS_PER_AUTOCORRELATION:.0f} times that "
+            "is wanted); raise [posterior] max_steps."
+        )
+        enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
+        (warnings if enough else failures).append(text)
+    least = min(ess_bulk, key=lambda n: ess_bulk[n])
+    if not ess_bulk[least] > FEWEST_EFFECTIVE:
+        warnings.append(f"Only {ess_bulk[least]:.0f} effective draws of {least}.")
+    if not bounds_stable:
+        warnings.append("The interval's bounds still moved at the last check.")
+    for name, share in at_bound.items():
+        if share > AT_BOUND_SHARE:
+            warnings.append(
+                f"{share:.0%} of the draws of {name} lie at a bound of its range: "
+                "the range, not the recording, decides there."
+            )
+    if signal_to_noise < WEAKEST_SIGNAL_TO_NOISE:
+        failures.append(
+            f"The impact ringing is too weak: its amplitude is {signal_to_noise:.1f} standard "
+            f"deviations above zero ({WEAKEST_SIGNAL_TO_NOISE:.0f} are needed). Record more "
+            "rotations, or with less noise."
+        )
+    outcome: Outcome = "withheld" if failures else "usable" if warnings else "converged"
+    return Diagnostics(
+        r_hat,
+        ess_bulk,
+        autocorrelation_steps,
+        steps,
+        acceptance,
+        outcome,
+        tuple(failures + warnings),
+    )
