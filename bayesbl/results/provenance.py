@@ -1,0 +1,103 @@
+"""Where a result came from, as attributes that NetCDF can hold."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import bayesbl
+
+DEPENDENCIES = (
+    "numpy",
+    "scipy",
+    "cma",
+    "emcee",
+    "arviz",
+    "xarray",
+    "netCDF4",
+    "numba",
+    "pydantic",
+    "matplotlib",
+)
+"""Packages whose version may change a number or a figure."""
+
+UNKNOWN = "unknown"
+
+
+def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[str, str | int]:
+    """Attributes for the root of a result.
+
+    Parameters
+    ----------
+    config_toml
+        The configuration as it ran.
+    seed
+        Seed of the run.
+    inputs
+        Input file to the SHA-256 of its bytes.
+    """
+    return {
+        "bayesbl_version": bayesbl.__version__,
+        "git_commit": git_commit(),
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seed": seed,
+        "config": config_toml,
+        "input_sha256": json.dumps(dict(inputs), sort_keys=True),
+        "python_version": platform.python_version(),
+        "dependency_versions": json.dumps(dependency_versions()),
+    }
+
+
+def dependency_versions() -> dict[str, str]:
+    """Version of each of :data:`DEPENDENCIES`."""
+    return {name: _version(name) for name in DEPENDENCIES}
+
+
+@cache
+def git_commit() -> str:
+    """Commit of the checkout that the package runs from, with ``-dirty`` if it was changed since.
+
+    ``"unknown"`` if the package is installed elsewhere; a repository that merely surrounds its
+    environment does not count.
+    """
+    package = Path(bayesbl.__file__).resolve().parent
+    top = _git(package, "rev-parse", "--show-toplevel")
+    tracked = _git(package, "ls-files", "--", "__init__.py")
+    if not tracked or top is None or Path(top).resolve() != package.parent:
+        return UNKNOWN
+    commit = _git(package, "rev-parse", "HEAD")
+    changes = _git(package, "status", "--porcelain", "--", ".")
+    if commit is None or changes is None:
+        return UNKNOWN
+    return f"{commit}-dirty" if changes else commit
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    # Inside a git hook these variables name the hook's repository instead of the folder's.
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("GIT_")}
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *arguments],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return UNKNOWN

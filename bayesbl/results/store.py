@@ -1,0 +1,179 @@
+"""Result files: NetCDF trees and JSON, each written under another name and renamed."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.errors import ResultError
+from bayesbl.results.folder import RESULT_FILE
+
+FORMAT = "bayesbl_format"
+"""Root attribute that marks a NetCDF file as ours; its value counts the layouts."""
+
+FORMAT_VERSION = 1
+
+OUTCOME = "outcome"
+"""Root attribute that tells how a run ended; absent or :data:`RUNNING` while it has not."""
+
+RUNNING = "running"
+
+_COMPRESS_FROM_BYTES = 4096
+
+
+def write_tree(tree: xr.DataTree, path: str | Path) -> None:
+    """Write a tree as NetCDF, large variables compressed; the file appears whole or not at all.
+
+    The root attributes gain the mark of our format; :data:`OUTCOME` among them makes it a finished
+    result.
+    """
+    marked = tree.copy()
+    marked.attrs = {**tree.attrs, FORMAT: FORMAT_VERSION}
+    with _replacing(Path(path)) as temporary:
+        marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
+
+
+def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
+    """Read a tree into memory and close its file.
+
+    Parameters
+    ----------
+    path
+        A NetCDF file that :func:`write_tree` wrote, or the output folder that holds it.
+    unfinished
+        Whether a file without outcome is wanted too, as when a run is resumed.
+
+    Raises
+    ------
+    ResultError
+        If there is no such file, or it is damaged, not ours, of a later version, or unfinished.
+    """
+    path = Path(path)
+    file = path / RESULT_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise ResultError("There is no such result.", file=file, expected="a result.nc")
+    try:
+        with xr.open_datatree(file, engine="netcdf4") as opened:
+            tree: xr.DataTree = opened.load()
+    except Exception as error:
+        # netCDF4, HDF5 and xarray each raise their own kinds for a file that is cut or foreign.
+        raise ResultError(
+            "The file is damaged, or is not NetCDF.",
+            file=file,
+            found=f"{type(error).__name__}: {error}".splitlines()[0],
+            expected="a result.nc that bayesbl wrote",
+        ) from error
+    _require_ours(tree, file)
+    if not unfinished and tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
+        raise ResultError(
+            "The run that wrote this result has not finished.",
+            file=file,
+            expected="a finished result; the same command resumes the run",
+        )
+    return tree
+
+
+def write_json(content: Mapping[str, Any], path: str | Path) -> None:
+    """Write plain JSON; numpy values become plain ones, and what is not finite becomes null."""
+    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(text + "\n", path)
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises
+    ------
+    ResultError
+        If the file is missing or does not hold an object.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultError(
+            "The file cannot be read.", file=path, found=error.strerror, expected="a summary.json"
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise ResultError(
+            "The file is damaged, or is not JSON.", file=path, found=error, expected="JSON"
+        ) from None
+    if not isinstance(content, dict):
+        raise ResultError(
+            "The file does not hold an object.", file=path, found=type(content).__name__
+        )
+    return content
+
+
+def write_text(text: str, path: str | Path) -> None:
+    """Write a text file that appears whole or not at all."""
+    with _replacing(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A temporary file in the same folder that takes the name ``path`` on success."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    try:
+        yield folder / path.name
+        os.replace(folder / path.name, path)
+    finally:
+        (folder / path.name).unlink(missing_ok=True)
+        folder.rmdir()
+
+
+def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
+    """Compression of the variables for which it saves more than it costs."""
+    return {
+        node.path: {
+            str(name): {"zlib": True, "complevel": 4, "shuffle": True}
+            for name, variable in node.to_dataset(inherit=False).variables.items()
+            if variable.dtype.kind in "fiub" and variable.nbytes >= _COMPRESS_FROM_BYTES
+        }
+        for node in tree.subtree
+    }
+
+
+def _require_ours(tree: xr.DataTree, file: Path) -> None:
+    version = tree.attrs.get(FORMAT)
+    if not isinstance(version, int | np.integer):
+        raise ResultError(
+            "This file was not written by bayesbl.",
+            file=file,
+            found=f"no attribute {FORMAT}",
+            expected="a result.nc that bayesbl wrote",
+        )
+    if version > FORMAT_VERSION:
+        raise ResultError(
+            "This result was written by a later version of bayesbl.",
+            file=file,
+            found=f"{FORMAT} {version}",
+            expected=f"at most {FORMAT_VERSION}",
+        )
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case Mapping():
+            return {str(key): _plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_plain(item) for item in value]
+        case np.ndarray() | np.generic():
+            return _plain(value.tolist())
+        case float():
+            return value if math.isfinite(value) else None
+        case Path():
+            return str(value)
+        case _:
+            return value
