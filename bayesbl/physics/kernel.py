@@ -88,7 +88,7 @@ FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 STATES = 8
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
 
-POSITION, SPEED, CURRENT = range(3)
+POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
@@ -100,7 +100,7 @@ ANTI_WINDUP_BAND = 0.01
 
 # Errors made in one step, as a share of the accuracy asked for: set by the study of random benches
 # in tests/test_physics_accuracy.py with a factor of three to spare.
-LOCAL_SHARE = 0.02
+LOCAL_SHARE = 0.004
 # Longest step in radians of the fastest oscillation: what the dense output still follows.
 LONGEST_PHASE = 1.0
 
@@ -135,9 +135,16 @@ class Constants(NamedTuple):
     effects: bool
 
 
-def _jit(function: Any) -> Any:
-    # contract: fused multiply-add only; nan and inf keep their meaning.
-    return numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(function)
+_OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    # fused multiply-add only: nan and inf keep their meaning
+    "fastmath": {"contract"},
+}
+_jit = numba.njit(**_OPTIONS)
+# In the innermost loop a call with its two dozen constants costs as much as the work.
+_inlined = numba.njit(**_OPTIONS, forceinline=True)
 
 
 @_jit
@@ -174,7 +181,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     )
 
 
-@_jit
+@_inlined
 def shaft_torque(twist, twist_speed, region, c):  # type: ignore[no-untyped-def]
     """Shaft torque τ_s on the load side, N m (eqs. 1, 2 and the variable stiffness).
 
@@ -369,7 +376,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
     dy[TWIST_SPEED] = acceleration * c.per_ratio - (shaft - load) * c.per_load_inertia
 
 
-@_jit
+@_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (design.md section 3 and the catalogue)."""
     if c.effects or c.rigid:
@@ -491,7 +498,7 @@ def dense_coefficients(y, y_new, h, k, dense):  # type: ignore[no-untyped-def]
         dense[4, i] = h * last
 
 
-@_jit
+@_inlined
 def interpolated(dense, i, s):  # type: ignore[no-untyped-def]
     """State ``i`` at the share ``s`` of the step."""
     r = 1.0 - s
@@ -527,36 +534,39 @@ def event_share(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def emit(t, h, dense, n, row, first, start, dt, out, y, p, c):  # type: ignore[no-untyped-def]
-    """Samples of one output row that fall into the step; returns the next sample's number.
+def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-untyped-def]
+    """Samples that fall into the step; returns the next sample's number.
 
-    Rows of ``out``: the states themselves if it has eight, else position, speed, current, or
-    speed alone.
+    ``row``: one of position, speed, current, or ``EVERY`` of the rows in ``out``; ``out`` has the
+    row of speed alone, these three, or the eight states.
     """
-    index = first
-    while index < out.shape[1]:
+    rows = out.shape[0]
+    for index in range(first, out.shape[1]):
         time = start + index * dt
         if time > t + h:
-            break
+            return index
         s = (time - t) / h
-        if out.shape[0] == STATES:
-            for i in range(n):
-                out[i, index] = interpolated(dense, i, s)
-        else:
-            for i in range(n):
-                y[i] = interpolated(dense, i, s)
-            if row == POSITION:
-                out[0, index], _ = sensed(y, p, c)
-            elif row == SPEED:
-                speed, _, _, _ = controller(time, y, p, c)
-                out[0 if out.shape[0] == 1 else 1, index] = speed * RPM
-            else:
-                _, _, torque, _ = controller(time, y, p, c)
-                if c.effects and p[Slot.current_loop_lag__time_s] > 0.0:
-                    torque = y[DRIVE_TORQUE]
-                out[2, index] = torque / p[Slot.torque_constant_nm_per_a]
-        index += 1
-    return index
+        if rows == 1 and not c.effects:
+            out[0, index] = interpolated(dense, MOTOR_SPEED, s) * RPM
+            continue
+        for i in range(y.size):
+            y[i] = interpolated(dense, i, s)
+        if rows == STATES:
+            for i in range(y.size):
+                out[i, index] = y[i]
+            continue
+        speed, _, torque, _ = controller(time, y, p, c)
+        if row in (SPEED, EVERY):
+            out[min(SPEED, rows - 1), index] = speed * RPM
+        if rows == 1:
+            continue
+        if row in (POSITION, EVERY):
+            out[POSITION, index], _ = sensed(y, p, c)
+        if row in (CURRENT, EVERY):
+            if c.effects and p[Slot.current_loop_lag__time_s] > 0.0:
+                torque = y[DRIVE_TORQUE]
+            out[CURRENT, index] = torque / p[Slot.torque_constant_nm_per_a]
+    return out.shape[1]
 
 
 @_jit
@@ -610,6 +620,8 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
     dense = np.empty((5, n))
     next_sample = np.zeros(3, np.int64)
     longest = error_scale(p, c, accuracy_rpm, scale)
+    skewed = p[FIRST_SKEW] != 0.0 or p[FIRST_SKEW + 1] != 0.0 or p[FIRST_SKEW + 2] != 0.0
+    skewed = skewed and out.shape[0] != STATES
     has_edges = c.gap > 0.0 and not c.rigid
     layer = 0.0 if c.hard else 1.0 / c.sharpness
     evaluations = 0
@@ -678,16 +690,15 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
         else:
             h_next = h * factor
 
-        if out.shape[0] == STATES:
-            next_sample[0] = emit(t, h, dense, n, 0, next_sample[0], start, dt, out, y, p, c)
+        if not skewed:
+            next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, dt, out, y, p, c)
         else:
             for row in range(3):
-                if out.shape[0] == 1 and row != SPEED:
-                    continue
-                begin = start - p[FIRST_SKEW + row]
-                next_sample[row] = emit(
-                    t, h, dense, n, row, next_sample[row], begin, dt, out, y, p, c
-                )
+                if out.shape[0] == 3 or row == SPEED:
+                    begin = start - p[FIRST_SKEW + row]
+                    next_sample[row] = emit(
+                        t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
+                    )
         t = stop_time if last else t + h
         for i in range(n):
             y[i] = y_new[i]
