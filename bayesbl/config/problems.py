@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -77,17 +77,18 @@ def location_of(item: Mapping[str, Any]) -> Location:
 def field_name(model: type[BaseModel], location: Location) -> str:
     """A location as users write it: ``[estimator.model] fixed.window_end_s``."""
     tables: list[str] = []
-    current: type[BaseModel] | None = model
     rest = list(location)
-    while rest and (current := _section_of(current, rest[0])) is not None:
+    current, opening, closing = model, "[", "]"
+    while rest and (section := _section_of(current, rest[0])) is not None:
+        if get_origin(_fields(current)[str(rest[0])]) is tuple:
+            opening, closing = "[[", "]]"
+        current = section
         tables.append(str(rest.pop(0)))
     if not tables:
         return ".".join(map(str, rest))
-    in_list = bool(rest) and isinstance(rest[0], int)
-    position = f" {int(rest.pop(0)) + 1}" if in_list else ""
-    opening, closing = ("[[", "]]") if in_list else ("[", "]")
-    key = ".".join(map(str, rest))
-    return f"{opening}{'.'.join(tables)}{closing}{position}" + (f" {key}" if key else "")
+    position = str(int(rest.pop(0)) + 1) if rest and isinstance(rest[0], int) else ""
+    parts = (f"{opening}{'.'.join(tables)}{closing}", position, ".".join(map(str, rest)))
+    return " ".join(part for part in parts if part)
 
 
 def line_numbers(text: str) -> dict[Location, int]:
@@ -102,7 +103,8 @@ def line_numbers(text: str) -> dict[Location, int]:
                 entries[table] = entries.get(table, -1) + 1
                 lines.setdefault(table, number)
                 table = (*table, entries[table])
-            lines.setdefault(table, number)
+            for depth in range(1, len(table) + 1):
+                lines.setdefault(table[:depth], number)
         elif key := _KEY.match(line):
             lines.setdefault((*table, *_keys(key[1])), number)
     return lines
@@ -133,7 +135,7 @@ def _problem(
             return Problem("A required key is missing.", where, None, f'"{location[-1]}"', line)
         case "refused":
             found = context.get("found")
-            shown = _shown(item["input"] if found is None else found)
+            shown = _shown(item["input"]) if found is None else str(found)
             return Problem(str(item["msg"]), where, shown, context.get("expected"), line)
         case kind:
             expected = _EXPECTED.get(kind) or _PREAMBLE.sub("", str(item["msg"]))
@@ -158,17 +160,15 @@ def _shown(value: object) -> str:
 
 def _keys_at(model: type[BaseModel], location: Location) -> list[str]:
     """Keys that the table at a location may have."""
-    current: type[BaseModel] | None = model
     for part in location:
         # A position in a list, or a free key of a mapping, leads to the same section.
-        current = _section_of(current, part) or current
-    return [] if current is None else list(_fields(current))
+        model = _section_of(model, part) or model
+    return list(_fields(model))
 
 
-def _section_of(model: type[BaseModel] | None, key: str | int) -> type[BaseModel] | None:
+def _section_of(model: type[BaseModel], key: str | int) -> type[BaseModel] | None:
     """The section that a key of a section leads to, ``None`` where it leads to a plain value."""
-    annotation = None if model is None else _fields(model).get(str(key))
-    return None if annotation is None else _model_in(annotation)
+    return _model_in(_fields(model).get(str(key)))
 
 
 def _fields(model: type[BaseModel]) -> dict[str, Any]:
