@@ -1,0 +1,151 @@
+"""The estimator: everything between a recording and the draws of A, as one object.
+
+What A means is decided by the model, what is fixed in it, the window, the baseline, the sampling
+and the nominal speed; that part has a fingerprint, which a gap curve stores. How the optimum is
+searched and what the noise is taken for decide nothing about its meaning and stay outside.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bayesbl.errors import ConfigError
+from bayesbl.inference.covariance import Covariance, covariance
+from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
+from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
+from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
+from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.recording.checks import check_for_fit, require_rotations
+from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.signal.objective import Objective
+from bayesbl.signal.parameters import AMPLITUDE, ROTATION, DisturbanceModel
+
+
+@dataclass(frozen=True, slots=True)
+class PointEstimate:
+    """Optimum, noise and covariance of one recording: all but the sampling.
+
+    Attributes
+    ----------
+    residual_rpm
+        Recording minus optimum, shape (n,), rpm.
+    """
+
+    recording: Recording
+    objective: Objective
+    optimum: Optimum
+    noise: Noise
+    spread: Covariance
+    residual_rpm: FloatArray
+
+    @property
+    def misfit(self) -> RepeatingMisfit:
+        """The part of the residual that repeats every load rotation."""
+        return repeating_misfit(
+            self.objective.time_s, self.residual_rpm, self.optimum.symbols[ROTATION]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A point estimate with its posterior."""
+
+    point: PointEstimate
+    posterior: Posterior
+
+
+@dataclass(frozen=True, slots=True)
+class Estimator:
+    """From a recording to the posterior of the disturbance model.
+
+    Attributes
+    ----------
+    model
+        Free and fixed symbols, ranges, baseline.
+    search
+        ``guess`` or ``paper``.
+    noise_kind, noise_order
+        As :func:`estimate_noise` takes them.
+    sampler
+        Ensembles, steps and the level whose bounds must be stable.
+    """
+
+    model: DisturbanceModel = field(default_factory=DisturbanceModel)
+    search: SearchMethod = "guess"
+    noise_kind: NoiseKind = "auto"
+    noise_order: int | None = None
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+
+    def __post_init__(self) -> None:
+        if not self.model.amplitude_is_free:
+            raise ConfigError(
+                "With the amplitude fixed there is nothing to measure.",
+                where="[estimator.model] fixed",
+                found=f"{AMPLITUDE} = {self.model.fixed[AMPLITUDE]}",
+                expected=f"{AMPLITUDE} free",
+            )
+
+    def fingerprint(self, recording: Recording) -> str:
+        """What decides the meaning of A in this recording, as readable JSON."""
+        speed = abs(float(recording.motor_speed_rpm.mean()))
+        meaning: dict[str, Any] = {
+            "baseline_harmonics": self.model.baseline_harmonics,
+            "fixed": dict(sorted(self.model.fixed.items())),
+            "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),
+            "nominal_speed_rpm": float(f"{speed:.2g}"),
+        }
+        return json.dumps(meaning, sort_keys=True)
+
+    def estimate(
+        self,
+        recording: Recording,
+        seed: np.random.SeedSequence,
+        gear_ratio: float | None = None,
+    ) -> PointEstimate:
+        """RMSE optimum with the noise's covariance around it.
+
+        Raises
+        ------
+        RecordingError
+            If the recording lacks what a fit needs: channels, sampling, rotations, variation.
+        """
+        check_for_fit(recording, gear_ratio)
+        objective = Objective(self.model, recording.time_s, recording.motor_speed_rpm)
+        optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
+        if gear_ratio is None:
+            require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
+        return self.around(recording, objective, optimum)
+
+    def around(
+        self, recording: Recording, objective: Objective, optimum: Optimum
+    ) -> PointEstimate:
+        """Noise and covariance around an optimum already found."""
+        residual = objective.speed_rpm - optimum.predict(objective.time_s)
+        noise = estimate_noise(
+            residual,
+            optimum.symbols[ROTATION],
+            objective.period_s,
+            self.noise_kind,
+            self.noise_order,
+        )
+        spread = covariance(optimum, objective.time_s, noise)
+        return PointEstimate(recording, objective, optimum, noise, spread, residual)
+
+    def fit(
+        self,
+        recording: Recording,
+        seed: np.random.SeedSequence,
+        gear_ratio: float | None = None,
+        progress: Progress | None = None,
+    ) -> Fit:
+        """Optimum and posterior; one child seed for each."""
+        search_seed, sample_seed = seed.spawn(2)
+        point = self.estimate(recording, search_seed, gear_ratio)
+        posterior = sample_posterior(
+            point.objective, point.optimum, point.spread, self.sampler, sample_seed, progress
+        )
+        return Fit(point, posterior)

@@ -1,0 +1,160 @@
+"""``summary.json``: what a stored result says, from the result alone."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.recording.types import FloatArray
+from bayesbl.signal.parameters import SYMBOLS
+
+IntervalKind = Literal["equal_tailed", "hdi"]
+
+
+def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, Any]:
+    """Median and credible interval of draws, any shape, as the result contract writes it.
+
+    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest that holds
+    ``level``.
+    """
+    flat = np.sort(np.asarray(draws, dtype=float).ravel())
+    if kind == "hdi":
+        count = max(1, round(level * flat.size))
+        widths = flat[count - 1 :] - flat[: flat.size - count + 1]
+        first = int(np.argmin(widths))
+        low, high = flat[first], flat[first + count - 1]
+    else:
+        low, high = np.quantile(flat, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return {
+        "median": float(np.median(flat)),
+        "low": float(low),
+        "high": float(high),
+        "level": level,
+        "kind": kind,
+    }
+
+
+def summarise(tree: xr.DataTree) -> dict[str, Any]:
+    """The summary of a fit or of compared snapshots.
+
+    δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
+    """
+    if tree.attrs["kind"] == "compare":
+        return _comparison(tree)
+    return {**_head(tree), **_snapshot(tree, None)}
+
+
+def _head(tree: xr.DataTree) -> dict[str, Any]:
+    return {
+        "kind": tree.attrs["kind"],
+        "outcome": tree.attrs["outcome"],
+        "reason": tree.attrs.get("reason") or None,
+        "warnings": _texts(tree.attrs.get("warnings")),
+        "curve": tree["curve"].attrs["name"],
+        "version": tree.attrs.get("bayesbl_version"),
+        "commit": tree.attrs.get("git_commit"),
+        "seed": tree.attrs.get("seed"),
+    }
+
+
+def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
+    """One snapshot's part; ``name`` is ``None`` for a fit."""
+
+    def group(key: str) -> xr.Dataset:
+        whole = tree[key].to_dataset()
+        return whole if name is None else whole.sel(snapshot=name)
+
+    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
+    posterior, noise = group("posterior"), group("noise")
+    diagnostics, optimum, gap = group("diagnostics"), group("optimum"), group("gap")
+    verdict = _verdict(tree, name)
+    order = int(noise["order"])
+    delta = posterior["delta_rad"].values
+    limit = tree.attrs.get("limit_rad")
+    withheld = bool(verdict["reason"])
+    result: dict[str, Any] = {
+        "delta_rad": None if withheld else interval(delta, level, kind),
+        "amplitude_rpm": interval(posterior["amplitude_rpm"].values, level, kind),
+        "parameters": {
+            symbol: interval(posterior[symbol].values, level, kind)
+            for symbol in SYMBOLS
+            if symbol in posterior
+        },
+        "optimum": {symbol: float(optimum[symbol]) for symbol in SYMBOLS}
+        | {"rmse_rpm": float(optimum["rmse_rpm"])},
+        "noise": {
+            "kind": "ar" if order else "white",
+            "order": order,
+            "sd_rpm": float(noise["sd_rpm"]),
+            "coefficients": noise["coefficients"].values[:order].tolist(),
+        },
+        "misfit_rms_rpm": float(group("misfit")["rms_rpm"]),
+        "rotations": float(diagnostics["rotations"]),
+        "budget": {
+            str(source): float(share)
+            for source, share in zip(gap["source"].values, gap["budget"].values, strict=True)
+            if np.isfinite(share)
+        },
+        "diagnostics": {
+            "r_hat": float(diagnostics["r_hat"].max()),
+            "ess_bulk": float(diagnostics["ess_bulk"].min()),
+            "outcome": verdict["outcome"],
+            "reasons": verdict["reasons"],
+        },
+        "reason": verdict["reason"],
+    }
+    if limit is not None:
+        above = None if withheld else float(np.mean(delta > float(limit)))
+        result["limit_rad"] = float(limit)
+        result["probability_above_limit"] = above
+    return result
+
+
+def _comparison(tree: xr.DataTree) -> dict[str, Any]:
+    names = [str(n) for n in tree["posterior"]["snapshot"].values]
+    snapshots = [{"name": n, **_snapshot(tree, n)} for n in names]
+    for snapshot in snapshots:
+        snapshot.setdefault("probability_above_limit", None)
+    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
+    change = tree["change"].to_dataset()
+    answered = {s["name"]: s["delta_rad"] is not None for s in snapshots}
+
+    def described(draws: FloatArray, first: str, last: str) -> dict[str, Any]:
+        given = answered[first] and answered[last]
+        return {
+            "from": first,
+            "to": last,
+            "change_rad": interval(draws, level, kind) if given else None,
+            "probability_increase": float(np.mean(draws > 0.0)) if given else None,
+        }
+
+    total = described(change["change_rad"].values, names[0], names[-1])
+    steps = [
+        described(change["step_change_rad"].values[i], names[i], names[i + 1])
+        for i in range(len(names) - 1)
+    ]
+    return {
+        **_head(tree),
+        "snapshots": snapshots,
+        "change_rad": total["change_rad"],
+        "changes": steps,
+        "probability_increase": total["probability_increase"],
+    }
+
+
+def _verdict(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
+    """Outcome and reasons of one snapshot, kept as attributes of ``diagnostics``."""
+    import json
+
+    verdicts: dict[str, Any] = json.loads(tree["diagnostics"].attrs["verdicts"])
+    found: dict[str, Any] = verdicts[name or "fit"]
+    return found
+
+
+def _texts(value: Any) -> list[str]:
+    if value is None or (isinstance(value, str) and not value):
+        return []
+    return [value] if isinstance(value, str) else [str(v) for v in value]

@@ -1,0 +1,202 @@
+"""Recordings of one joint in, gaps and their change out: ``fit`` and ``compare``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.config.loading import dump_config
+from bayesbl.config.schema import SnapshotConfig
+from bayesbl.errors import ConfigError, CurveError
+from bayesbl.gap.change import Gap, changes, gaps
+from bayesbl.gap.curve import GapCurve, published_curve
+from bayesbl.inference.estimator import Estimator, Fit
+from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import Recording
+from bayesbl.results.provenance import provenance
+from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
+from bayesbl.signal.parameters import DisturbanceModel
+
+StageProgress = Callable[[str, int, int], None]
+"""Called with (recording, steps made, steps allowed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seeds:
+    """One seed sequence per stage, all spawned from the run's."""
+
+    curve: np.random.SeedSequence
+    gap: np.random.SeedSequence
+    recordings: tuple[np.random.SeedSequence, ...]
+
+    @classmethod
+    def spawn(cls, seed: int, recordings: int) -> Seeds:
+        """The same seeds whatever the number of workers."""
+        curve, gap, fits = np.random.SeedSequence(seed).spawn(3)
+        return cls(curve, gap, tuple(fits.spawn(recordings)))
+
+
+def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr.DataTree:
+    """Run a fit or a comparison as configured.
+
+    Returns
+    -------
+    The whole result (see :mod:`bayesbl.results.tree`); nothing is written.
+
+    Raises
+    ------
+    UserError
+        If a recording cannot be read or used, or the curve does not belong to the estimator.
+    """
+    estimator, curve = estimator_of(config), curve_of(config)
+    recordings = read_recordings(config)
+    for recording in recordings:
+        require_same_estimator(curve, estimator, recording)
+    seeds = Seeds.spawn(config.run.seed, len(recordings))
+    fits = [
+        estimator.fit(
+            recording,
+            seed,
+            config.joint.gear_ratio,
+            None if progress is None else _named(progress, recording.name),
+        )
+        for recording, seed in zip(recordings, seeds.recordings, strict=True)
+    ]
+    found = gaps(
+        curve,
+        [fit.posterior.draws["amplitude_rpm"] for fit in fits],
+        seeds.gap,
+        allow_extrapolation=config.curve.allow_extrapolation,
+        level=config.interval.level,
+    )
+    return _tree(config, curve, recordings, fits, found, seeds)
+
+
+def read_recordings(config: SnapshotConfig) -> list[Recording]:
+    """All recordings of a configuration, in its order."""
+    return [
+        read_recording(entry.file, name=entry.name, columns=config.column_specs)
+        for entry in config.recordings
+    ]
+
+
+def estimator_of(config: SnapshotConfig) -> Estimator:
+    """The estimator that a configuration describes."""
+    section = config.estimator
+    if section.noise.kind == "student_t" or section.route == "direct":
+        raise ConfigError("This comes later: it is not available in this version.")
+    return Estimator(
+        model=DisturbanceModel(
+            section.model.baseline_harmonics, section.model.fixed, section.model.ranges
+        ),
+        search=section.search.method,
+        noise_kind=section.noise.kind,
+        noise_order=section.noise.order,
+        sampler=SamplerSettings(
+            config.posterior.ensembles, config.posterior.max_steps, config.interval.level
+        ),
+    )
+
+
+def curve_of(config: SnapshotConfig) -> GapCurve:
+    """The gap curve that a configuration names."""
+    if config.curve.source == "published":
+        return published_curve()
+    raise ConfigError(
+        "Curves from a sweep come later: they are not available in this version.",
+        where="[curve] source",
+        found=config.curve.source,
+        expected='"published"',
+    )
+
+
+def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Recording) -> None:
+    """The curve means the same A as the fit; raises :class:`CurveError` with the difference."""
+    if curve.fingerprint is None:
+        return
+    mine, theirs = json.loads(estimator.fingerprint(recording)), json.loads(curve.fingerprint)
+    different = sorted(k for k in {*mine, *theirs} if mine.get(k) != theirs.get(k))
+    if different:
+        raise CurveError(
+            "This gap curve was made with another estimator, so it means another amplitude.",
+            file=curve.name,
+            where=", ".join(different),
+            found="; ".join(f"{k} = {theirs.get(k)} in the curve" for k in different),
+            expected="; ".join(f"{k} = {mine.get(k)} as in {recording.name}" for k in different),
+        )
+
+
+def _named(progress: StageProgress, name: str) -> Callable[[int, int], None]:
+    return lambda done, allowed: progress(name, done, allowed)
+
+
+def _tree(
+    config: SnapshotConfig,
+    curve: GapCurve,
+    recordings: Sequence[Recording],
+    fits: Sequence[Fit],
+    found: Sequence[Gap],
+    seeds: Seeds,
+) -> xr.DataTree:
+    level = config.interval.level
+    groups = {
+        recording.name: fit_groups(fit, gap, level)
+        for recording, fit, gap in zip(recordings, fits, found, strict=True)
+    }
+    verdicts = {r.name: verdict(f, g) for r, f, g in zip(recordings, fits, found, strict=True)}
+    if config.kind == "compare":
+        whole = stack_snapshots(groups)
+        total, steps = changes(
+            {r.name: g.delta_rad for r, g in zip(recordings, found, strict=True)}
+        )
+        whole["change"] = change_group(total, steps)
+    else:
+        whole = groups[recordings[0].name]
+        verdicts = {"fit": verdicts[recordings[0].name]}
+    whole["diagnostics"].attrs["verdicts"] = json.dumps(verdicts, ensure_ascii=False)
+    whole["curve"] = curve_group(curve, level, seeds.curve)
+    tree = xr.DataTree.from_dict(whole)
+    inputs = {r.source.file: r.source.sha256 for r in recordings if r.source}
+    tree.attrs = {
+        "kind": config.kind,
+        "recordings": [r.name for r in recordings],
+        "interval_level": level,
+        "interval_kind": config.interval.kind,
+        "outcome": overall([v["outcome"] for v in verdicts.values()]),
+        "reason": " ".join(
+            v["reason"] if len(verdicts) == 1 else f"{name}: {v['reason']}"
+            for name, v in verdicts.items()
+            if v["reason"]
+        ),
+        "warnings": list(curve.warnings),
+        **provenance(dump_config(config), config.run.seed, inputs),
+    }
+    if config.joint.limit_rad is not None:
+        tree.attrs["limit_rad"] = config.joint.limit_rad
+    return tree
+
+
+def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
+    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld."""
+    diagnostics = fit.posterior.diagnostics
+    reasons = list(diagnostics.reasons)
+    outcome = diagnostics.outcome
+    if gap.reason:
+        outcome = "withheld"
+        reasons.insert(0, gap.reason)
+    return {
+        "outcome": outcome,
+        "reasons": reasons,
+        "reason": " ".join(reasons) if outcome == "withheld" else None,
+    }
+
+
+def overall(outcomes: Sequence[str]) -> str:
+    """The worst of several outcomes."""
+    return max(outcomes, key=["converged", "usable", "withheld"].index)
