@@ -1,0 +1,328 @@
+"""Results on disk: whole or absent, never written over unasked, read back or refused in words."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayesbl.errors import ResultError
+from bayesbl.results import folder as folder_module
+from bayesbl.results.folder import is_finished, new_result, require_free
+from bayesbl.results.provenance import git_commit, provenance
+from bayesbl.results.store import read_json, read_tree, write_json, write_text, write_tree
+
+
+def tree(outcome: str | None = "converged") -> xr.DataTree:
+    rng = np.random.default_rng(1)
+    posterior = xr.Dataset(
+        {"amplitude_rpm": (("chain", "draw"), rng.normal(size=(4, 500)), {"units": "rpm"})}
+    )
+    observed = xr.Dataset({"name": ("snapshot", ["before", "after"])})
+    made = xr.DataTree.from_dict({"/posterior": posterior, "/observed_data": observed})
+    made.attrs = {"seed": 1} | ({} if outcome is None else {"outcome": outcome})
+    return made
+
+
+def finish(path: Path, mark: str, *, force: bool = False) -> None:
+    with new_result(path, force=force) as staging:
+        write_json({"mark": mark}, staging / "summary.json")
+
+
+def fail(path: Path, *, force: bool = False) -> None:
+    with new_result(path, force=force) as staging:
+        write_json({"mark": "half"}, staging / "summary.json")
+        raise RuntimeError("diverged")
+
+
+def mark_of(path: Path) -> object:
+    return read_json(path / "summary.json")["mark"]
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def test_a_result_appears_only_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "wear"
+    with new_result(path) as staging:
+        write_json({}, staging / "summary.json")
+        assert not path.exists()
+    assert names(path) == ["summary.json"]
+    assert names(path.parent) == ["wear"]
+
+
+def test_a_run_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="diverged"):
+        fail(tmp_path / "wear")
+    assert names(tmp_path) == []
+
+
+def test_a_finished_result_is_not_written_over(tmp_path: Path) -> None:
+    finish(tmp_path / "wear", "first")
+    with pytest.raises(ResultError, match=r"finished result.*summary\.json.*--force") as caught:
+        finish(tmp_path / "wear", "second")
+    assert caught.value.file == str(tmp_path / "wear")
+    assert mark_of(tmp_path / "wear") == "first"
+    assert names(tmp_path) == ["wear"]
+
+
+def test_force_replaces_a_result_only_by_a_complete_one(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    finish(path, "first")
+    with pytest.raises(RuntimeError):
+        fail(path, force=True)
+    assert mark_of(path) == "first"
+    finish(path, "second", force=True)
+    assert mark_of(path) == "second"
+    assert names(tmp_path) == ["wear"]
+
+
+def test_of_two_runs_into_one_folder_the_slower_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    with pytest.raises(ResultError, match="finished result"), new_result(path):
+        finish(path, "quicker")
+    assert mark_of(path) == "quicker"
+    assert names(tmp_path) == ["wear"]
+
+
+def test_an_empty_folder_is_taken_and_one_with_other_files_never(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    finish(tmp_path / "empty", "here")
+    assert is_finished(tmp_path / "empty")
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.tex").touch()
+    for force in (False, True):
+        with pytest.raises(ResultError, match=r"not part of a result.*chapter\.tex"):
+            finish(tmp_path / "thesis", "here", force=force)
+    assert names(tmp_path / "thesis") == ["chapter.tex"]
+
+
+def test_force_deletes_nothing_that_a_user_put_beside_a_result(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    finish(path, "first")
+    (path / "notes.txt").write_text("grease changed")
+    with pytest.raises(ResultError, match=r"notes\.txt"):
+        require_free(path, force=True)
+    require_free(path, force=True, also=("notes.txt",))
+    assert names(path) == ["notes.txt", "summary.json"]
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "wear").touch()
+    for path in (tmp_path / "wear", tmp_path / "wear" / "inside"):
+        with pytest.raises(ResultError, match="A file stands where"):
+            finish(path, "here", force=True)
+
+
+def test_leftovers_of_dead_runs_are_cleared_and_those_of_living_runs_kept(tmp_path: Path) -> None:
+    dead = tmp_path / ".wear.abc.staging"
+    dead.mkdir()
+    (dead / "result.nc").touch()
+    with new_result(tmp_path / "wear") as living:
+        assert not dead.exists()
+        require_free(tmp_path / "wear")
+        finish(tmp_path / "other", "beside")
+        with pytest.raises(RuntimeError):
+            fail(tmp_path / "wear")
+        assert living.exists()
+        write_json({"mark": "living"}, living / "summary.json")
+    assert mark_of(tmp_path / "wear") == "living"
+
+
+def test_a_run_killed_between_the_two_renames_gives_the_old_result_back(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    finish(path, "old")
+    path.rename(tmp_path / ".wear.replaced")
+    with pytest.raises(ResultError, match="finished result"):
+        require_free(path)
+    assert mark_of(path) == "old"
+
+
+def test_a_run_killed_while_it_deletes_the_old_result_is_tidied_up(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    finish(path, "new")
+    (tmp_path / ".wear.replaced").mkdir()
+    (tmp_path / ".wear.replaced" / "result.nc").touch()
+    finish(path, "newer", force=True)
+    assert mark_of(path) == "newer"
+    assert names(tmp_path) == ["wear"]
+
+
+WRITER = """
+import sys
+from bayesbl.results.folder import new_result
+from pathlib import Path
+for number in range(1000000):
+    with new_result(sys.argv[1], force=True) as staging:
+        for name in ("config.toml", "result.nc"):
+            (staging / name).write_text(str(number))
+        (staging / "summary.json").write_text(str(number))
+    print(number, flush=True)
+"""
+
+
+def test_a_kill_at_any_moment_leaves_one_whole_result(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        writer = subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True
+        )
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        time.sleep(float(rng.uniform(0.0, 0.03)))
+        writer.send_signal(signal.SIGKILL)
+        writer.communicate()
+        require_free(path, force=True)
+        assert names(path) == ["config.toml", "result.nc", "summary.json"]
+        assert len({(path / name).read_text() for name in names(path)}) == 1
+
+
+def test_folders_are_as_readable_as_any_other(tmp_path: Path) -> None:
+    finish(tmp_path / "wear", "here")
+    (tmp_path / "plain").mkdir()
+    assert (tmp_path / "wear").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_failed_rename_puts_the_old_result_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "wear"
+    finish(path, "old")
+    real = Path.rename
+
+    def fails_for_staging(source: Path, target: Path) -> Path:
+        if source.name.endswith(".staging"):
+            raise OSError("disk full")
+        return real(source, target)
+
+    monkeypatch.setattr(folder_module.Path, "rename", fails_for_staging)
+    with pytest.raises(OSError, match="disk full"):
+        finish(path, "new", force=True)
+    assert mark_of(path) == "old"
+    assert names(tmp_path) == ["wear"]
+
+
+def test_a_tree_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    written = tree()
+    write_tree(written, tmp_path / "result.nc")
+    read = read_tree(tmp_path)
+    xr.testing.assert_equal(read["posterior"].to_dataset(), written["posterior"].to_dataset())
+    assert read["posterior"]["amplitude_rpm"].attrs["units"] == "rpm"
+    assert read.attrs["outcome"] == "converged"
+    assert "bayesbl_format" not in written.attrs
+    assert names(tmp_path) == ["result.nc"]
+
+
+def test_large_variables_are_compressed(tmp_path: Path) -> None:
+    zeros = xr.DataTree(xr.Dataset({"x": ("sample", np.zeros(100_000))}))
+    write_tree(zeros, tmp_path / "result.nc")
+    assert (tmp_path / "result.nc").stat().st_size < 50_000
+
+
+def test_a_read_result_keeps_no_file_open(tmp_path: Path) -> None:
+    write_tree(tree(), tmp_path / "result.nc")
+    read = read_tree(tmp_path)
+    os.remove(tmp_path / "result.nc")
+    assert np.isfinite(read["posterior"]["amplitude_rpm"].values).all()
+
+
+def test_unusable_result_files_are_refused_with_the_reason(tmp_path: Path) -> None:
+    whole = tmp_path / "result.nc"
+    write_tree(tree(), whole)
+    (tmp_path / "cut.nc").write_bytes(whole.read_bytes()[:5000])
+    (tmp_path / "text.nc").write_text("not NetCDF")
+    xr.Dataset({"x": 1}).to_netcdf(tmp_path / "foreign.nc")
+    write_tree(tree(outcome=None), tmp_path / "unfinished.nc")
+    write_tree(tree(outcome="running"), tmp_path / "running.nc")
+    later = tree()
+    write_tree(later, tmp_path / "later.nc")
+    with netCDF4.Dataset(tmp_path / "later.nc", "a") as file:
+        file.setncattr("bayesbl_format", 99)
+    for name, words in (
+        ("none.nc", "no such result"),
+        ("cut.nc", "damaged"),
+        ("text.nc", "damaged"),
+        ("foreign.nc", "not written by bayesbl"),
+        ("unfinished.nc", "not finished"),
+        ("running.nc", "not finished"),
+        ("later.nc", "later version"),
+    ):
+        with pytest.raises(ResultError, match=words) as caught:
+            read_tree(tmp_path / name)
+        assert caught.value.file == str(tmp_path / name)
+        assert caught.value.expected
+    assert read_tree(tmp_path / "running.nc", unfinished=True).attrs["outcome"] == "running"
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    write_json({"a": 1}, path)
+    with pytest.raises(TypeError):
+        write_json({"a": object()}, path)
+    with pytest.raises(UnicodeEncodeError):
+        write_text("\ud800", path)
+    assert read_json(path) == {"a": 1}
+    assert names(tmp_path) == ["summary.json"]
+
+
+def test_json_is_plain_and_what_is_not_finite_is_null(tmp_path: Path) -> None:
+    content = {
+        "nan": float("nan"),
+        "inf": np.float64(np.inf),
+        "array": np.array([1.0, np.nan]),
+        "count": np.int64(3),
+        "flag": np.bool_(True),
+        "pair": (1, 2),
+        "path": Path("a"),
+    }
+    write_json(content, tmp_path / "summary.json")
+    assert json.loads((tmp_path / "summary.json").read_text()) == {
+        "nan": None,
+        "inf": None,
+        "array": [1.0, None],
+        "count": 3,
+        "flag": True,
+        "pair": [1, 2],
+        "path": "a",
+    }
+
+
+def test_unusable_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "half.json").write_text('{"a": ')
+    (tmp_path / "list.json").write_text("[]")
+    for name, words in (("none.json", "read"), ("half.json", "JSON"), ("list.json", "object")):
+        with pytest.raises(ResultError, match=words):
+            read_json(tmp_path / name)
+
+
+def test_provenance_can_be_stored_and_tells_version_commit_and_inputs(tmp_path: Path) -> None:
+    attributes = provenance("schema = 1\n", 7, {"before.csv": "ab12"})
+    assert attributes["seed"] == 7
+    assert json.loads(str(attributes["input_sha256"])) == {"before.csv": "ab12"}
+    assert "numpy" in json.loads(str(attributes["dependency_versions"]))
+    marked = tree()
+    marked.attrs |= attributes
+    write_tree(marked, tmp_path / "result.nc")
+    assert read_tree(tmp_path).attrs["config"] == "schema = 1\n"
+
+
+def test_the_commit_is_that_of_the_packages_own_checkout_even_inside_a_hook(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    before = git_commit()
+    git_commit.cache_clear()
+    monkeypatch.setenv("GIT_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert git_commit().removesuffix("-dirty") == before.removesuffix("-dirty")
+    assert before == "unknown" or len(before.removesuffix("-dirty")) in (40, 64)
