@@ -1,0 +1,378 @@
+"""Bench files and what is simulated on them: from TOML to a :class:`Bench`, and back."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+import tomli_w
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from bayesbl.config.fields import (
+    BASE_DIRECTORY,
+    InputPath,
+    Name,
+    OutputPath,
+    Positive,
+    Section,
+    as_tuple,
+    refuse,
+)
+from bayesbl.config.problems import config_error, problems_of
+from bayesbl.errors import BenchError, ConfigError
+from bayesbl.physics.bench import (
+    Bench,
+    BenchEffect,
+    BenchParameter,
+    EffectParameterValue,
+    Measurement,
+)
+from bayesbl.physics.effects import EFFECT_BY_NAME
+from bayesbl.physics.noise import NoiseModel
+from bayesbl.physics.parameters import PARAMETER_INFO
+from bayesbl.recording.channels import did_you_mean
+
+REFERENCE_BENCH = "reference_bench.toml"
+
+
+def _parameter_name(name: str) -> str:
+    if name not in PARAMETER_INFO:
+        refuse(
+            "There is no such bench parameter." + did_you_mean(name, PARAMETER_INFO),
+            found=name,
+            expected="one of " + ", ".join(PARAMETER_INFO),
+        )
+    return name
+
+
+def _effect_name(name: str) -> str:
+    if name not in EFFECT_BY_NAME:
+        refuse(
+            "There is no such effect." + did_you_mean(name, EFFECT_BY_NAME),
+            expected="one of " + ", ".join(EFFECT_BY_NAME),
+        )
+    return name
+
+
+class ParameterEntry(Section):
+    """An entry of ``[parameters]``; a tolerance is the half-width of a uniform prior."""
+
+    value: float
+    tolerance: float | None = Field(default=None, ge=0.0)
+    relative_tolerance: float | None = Field(default=None, ge=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _one_tolerance(self) -> Self:
+        if self.tolerance is not None and self.relative_tolerance is not None:
+            refuse(
+                "A parameter has one tolerance.",
+                found=f"tolerance = {self.tolerance:g} and "
+                f"relative_tolerance = {self.relative_tolerance:g}",
+                expected="one of the two",
+            )
+        return self
+
+    def parameter(self) -> BenchParameter:
+        """As the bench takes it."""
+        if self.relative_tolerance is not None:
+            return BenchParameter(self.value, self.relative_tolerance * abs(self.value))
+        return BenchParameter(self.value, self.tolerance or 0.0)
+
+
+class _NoiseEntry(Section):
+    kind: Literal["white", "ar"] = "white"
+    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+
+    @model_validator(mode="after")
+    def _coefficients_of_ar(self) -> Self:
+        if (self.kind == "ar") != bool(self.coefficients):
+            refuse(
+                "Coefficients belong to autoregressive noise.",
+                found=f'kind = "{self.kind}" with {len(self.coefficients)} coefficients',
+                expected='kind = "ar" with coefficients, or kind = "white" without',
+            )
+        try:
+            NoiseModel(1.0, self.coefficients)
+        except BenchError as error:
+            refuse(error.problem, found=error.found, expected=error.expected)
+        return self
+
+
+class SpeedNoise(_NoiseEntry):
+    """Noise of the speed channel; ``sd_rpm`` is that of the noise, not of its innovations."""
+
+    sd_rpm: float = Field(ge=0.0)
+
+    def model(self) -> NoiseModel:
+        """As the bench takes it."""
+        return NoiseModel(self.sd_rpm, self.coefficients)
+
+
+class CurrentNoise(_NoiseEntry):
+    """Noise of the current channel."""
+
+    sd_a: float = Field(ge=0.0)
+
+    def model(self) -> NoiseModel:
+        """As the bench takes it."""
+        return NoiseModel(self.sd_a, self.coefficients)
+
+
+class MeasurementSection(Section):
+    """``[measurement]``: how the bench is seen."""
+
+    encoder_counts: int | None = Field(default=None, ge=1)
+    speed_source: Literal["sensor", "encoder"] = "sensor"
+    speed_noise: SpeedNoise = SpeedNoise(sd_rpm=0.0)
+    current_noise: CurrentNoise = CurrentNoise(sd_a=0.0)
+    noise_through_controller: bool = False
+
+    @model_validator(mode="after")
+    def _encoder_has_counts(self) -> Self:
+        if self.speed_source == "encoder" and self.encoder_counts is None:
+            refuse(
+                "A speed from the encoder needs its counts.",
+                found="no encoder_counts",
+                expected="encoder_counts, in counts per motor revolution",
+            )
+        return self
+
+    def measurement(self) -> Measurement:
+        """As the bench takes it."""
+        return Measurement(
+            encoder_counts=self.encoder_counts,
+            speed_source=self.speed_source,
+            speed_noise=self.speed_noise.model(),
+            current_noise=self.current_noise.model(),
+            noise_through_controller=self.noise_through_controller,
+        )
+
+
+class EffectValue(Section):
+    """A parameter of an effect; ``sd`` where it was estimated."""
+
+    value: float
+    sd: float | None = Field(default=None, ge=0.0)
+
+
+class EffectEntry(Section):
+    """An entry of ``[[effects]]``."""
+
+    name: Annotated[str, AfterValidator(_effect_name)]
+    parameters: dict[str, EffectValue]
+
+    @model_validator(mode="after")
+    def _parameters_of_effect(self) -> Self:
+        known = EFFECT_BY_NAME[self.name].slots
+        for name in self.parameters:
+            if name not in known:
+                refuse(
+                    f"The effect {self.name} has no such parameter." + did_you_mean(name, known),
+                    found=name,
+                    expected="one of " + ", ".join(known),
+                )
+        return self
+
+
+class BenchFile(Section):
+    """``kind = "bench"``."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    kind: Literal["bench"]
+    drive: Literal["two_mass", "rigid"] = "two_mass"
+    gap_form: Literal["arctan", "dead_zone"] = "arctan"
+    parameters: dict[Annotated[str, AfterValidator(_parameter_name)], ParameterEntry]
+    measurement: MeasurementSection = MeasurementSection()
+    effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
+
+    @field_validator("effects")
+    @classmethod
+    def _each_once(cls, effects: tuple[EffectEntry, ...]) -> tuple[EffectEntry, ...]:
+        names = [effect.name for effect in effects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            refuse("An effect stands here twice.", found=twice[0], expected="each effect once")
+        return effects
+
+    def bench(self) -> Bench:
+        """The bench.
+
+        Raises
+        ------
+        BenchError
+            If its parameters make no physical sense together.
+        """
+        return Bench(
+            {name: entry.parameter() for name, entry in self.parameters.items()},
+            gap_form=self.gap_form,
+            drive=self.drive,
+            measurement=self.measurement.measurement(),
+            effects=tuple(
+                BenchEffect(
+                    effect.name,
+                    {k: EffectParameterValue(v.value, v.sd) for k, v in effect.parameters.items()},
+                )
+                for effect in self.effects
+            ),
+        )
+
+
+class SimulatedRecording(Section):
+    """An entry of ``[[recordings]]`` that is to be simulated; no start angle: one is drawn."""
+
+    name: Name
+    file: str = Field(min_length=1)
+    gap_rad: float = Field(ge=0.0)
+    reference_speed_rpm: float | None = None
+    rotations: Positive = 5.0
+    sampling_hz: Positive = 1000.0
+    start_angle_rad: float | None = None
+    motor_start_angle_rad: float | None = None
+
+
+class SimulateRun(Section):
+    """``[run]`` of a simulation; without an output the files stand beside the configuration."""
+
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    workers: int = Field(default=1, ge=1, le=1024)
+    output: OutputPath | None = None
+
+
+class SimulateFile(Section):
+    """``kind = "simulate"``."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    kind: Literal["simulate"]
+    run: SimulateRun = SimulateRun()
+    bench: InputPath
+    truth_file: str | None = Field(default=None, min_length=1)
+    recordings: Annotated[
+        tuple[SimulatedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)
+    ]
+
+    @field_validator("recordings")
+    @classmethod
+    def _different_files(
+        cls, recordings: tuple[SimulatedRecording, ...]
+    ) -> tuple[SimulatedRecording, ...]:
+        for kind in ("name", "file"):
+            values = [getattr(recording, kind) for recording in recordings]
+            twice = sorted({value for value in values if values.count(value) > 1})
+            if twice:
+                refuse(
+                    f"Two recordings have the same {kind}.",
+                    found=f'"{twice[0]}"',
+                    expected="a different one for each",
+                )
+        return recordings
+
+
+_Model = TypeVar("_Model", BenchFile, SimulateFile)
+
+
+def load_bench(path: str | Path) -> Bench:
+    """The bench of a bench file.
+
+    Raises
+    ------
+    ConfigError
+        Naming file and field: no such file, no TOML, unknown keys or effects, values out of
+        range, parameters that make no physical sense.
+    """
+    loaded = _load(Path(path), BenchFile)
+    try:
+        return loaded.bench()
+    except BenchError as error:
+        raise ConfigError(
+            error.problem,
+            file=path,
+            where="[parameters]" + (f" {error.where}" if error.where else ""),
+            found=error.found,
+            expected=error.expected,
+        ) from None
+
+
+def reference_bench() -> Bench:
+    """The bench that the package ships: its A(δ) follows the paper's eq. 4."""
+    with resources.as_file(resources.files("bayesbl.physics") / REFERENCE_BENCH) as path:
+        return load_bench(path)
+
+
+def load_simulation(path: str | Path) -> SimulateFile:
+    """A simulate file, validated.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`load_bench`.
+    """
+    return _load(Path(path), SimulateFile)
+
+
+def dump_bench(bench: Bench) -> str:
+    """The bench as a bench file; it loads back to an equal one."""
+    measurement = bench.measurement
+    tables: dict[str, Any] = {
+        "schema": 1,
+        "kind": "bench",
+        "drive": bench.drive,
+        "gap_form": bench.gap_form,
+        "parameters": {
+            name: {"value": item.value} | ({"tolerance": item.tolerance} if item.tolerance else {})
+            for name, item in bench.parameters.items()
+        },
+        "measurement": {
+            "speed_source": measurement.speed_source,
+            "speed_noise": _noise_table(measurement.speed_noise, "sd_rpm"),
+            "current_noise": _noise_table(measurement.current_noise, "sd_a"),
+            "noise_through_controller": measurement.noise_through_controller,
+        },
+        "effects": [
+            {
+                "name": effect.name,
+                "parameters": {
+                    name: {"value": item.value} | ({} if item.sd is None else {"sd": item.sd})
+                    for name, item in effect.parameters.items()
+                },
+            }
+            for effect in bench.effects
+        ],
+    }
+    if measurement.encoder_counts is not None:
+        tables["measurement"]["encoder_counts"] = measurement.encoder_counts
+    return tomli_w.dumps(tables)
+
+
+def _noise_table(noise: NoiseModel, sd_name: str) -> dict[str, Any]:
+    table: dict[str, Any] = {"kind": "ar" if noise.coefficients else "white"}
+    table[sd_name] = noise.standard_deviation
+    if noise.coefficients:
+        table["coefficients"] = list(noise.coefficients)
+    return table
+
+
+def _load(path: Path, model: type[_Model]) -> _Model:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        tables = tomllib.loads(text)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(
+            "The file cannot be read as TOML.",
+            file=path,
+            found=reason,
+            expected="key = value; text stands in quotes",
+        ) from None
+    try:
+        return model.model_validate(tables, context={BASE_DIRECTORY: path.absolute().parent})
+    except ValidationError as error:
+        raise config_error(problems_of(error, model, text), path) from None
