@@ -1,0 +1,221 @@
+"""Prints results, summaries and errors with rich; what is said stands in ``words``.
+
+rich is imported where it prints, so that ``bayesbl --help`` does not wait for it. Everything is
+printed as plain :class:`rich.text.Text`: names and messages may hold brackets, which rich would
+take for markup.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.errors import UserError
+from bayesbl.report import words
+from bayesbl.report.words import Summary
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.console import Console
+    from rich.table import Table
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """A console that prints what it is given, in colour on a terminal only."""
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+
+def error(console: Console, problem: UserError) -> None:
+    """One message, never wrapped: paths in it can be copied, and scripts can search it."""
+    from rich.text import Text
+
+    text = Text("Error: ", style="bold red")
+    console.print(text.append(str(problem), style="not bold default"), soft_wrap=True)
+
+
+def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
+    """The answer in words, a table of the snapshots, and everything that limits the answer."""
+    withheld = summary["outcome"] == "withheld"
+    _say(console, words.headline(summary), "bold yellow" if withheld else "bold")
+    for sentence in (*words.steps(summary), words.above_limit(summary)):
+        if sentence:
+            _say(console, sentence)
+    _print_table(_snapshot_table(summary), console)
+    _say(console, words.GAP_EXPLAINED, "dim")
+    told = words.budget(summary)
+    if told:
+        _say(console, told, "dim")
+    _print_limits(summary, console)
+    if folder is not None:
+        # Not wrapped: a path is there to be copied.
+        console.print(words.written(folder), soft_wrap=True)
+
+
+def print_summary(tree: xr.DataTree, console: Console) -> None:
+    """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
+    from bayesbl.results.summary import summarise
+
+    summary = summarise(tree)
+    print_result(summary, None, console)
+    for name, part in words.snapshots(summary):
+        _print_details(name, part, _rivals(tree, name), console)
+    _print_origin(tree.attrs, summary, console)
+
+
+def _say(console: Console, sentence: str, style: str = "", *, label: str = "") -> None:
+    from rich.text import Text
+
+    whole = f"{label}: {sentence}" if label else sentence
+    text = Text(words.wrapped(whole, console.width), style=style)
+    if label:
+        text.stylize("bold", 0, len(label) + 1)
+    console.print(text, soft_wrap=True)
+
+
+def _print_limits(summary: Summary, console: Console) -> None:
+    """Reasons against the answer, then what the interval leaves out."""
+    for label, sentence in words.reasons(summary):
+        _say(console, sentence, "yellow", label=label)
+    for warning in summary["warnings"]:
+        _say(console, warning, "yellow", label="Warning")
+
+
+def _table(*headers: tuple[str, str]) -> Table:
+    """An empty table; headers with their justification. Only the first column may fold."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for i, (title, justify) in enumerate(headers):
+        table.add_column(
+            Text(title),
+            justify=justify,  # type: ignore[arg-type]
+            overflow="fold",
+            no_wrap=i > 0,
+        )
+    return table
+
+
+def _print_table(table: Table, console: Console) -> None:
+    console.print()
+    console.print(table)
+    console.print()
+
+
+def _row(table: Table, *cells: str) -> None:
+    from rich.text import Text
+
+    table.add_row(*(Text(cell) for cell in cells))
+
+
+def _snapshot_table(summary: Summary) -> Table:
+    parts = words.snapshots(summary)
+    compare = summary["kind"] == "compare"
+    kind = words.short_kind(parts[0][1]["amplitude_rpm"])
+    answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
+    places = max((words.decimals(d, 1e3) for d in answered), default=3)
+    table = _table(
+        *([("Snapshot", "left")] if compare else []),
+        ("Gap δ\n(mrad)", "right"),
+        (f"{kind}\n(mrad)", "right"),
+        ("Ringing A\n(rpm)", "right"),
+        ("Load\nrotations", "right"),
+        ("Noise sd\n(rpm)", "right"),
+        ("Outcome", "left"),
+    )
+    for name, part in parts:
+        _row(
+            table,
+            *([name] if compare else []),
+            *_gap_cells(part["delta_rad"], places),
+            f"{part['amplitude_rpm']['median']:.1f}",
+            f"{part['rotations']:.1f}",
+            f"{part['noise']['sd_rpm']:.2f}",
+            part["diagnostics"]["outcome"],
+        )
+    return table
+
+
+def _gap_cells(delta: Mapping[str, Any] | None, places: int) -> tuple[str, str]:
+    if delta is None:
+        return "withheld", "withheld"
+    return words.number(1e3 * delta["median"], places), words.bounds(delta, 1e3, places)
+
+
+def _print_details(name: str, part: Summary, rivals: list[str], console: Console) -> None:
+    console.print()
+    _say(console, f"Snapshot {name}" if name else "Fit", "bold")
+    _print_table(_parameter_table(part), console)
+    lines = {
+        "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
+        "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
+        "Noise": words.noise(part),
+        "Sampling": words.sampling(part),
+        "Rival optima": "; ".join(rivals) or "none",
+    }
+    for label, sentence in lines.items():
+        _say(console, sentence, label=label)
+
+
+def _parameter_table(part: Summary) -> Table:
+    """All nine symbols: the free ones with their interval, the others as fixed."""
+    from bayesbl.signal.parameters import SYMBOLS
+
+    table = _table(
+        ("Parameter", "left"),
+        ("Optimum", "right"),
+        ("Median", "right"),
+        (words.short_kind(part["amplitude_rpm"]), "right"),
+        ("Unit", "left"),
+    )
+    for symbol in SYMBOLS.values():
+        best = part["optimum"][symbol.name]
+        found = part["parameters"].get(symbol.name)
+        if found is None:
+            _row(table, symbol.name, f"{best:g}", "", "fixed", symbol.unit)
+            continue
+        places = words.decimals(found, units=20.0)
+        _row(
+            table,
+            symbol.name,
+            words.number(best, places),
+            words.number(found["median"], places),
+            words.bounds(found, places=places),
+            symbol.unit,
+        )
+    return table
+
+
+def _rivals(tree: xr.DataTree, name: str) -> list[str]:
+    """Other local optima of one snapshot, as amplitude and RMSE."""
+    optimum = tree["optimum"].to_dataset()
+    if name:
+        optimum = optimum.sel(snapshot=name)
+    amplitudes, errors = optimum["rival_amplitude_rpm"].values, optimum["rival_rmse_rpm"].values
+    return [
+        f"A = {a:.1f} rpm at RMSE {e:.3f} rpm"
+        for a, e in zip(amplitudes, errors, strict=True)
+        if a == a  # padding of snapshots with fewer rivals is NaN
+    ]
+
+
+def _print_origin(attributes: Mapping[Any, Any], summary: Summary, console: Console) -> None:
+    import json
+
+    console.print()
+    _say(console, "Origin", "bold")
+    inputs = json.loads(attributes.get("input_sha256", "{}"))
+    lines = {
+        "Version": f"{summary['version']}, commit {summary['commit']}",
+        "Made": attributes.get("created_utc"),
+        "Seed": summary["seed"],
+        "Gap curve": summary["curve"],
+        **{f"SHA-256 of {file}": digest for file, digest in inputs.items()},
+    }
+    for label, content in lines.items():
+        if content is not None:
+            _say(console, str(content), label=label)

@@ -1,0 +1,208 @@
+"""Results in words: plain strings, no terminal. Every sentence that the console shows is here.
+
+Angles are given in mrad, probabilities never as certain: a finite number of draws cannot show that.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+Summary = Mapping[str, Any]
+"""``summary.json`` as :func:`bayesbl.results.summary.summarise` makes it, or a part of it."""
+
+RAREST = 1e-3
+"""Probabilities closer than this to 0 or 1 are beyond what some thousand draws can tell."""
+
+GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
+
+_SOURCES = {
+    "noise": "noise of the recording",
+    "start_angle": "start angle",
+    "rounding": "rounding of the curve's coefficients",
+    "regression": "scatter about the curve",
+    "bench": "tolerances of the bench",
+}
+
+
+def probability(value: float) -> str:
+    """``78 %``, ``2.3 %``, ``> 99.9 %``; never 0 % or 100 %."""
+    if value < RAREST:
+        return f"< {100.0 * RAREST:g} %"
+    if value > 1.0 - RAREST:
+        return f"> {100.0 * (1.0 - RAREST):g} %"
+    return f"{100.0 * value:.0f} %" if 0.1 <= value <= 0.9 else f"{100.0 * value:.1f} %"
+
+
+def decimals(interval: Summary, scale: float = 1.0, units: float = 5.0) -> int:
+    """Fewest decimals at which the interval is at least ``units`` of the last one wide."""
+    width = abs(scale * (interval["high"] - interval["low"]))
+    return max(0, math.ceil(math.log10(units / width))) if width > 0.0 else 3
+
+
+def number(value: float, places: int) -> str:
+    """A number with a true minus sign, and no minus in front of zero."""
+    text = f"{value:.{places}f}"
+    if float(text) == 0.0:
+        text = text.removeprefix("-")
+    return text.replace("-", "−")
+
+
+def bounds(interval: Summary, scale: float = 1.0, places: int | None = None) -> str:
+    """``0.685 to 0.731``."""
+    shown = decimals(interval, scale) if places is None else places
+    low, high = sorted((scale * interval["low"], scale * interval["high"]))
+    return f"{number(low, shown)} to {number(high, shown)}"
+
+
+def interval_kind(interval: Summary) -> str:
+    """``90 % interval``: how much it holds, and of which kind."""
+    kind = "highest-density interval" if interval["kind"] == "hdi" else "interval"
+    return f"{100.0 * interval['level']:g} % {kind}"
+
+
+def short_kind(interval: Summary) -> str:
+    """As :func:`interval_kind`, for the head of a column."""
+    kind = "HDI" if interval["kind"] == "hdi" else "interval"
+    return f"{100.0 * interval['level']:g} % {kind}"
+
+
+def in_mrad(interval: Summary, sign: float = 1.0) -> str:
+    """``0.25 mrad (90 % interval 0.21 to 0.28 mrad)`` for an interval in rad."""
+    scale = 1e3 * sign
+    middle = number(scale * interval["median"], decimals(interval, scale))
+    return f"{middle} mrad ({interval_kind(interval)} {bounds(interval, scale)} mrad)"
+
+
+def headline(summary: Summary) -> str:
+    """The answer in one or two sentences."""
+    if summary["kind"] == "compare":
+        return _change_headline(summary)
+    if summary["delta_rad"] is None:
+        return "The gap is withheld: these data do not give an answer that can be trusted."
+    return f"The gap is {in_mrad(summary['delta_rad'])}."
+
+
+def _change_headline(summary: Summary) -> str:
+    change = summary["change_rad"]
+    if change is None:
+        return (
+            "The change of the gap is withheld: these data do not give an answer that can be "
+            "trusted."
+        )
+    return f"{change_in_words(change)}; {grew(summary['probability_increase'])}."
+
+
+def change_in_words(change: Summary) -> str:
+    """Whether the gap grew, shrank, or may have done neither."""
+    if change["low"] > 0.0:
+        return f"The gap grew by {in_mrad(change)}"
+    if change["high"] < 0.0:
+        return f"The gap shrank by {in_mrad(change, -1.0)}"
+    return f"The gap may not have changed: the change is {in_mrad(change)}"
+
+
+def grew(value: float) -> str:
+    """The probability of growth as part of a sentence."""
+    return f"probability that it grew: {probability(value)}"
+
+
+def steps(summary: Summary) -> list[str]:
+    """Each step between neighbours, where there are more than two snapshots."""
+    changes = summary.get("changes", [])
+    if len(changes) < 2:
+        return []
+    return [
+        f"From {step['from']} to {step['to']}: "
+        + (
+            "withheld."
+            if step["change_rad"] is None
+            else f"{in_mrad(step['change_rad'])}; {grew(step['probability_increase'])}."
+        )
+        for step in changes
+    ]
+
+
+def snapshots(summary: Summary) -> list[tuple[str, Summary]]:
+    """(name, part) of every snapshot; the name of a fit's only one is empty."""
+    if summary["kind"] == "compare":
+        return [(part["name"], part) for part in summary["snapshots"]]
+    return [("", summary)]
+
+
+def above_limit(summary: Summary) -> str | None:
+    """The probability of each snapshot above the limit; ``None`` without a limit."""
+    parts = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
+    if not parts:
+        return None
+    told = ", ".join(f"{name} {_probability_or_withheld(part)}".strip() for name, part in parts)
+    limit = 1e3 * parts[0][1]["limit_rad"]
+    return f"Probability that the gap is above its limit of {limit:g} mrad: {told}."
+
+
+def _probability_or_withheld(part: Summary) -> str:
+    value = part["probability_above_limit"]
+    return "withheld" if value is None else probability(value)
+
+
+def budget(summary: Summary) -> str | None:
+    """Where the width of the (last) interval comes from, in one line."""
+    name, part = snapshots(summary)[-1]
+    shares = {source: share for source, share in part["budget"].items() if share >= RAREST}
+    if not shares:
+        return None
+    ordered = sorted(shares, key=lambda source: -shares[source])
+    told = ", ".join(f"{source_in_words(s)} {probability(shares[s])}" for s in ordered)
+    return f"Variance of the gap{_of(name)}, by source: {told}."
+
+
+def source_in_words(source: str) -> str:
+    """A source of the interval's width as a reader knows it."""
+    return _SOURCES.get(source, source.replace("_", " "))
+
+
+def reasons(summary: Summary) -> Iterator[tuple[str, str]]:
+    """(``Withheld`` or ``Note``, sentence) of everything that stands against an answer."""
+    for name, part in snapshots(summary):
+        found: Sequence[str] = part["diagnostics"]["reasons"]
+        label = "Withheld" if part["delta_rad"] is None else "Note"
+        for sentence in found:
+            yield label, f"{name}: {sentence}" if name else sentence
+
+
+def noise(part: Summary) -> str:
+    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600``."""
+    found = part["noise"]
+    kind = f"AR({found['order']})" if found["order"] else "white"
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm"
+    if found["order"]:
+        text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
+    return text
+
+
+def sampling(part: Summary) -> str:
+    """Convergence in one line."""
+    found = part["diagnostics"]
+    return (
+        f"{found['outcome']}, largest R̂ {found['r_hat']:.3f}, "
+        f"smallest effective sample size {found['ess_bulk']:.0f}"
+    )
+
+
+def written(folder: object) -> str:
+    """Where everything is."""
+    return f"Written to {folder}"
+
+
+def _of(name: str) -> str:
+    return f" of {name}" if name else ""
+
+
+def wrapped(sentence: str, width: int) -> str:
+    """Broken into lines of ``width``, but never between a number and its sign or unit."""
+    glued = re.sub(r"(?<=[<>]) (?=\d)|(?<=\d) (?=%|mrad|rpm|rad)", "\N{NO-BREAK SPACE}", sentence)
+    lines = textwrap.wrap(glued, width, break_on_hyphens=False)
+    return "\n".join(lines).replace("\N{NO-BREAK SPACE}", " ")
