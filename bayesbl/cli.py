@@ -1,0 +1,319 @@
+"""The command line: options to configurations, workflows run, results printed, exit statuses.
+
+``--help`` has to answer at once, so nothing heavy is imported before a command needs it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bayesbl import __version__
+from bayesbl.errors import UserError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.config.schema import RunConfig
+
+FAILED, WRONG, WITHHELD, INTERRUPTED = 1, 2, 3, 130
+"""Exit statuses besides 0: what no user can mend; usage, config or input; no answer; Ctrl-C."""
+
+app = typer.Typer(
+    help="The backlash gap of a robot joint, and how it changed, from recordings of motor speed.",
+    epilog="Exit status: 0 done, 2 wrong usage, configuration or input, 3 answer withheld, "
+    "1 anything else.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
+ResultPath = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="Output folder of a run, or its result.nc.")
+]
+BaseConfig = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Configuration that the options go over."),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="FOLDER", help="Output folder. [default: results/<name>]"),
+]
+Seed = Annotated[
+    int | None, typer.Option("--seed", metavar="N", help="Seed of all random numbers. [default: 1]")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", metavar="N", help="Processes; the numbers do not depend on them."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace a finished result.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
+Curve = Annotated[
+    str | None,
+    typer.Option("--curve", metavar="published|FILE", help="Gap curve. [default: published]"),
+]
+LimitRad = Annotated[
+    float | None,
+    typer.Option("--limit-rad", metavar="RAD", help="Gap at which the joint is to be repaired."),
+]
+GearRatio = Annotated[
+    float | None,
+    typer.Option("--gear-ratio", metavar="N", help="Motor turns per turn of the load."),
+]
+Level = Annotated[
+    float | None,
+    typer.Option("--level", metavar="P", help="Level of the credible intervals. [default: 0.9]"),
+]
+
+
+def main() -> None:
+    """The installed command."""
+    sys.exit(status())
+
+
+def status(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line, ``sys.argv``'s by default, and return its exit status."""
+    from bayesbl.report.console import error, make_console
+
+    try:
+        app(arguments, prog_name="bayesbl")
+    except SystemExit as end:
+        # Usage errors, --help and Ctrl-C end inside typer.
+        code = end.code if isinstance(end.code, int) else FAILED
+        if code == INTERRUPTED:
+            print("Interrupted; nothing was written over.", file=sys.stderr)
+        return code
+    except UserError as problem:
+        error(make_console(stderr=True), problem)
+        return WRONG
+    except OSError as problem:
+        place = f"{problem.filename}: " if problem.filename else ""
+        print(f"Error: {place}{problem.strerror or problem}.", file=sys.stderr)
+        return FAILED
+    except Exception:
+        import traceback
+
+        print(f"This is a bug in bayesbl {__version__}; please report it:\n", file=sys.stderr)
+        traceback.print_exc()
+        return FAILED
+    return 0
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"bayesbl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Options before the command."""
+
+
+@app.command("run")
+def run_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Run a configuration, whatever its kind."""
+    from bayesbl.workflows.run import kind_of, load_run
+
+    if kind_of(config) == "simulate":
+        _simulate(config, out, seed, workers, force, json)
+    else:
+        _run(load_run(config, out=out, seed=seed, workers=workers), force, json)
+
+
+@app.command("check")
+def check_command(config: ConfigPath) -> None:
+    """Check all that can be checked without running."""
+    from bayesbl.report.console import error, make_console
+    from bayesbl.workflows.run import check
+
+    plan = check(config)
+    for label, text in plan.lines:
+        typer.echo(f"{label}: {text}")
+    for problem in plan.problems:
+        error(make_console(stderr=True), problem)
+    if plan.problems:
+        raise typer.Exit(WRONG)
+    typer.echo("Nothing stands against a run.")
+
+
+@app.command("fit")
+def fit_command(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording, CSV.")],
+    config: BaseConfig = None,
+    out: Out = None,
+    seed: Seed = None,
+    force: Force = False,
+    json: Json = False,
+    curve: Curve = None,
+    limit_rad: LimitRad = None,
+    gear_ratio: GearRatio = None,
+    level: Level = None,
+    workers: Workers = None,
+) -> None:
+    """Measure the gap in one recording."""
+    options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    _measure("fit", [recording], config, options, force, json)
+
+
+@app.command("compare")
+def compare_command(
+    first: Annotated[Path, typer.Argument(metavar="FIRST", help="The oldest recording, CSV.")],
+    later: Annotated[
+        list[Path], typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order.")
+    ],
+    config: BaseConfig = None,
+    out: Out = None,
+    seed: Seed = None,
+    force: Force = False,
+    json: Json = False,
+    curve: Curve = None,
+    limit_rad: LimitRad = None,
+    gear_ratio: GearRatio = None,
+    level: Level = None,
+    workers: Workers = None,
+) -> None:
+    """Measure each gap, and the change from first to last."""
+    options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    _measure("compare", [first, *later], config, options, force, json)
+
+
+@app.command("simulate")
+def simulate_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    force: Force = False,
+) -> None:
+    """Make recordings on a virtual bench."""
+    _simulate(config, out, seed, workers, force, False)
+
+
+@app.command("figures")
+def figures_command(result: ResultPath) -> None:
+    """Draw the figures of a result again."""
+    from bayesbl.results.folder import FIGURES
+    from bayesbl.results.store import read_tree
+
+    tree = read_tree(result)
+    folder = (result if result.is_dir() else result.parent) / FIGURES
+    for path in _draw_in_place(tree, folder):
+        typer.echo(str(path))
+
+
+@app.command("inspect")
+def inspect_command(result: ResultPath, json: Json = False) -> None:
+    """Print what a result says."""
+    from bayesbl.report.console import make_console, print_summary
+    from bayesbl.results.store import read_tree
+
+    tree = read_tree(result)
+    if json:
+        _print_json(result if result.is_dir() else result.parent)
+    elif tree.attrs["kind"] == "study":
+        from bayesbl.workflows.study import summarise_study
+
+        _print_study(summarise_study(tree))
+    else:
+        print_summary(tree, make_console())
+
+
+def _measure(
+    kind: str,
+    recordings: Sequence[Path],
+    config: Path | None,
+    options: dict[str, Any],
+    force: bool,
+    json: bool,
+) -> None:
+    from bayesbl.config.loading import config_from_options
+
+    _run(config_from_options(kind, recordings, config, **options), force, json)
+
+
+def _run(config: RunConfig, force: bool, json: bool) -> None:
+    """Run, print the answer, and leave with the status of a withheld one if it is."""
+    from bayesbl.report.console import make_console, print_result
+    from bayesbl.report.progress import progress
+    from bayesbl.workflows.run import run
+
+    with progress(make_console(stderr=True)) as told:
+        summary = run(config, _draw, force=force, progress=told)
+    if json:
+        _print_json(config.run.output)
+    elif config.kind == "study":
+        _print_study(summary)
+    else:
+        print_result(summary, config.run.output, make_console())
+    if summary["outcome"] == "withheld":
+        if json:
+            typer.echo(f"Withheld: {summary['reason']}", err=True)
+        raise typer.Exit(WITHHELD)
+
+
+def _simulate(
+    config: Path, out: Path | None, seed: int | None, workers: int | None, force: bool, json: bool
+) -> None:
+    from bayesbl.workflows.simulate import run_simulate
+
+    files = run_simulate(config, out, seed, workers, force=force)
+    if json:
+        import json as encoder
+
+        typer.echo(encoder.dumps({"kind": "simulate", "files": [str(file) for file in files]}))
+    else:
+        for file in files:
+            typer.echo(str(file))
+
+
+def _print_json(folder: Path) -> None:
+    from bayesbl.results.folder import SUMMARY_FILE
+
+    typer.echo((folder / SUMMARY_FILE).read_text(encoding="utf-8"), nl=False)
+
+
+def _print_study(summary: dict[str, Any]) -> None:
+    raise NotImplementedError
+
+
+def _draw(tree: xr.DataTree, folder: Path) -> list[Path]:
+    from bayesbl.figures import draw_all
+
+    return draw_all(tree, folder)
+
+
+def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:
+    """Draw beside and move: an interrupted command leaves the figures that were there."""
+    import os
+    import tempfile
+
+    with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
+        drawn = _draw(tree, Path(beside))
+        folder.mkdir(exist_ok=True)
+        for path in drawn:
+            os.replace(path, folder / path.name)
+    return [folder / path.name for path in drawn]

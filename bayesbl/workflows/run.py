@@ -1,0 +1,206 @@
+"""From a configuration of any kind to its output folder, and what can be told before it runs."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.config.loading import config_from_options, dump_config, load_config
+from bayesbl.config.schema import RunConfig, SnapshotConfig, SnapshotRecording, StudyConfig
+from bayesbl.errors import ConfigError, UserError
+from bayesbl.results.folder import (
+    CONFIG_FILE,
+    FIGURES,
+    RESULT_FILE,
+    SUMMARY_FILE,
+    is_finished,
+    new_result,
+    require_free,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.workflows.measure import StageProgress
+
+Draw = Callable[["xr.DataTree", Path], object]
+"""Draws the figures of a result into a folder; passed in, as figures are made from results."""
+
+Summary = dict[str, Any]
+
+
+def load_run(path: str | Path, **options: object) -> RunConfig:
+    """A configuration file with the options of the command line over it; ``None`` is not given.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`bayesbl.config.loading.load_config`.
+    """
+    kind = kind_of(path)
+    if kind == "bench":
+        raise ConfigError(
+            "A bench is simulated on, not run.",
+            file=path,
+            found='kind = "bench"',
+            expected='a configuration that names this bench, e.g. of kind = "simulate"',
+        )
+    config = load_config(path)
+    given = {option: value for option, value in options.items() if value is not None}
+    return config_from_options(config.kind, (), path, **given) if given else config
+
+
+def kind_of(path: str | Path) -> str:
+    """What a file says of its kind; empty where it cannot, and loading will tell why."""
+    try:
+        kind = tomllib.loads(Path(path).read_text(encoding="utf-8-sig")).get("kind")
+    except (OSError, ValueError, RecursionError):
+        return ""
+    return kind if isinstance(kind, str) else ""
+
+
+def run(
+    config: RunConfig,
+    draw: Draw,
+    *,
+    force: bool = False,
+    progress: StageProgress | None = None,
+    say: Callable[[str], None] = print,
+) -> Summary:
+    """Run a configuration and write its output folder; the summary that was stored.
+
+    Parameters
+    ----------
+    force
+        Replace a finished result; a study starts over.
+    say
+        Told, in a sentence, what a study takes over or computes again.
+
+    Raises
+    ------
+    UserError
+        If the folder may not be written, or anything in the configuration cannot be used.
+    """
+    if isinstance(config, StudyConfig):
+        from bayesbl.workflows.study import run_study
+
+        return run_study(config, force=force, progress=progress, say=say)
+    if not isinstance(config, SnapshotConfig):
+        raise TypeError(f"no workflow for kind {config.kind!r}")
+    return run_snapshots(config, draw, force=force, progress=progress)
+
+
+def run_snapshots(
+    config: SnapshotConfig,
+    draw: Draw,
+    *,
+    force: bool = False,
+    progress: StageProgress | None = None,
+) -> Summary:
+    """Fit or compare recordings; nothing is written before everything is computed."""
+    require_free(config.run.output, force=force)
+    # Imported after the questions that can be answered at once: numba and xarray take a second.
+    from bayesbl.results.store import write_json, write_text, write_tree
+    from bayesbl.results.summary import summarise
+    from bayesbl.workflows.measure import measure
+
+    tree = measure(config, progress)
+    summary = summarise(tree)
+    with new_result(config.run.output, force=force) as folder:
+        write_tree(tree, folder / RESULT_FILE)
+        write_json(summary, folder / SUMMARY_FILE)
+        write_text(dump_config(config), folder / CONFIG_FILE)
+        draw(tree, folder / FIGURES)
+    return summary
+
+
+@dataclass(slots=True)
+class Plan:
+    """What a configuration would do, in pairs of label and text, and what stands against it."""
+
+    lines: list[tuple[str, str]] = field(default_factory=list)
+    problems: list[UserError] = field(default_factory=list)
+
+    def add(self, label: str, text: Callable[[], str]) -> None:
+        """A line, or the problem that making it met."""
+        try:
+            self.lines.append((label, text()))
+        except UserError as problem:
+            self.problems.append(problem)
+
+
+def check(path: str | Path) -> Plan:
+    """Everything that can be checked of a configuration without running it.
+
+    Raises
+    ------
+    ConfigError
+        If the file itself cannot be read or is not valid; what is wrong beyond it is in the plan.
+    """
+    kind = kind_of(path)
+    plan = Plan([("kind", kind)])
+    if kind == "bench":
+        _check_bench(plan, Path(path))
+        return plan
+    if kind == "simulate":
+        _check_simulation(plan, Path(path))
+        return plan
+    config = load_run(path)
+    plan.lines += [("output", _output(config)), ("seed", str(config.run.seed))]
+    if isinstance(config, StudyConfig):
+        from bayesbl.workflows.study import describe
+
+        plan.add("study", lambda: describe(config))
+    if isinstance(config, SnapshotConfig):
+        _check_snapshots(plan, config)
+    return plan
+
+
+def _output(config: RunConfig) -> str:
+    """The output folder; a result that stands there stops a run, but is no fault of the file."""
+    folder = config.run.output
+    return f"{folder} (holds a finished result)" if is_finished(folder) else str(folder)
+
+
+def _check_bench(plan: Plan, path: Path) -> None:
+    from bayesbl.config.bench import load_bench
+
+    bench = load_bench(path)
+    plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
+
+
+def _check_simulation(plan: Plan, path: Path) -> None:
+    from bayesbl.config.bench import load_bench, load_simulation
+
+    config = load_simulation(path)
+    plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")
+    for entry in config.recordings:
+        told = f"{entry.file}, gap {entry.gap_rad:g} rad, {entry.rotations:g} rotations"
+        plan.lines.append((f"recording {entry.name}", told))
+
+
+def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
+    from bayesbl.recording.checks import check_for_fit
+    from bayesbl.recording.readers import read_recording
+    from bayesbl.workflows.measure import curve_of, estimator_of, require_same_estimator
+
+    estimator, curve = estimator_of(config), curve_of(config)
+    plan.lines += [
+        ("curve", curve.name),
+        ("estimator", f"search {estimator.search}, noise {estimator.noise_kind}"),
+        ("interval", f"{100.0 * config.interval.level:g} %, {config.interval.kind}"),
+    ]
+
+    def checked(entry: SnapshotRecording) -> str:
+        recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
+        check_for_fit(recording, config.joint.gear_ratio)
+        require_same_estimator(curve, estimator, recording)
+        rate = 1.0 / recording.sampling_period_s
+        return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+
+    for entry in config.recordings:
+        plan.add(f"recording {entry.name}", partial(checked, entry))
