@@ -340,10 +340,8 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
                 slope = p[Slot.gear_transmission_error__angle_rad] * order * math.cos(phase)
                 seen_speed += slope * speed
             shaft = shaft_torque(seen, seen_speed, region, c)
-            compression = max(0.0, abs(seen) - c.gap)
-            shaft += math.copysign(
-                p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3, seen
-            )
+            compression = math.copysign(max(0.0, abs(seen) - c.gap), seen)
+            shaft += p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3
             shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]
     if c.effects:
         lag = p[Slot.current_loop_lag__time_s]
@@ -719,7 +717,10 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
 
 @_jit
 def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
-    """Start of the settling: torques balanced at the reference speed, no acceleration."""
+    """Start of the settling: torques balanced at the reference speed, no acceleration.
+
+    Returns whether the current limit allows it.
+    """
     c = constants(p, 0.0, math.inf)
     speed = c.reference
     load = load_torque(load_angle, speed * c.per_ratio, p, c)
@@ -731,12 +732,14 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     torque = load * c.per_ratio
     if c.effects:
         torque += motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    carried = abs(torque) <= c.torque_limit
     torque, _ = limited(torque, 0.0, c)
     if c.integral_gain > 0.0:
         y[INTEGRAL] = torque / c.integral_gain
     if c.effects:
         y[DRIVE_TORQUE] = torque
         y[SENSED_SPEED] = speed
+    return carried
 
 
 @_jit
@@ -755,7 +758,9 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     ahead = (start_angle - flank) * direction - settle_s * abs(load_speed)
     begin = flank + direction * math.pi * math.floor(ahead / math.pi)
     y = np.empty(STATES if c.effects else STATES - 3)
-    quasi_static_state(p, begin, y)
+    carried = quasi_static_state(p, begin + math.pi, y)
+    if not (quasi_static_state(p, begin, y) and carried):
+        return SATURATED, 0
     c = constants(p, y[MOTOR_ANGLE], math.inf)
     none = np.empty((1, 0))
     longest = 4.0 * (start_angle - begin) / load_speed + 1.0

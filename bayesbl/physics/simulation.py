@@ -22,8 +22,9 @@ _REASONS = {
     kernel.DIVERGED: "the simulation diverged: the motor ran away or no step is short enough",
     kernel.TOO_MANY_STEPS: "the simulation needs steps far shorter than any oscillation of the "
     "bench: a time constant or a friction width is out of proportion",
-    kernel.SATURATED: "the load does not get round: the motor cannot carry it at this current "
-    "limit, or the speed loop does not reach its reference",
+    kernel.SATURATED: "the motor cannot turn the load round: the torque that gravity and friction "
+    "ask for exceeds torque_constant_nm_per_a times current_limit_a, or the speed loop does not "
+    "reach its reference",
 }
 
 
