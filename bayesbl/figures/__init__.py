@@ -1,0 +1,23 @@
+"""Publication figures from a stored result alone; nothing is fitted again."""
+
+from bayesbl.figures.convergence import convergence
+from bayesbl.figures.corner import corner, corners
+from bayesbl.figures.draw import draw_all
+from bayesbl.figures.gap import gap
+from bayesbl.figures.misfit import misfit
+from bayesbl.figures.noise import noise
+from bayesbl.figures.signal import signal
+from bayesbl.figures.trace import trace, traces
+
+__all__ = [
+    "convergence",
+    "corner",
+    "corners",
+    "draw_all",
+    "gap",
+    "misfit",
+    "noise",
+    "signal",
+    "trace",
+    "traces",
+]

@@ -1,0 +1,47 @@
+"""All figures of a stored result, from its tree alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from bayesbl.figures.convergence import convergence
+from bayesbl.figures.corner import corners
+from bayesbl.figures.gap import gap
+from bayesbl.figures.misfit import misfit
+from bayesbl.figures.noise import noise
+from bayesbl.figures.signal import signal
+from bayesbl.figures.style import publication_style, save
+from bayesbl.figures.trace import traces
+
+
+@publication_style()
+def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
+    """Write every figure as PDF and PNG.
+
+    Parameters
+    ----------
+    tree
+        A fit or a comparison, as :func:`bayesbl.results.store.read_tree` gives it.
+    folder
+        Is made if it is missing.
+
+    Returns
+    -------
+    The files written.
+    """
+    return [path for name, figure in _figures(tree) for path in save(figure, folder, name)]
+
+
+def _figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    """File name and figure, made one at a time: a corner holds megabytes while it is open."""
+    for draw in (signal, gap, misfit, noise, convergence):
+        yield draw.__name__, draw(tree)
+    for name, draw_each in (("corner", corners), ("trace", traces)):
+        found = draw_each(tree)
+        for snapshot, figure in found.items():
+            alone = tree.attrs["kind"] != "compare"
+            yield (name if alone else f"{name}_{snapshot.replace(' ', '_')}"), figure

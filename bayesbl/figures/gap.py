@@ -1,0 +1,209 @@
+"""The gap of every snapshot on the curve it was read from, and its change (paper, fig. 10)."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from bayesbl.figures.change import draw_change
+from bayesbl.figures.layout import grid
+from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, interval_name, snapshots
+from bayesbl.figures.style import (
+    DOUBLE_COLUMN_IN,
+    LIMIT,
+    MEASURED,
+    NEUTRAL,
+    SINGLE_COLUMN_IN,
+    WITHHELD,
+    head_panels,
+    look,
+    new_figure,
+    publication_style,
+)
+from bayesbl.recording.types import FloatArray
+from bayesbl.signal.parameters import AMPLITUDE
+
+_BINS = 40
+
+
+@publication_style()
+def gap(tree: xr.DataTree) -> Figure:
+    """δ against A with the posteriors of both along the axes; for snapshots also the change."""
+    parts = snapshots(tree)
+    compare = "change" in tree.children
+    figure = new_figure(DOUBLE_COLUMN_IN if compare else SINGLE_COLUMN_IN, 3.5)
+    outer = grid(
+        figure, 1, 2 if compare else 1, top=0.32 + 0.14 * len(parts), between=(0.0, 0.5),
+        widths=(1.35, 1.0) if compare else None,
+    )  # fmt: skip
+    inner = outer[0, 0].subgridspec(
+        2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
+    )
+    main = figure.add_subplot(inner[1, 0])
+    top = figure.add_subplot(inner[0, 0], sharex=main)
+    side = figure.add_subplot(inner[1, 1], sharey=main)
+    _draw_curve(main, tree)
+    for index, snapshot in enumerate(parts):
+        _draw_snapshot(main, tree, snapshot, index)
+        _draw_marginals(top, side, snapshot, index)
+    _set_view(main, tree, parts)
+    _draw_limit(main, side, tree)
+    _draw_overview(main, tree, parts)
+    _finish(main, top, side)
+    panels, titles = [top], ["gap from the ringing"]
+    if compare:
+        panel = figure.add_subplot(outer[0, 1])
+        draw_change(panel, tree, parts)
+        panels, titles = [*panels, panel], [*titles, "change of the gap"]
+    head_panels(panels, titles)
+    handles, labels = main.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
+    return figure
+
+
+def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
+    curve = tree["curve"].to_dataset()
+    amplitude = curve["amplitude"].values
+    name = curve.attrs["name"]
+    main.fill_between(
+        amplitude, 1e3 * curve["low_rad"].values, 1e3 * curve["high_rad"].values,
+        color="#c8c8c8", linewidth=0.0,
+    )  # fmt: skip
+    main.plot(
+        amplitude, 1e3 * curve["delta_rad"].values, color=NEUTRAL, linewidth=0.9,
+        label=f"gap curve ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
+    )  # fmt: skip
+
+
+def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+    """Median with intervals both ways; hollow and grey where δ must not be read."""
+    amplitude = credible_interval(tree, snapshot.values("posterior", AMPLITUDE))
+    delta = credible_interval(tree, snapshot.values("posterior", GAP))
+    style = look(index)
+    colour = WITHHELD if snapshot.withheld else style.colour
+    main.errorbar(
+        [amplitude["median"]],
+        [1e3 * delta["median"]],
+        xerr=[[amplitude["median"] - amplitude["low"]], [amplitude["high"] - amplitude["median"]]],
+        yerr=[
+            [1e3 * (delta["median"] - delta["low"])],
+            [1e3 * (delta["high"] - delta["median"])],
+        ],
+        color=colour,
+        marker=style.marker,
+        markerfacecolor="white" if snapshot.withheld else colour,
+        linestyle="none",
+        capsize=2.0,
+        zorder=3.0,
+        label=_told(tree, snapshot, delta),
+    )
+
+
+def _told(tree: xr.DataTree, snapshot: Snapshot, delta: dict[str, float]) -> str:
+    if snapshot.withheld:
+        return f"{snapshot.name}: δ withheld"
+    low, middle, high = (f"{1e3 * delta[k]:.3g}" for k in ("low", "median", "high"))
+    return f"{snapshot.name}: δ = {middle} mrad ({interval_name(tree)} {low} to {high})"
+
+
+def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
+    style = look(index)
+    colour = WITHHELD if snapshot.withheld else style.colour
+    for panel, values, orientation, fill in (
+        (top, snapshot.values("posterior", AMPLITUDE), "vertical", style.colour),
+        (side, 1e3 * snapshot.values("posterior", GAP), "horizontal", colour),
+    ):
+        counts, edges = np.histogram(values, _BINS, density=True)
+        panel.stairs(
+            counts, edges, orientation=orientation, fill=True, color=fill, alpha=0.3,
+        )  # fmt: skip
+        panel.stairs(
+            counts, edges, orientation=orientation, color=fill, linestyle=style.dashes,
+            linewidth=0.9,
+        )  # fmt: skip
+    if snapshot.withheld:
+        side.annotate(
+            "withheld",
+            (0.08, 1e3 * float(np.median(snapshot.values("posterior", GAP)))),
+            xycoords=("axes fraction", "data"),
+            rotation=90.0,
+            va="center",
+            fontsize=6.0,
+        )
+
+
+def _spread(parts: list[Snapshot], name: str) -> tuple[float, float]:
+    draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
+    low, high = np.quantile(draws, (0.001, 0.999))
+    return float(low), float(high)
+
+
+def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+    """Around the posteriors, and up to a limit that is not far away."""
+    for name, factor, setter in (
+        (AMPLITUDE, 1.0, main.set_xlim),
+        (GAP, 1e3, main.set_ylim),
+    ):
+        low, high = _spread(parts, name)
+        margin = max(0.35 * (high - low), 0.12 * high)
+        limit = tree.attrs.get("limit_rad")
+        bottom, top = max(0.0, low - margin), high + margin
+        if limit is not None and name == GAP and low - 3.0 * margin < limit < high + 3.0 * margin:
+            bottom, top = min(bottom, 0.97 * float(limit)), max(top, 1.05 * float(limit))
+        setter(factor * bottom, factor * top)
+
+
+def _draw_limit(main: Axes, side: Axes, tree: xr.DataTree) -> None:
+    if "limit_rad" not in tree.attrs:
+        return
+    limit = 1e3 * float(tree.attrs["limit_rad"])
+    bottom, top = main.get_ylim()
+    if not bottom < limit < top:
+        return
+    for panel in (main, side):
+        panel.axhline(limit, color=LIMIT, linewidth=0.9, linestyle=(0.0, (6.0, 2.0, 1.0, 2.0)))
+    main.annotate(
+        f"limit {limit:g} mrad", (0.02, limit), (0.0, -3.0), va="top", fontsize=6.0,
+        xycoords=("axes fraction", "data"), textcoords="offset points",
+    )  # fmt: skip
+
+
+def _draw_overview(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+    """The curve over its whole range, with the view of the main panel marked."""
+    curve = tree["curve"].to_dataset()
+    small = main.inset_axes((0.6, 0.13, 0.38, 0.33))
+    small.plot(curve["amplitude"].values, 1e3 * curve["delta_rad"].values, color=NEUTRAL)
+    (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
+    small.add_patch(
+        Rectangle((left, bottom), right - left, top - bottom, fill=False, color=MEASURED)
+    )
+    for index, snapshot in enumerate(parts):
+        style = look(index)
+        small.plot(
+            [_median(snapshot, AMPLITUDE)], [1e3 * _median(snapshot, GAP)],
+            color=WITHHELD if snapshot.withheld else style.colour, marker=style.marker,
+            markersize=2.5, linestyle="none",
+        )  # fmt: skip
+    if "limit_rad" in tree.attrs:
+        small.axhline(1e3 * float(tree.attrs["limit_rad"]), color=LIMIT, linewidth=0.6,
+                      linestyle=(0.0, (6.0, 2.0, 1.0, 2.0)))  # fmt: skip
+    small.set_title("range of the curve", fontsize=6.0, pad=2.0)
+    small.set_xlabel("A (rpm)", fontsize=5.5, labelpad=1.0)
+    small.set_ylabel("δ (mrad)", fontsize=5.5, labelpad=1.0)
+    small.tick_params(labelsize=5.5, length=1.8, pad=1.0)
+
+
+def _median(snapshot: Snapshot, name: str) -> float:
+    return float(np.median(snapshot.values("posterior", name)))
+
+
+def _finish(main: Axes, top: Axes, side: Axes) -> None:
+    main.set_xlabel("Amplitude of the ringing A (rpm)")
+    main.set_ylabel("Gap δ (mrad)")
+    for panel, spine, axis in ((top, "left", "y"), (side, "bottom", "x")):
+        panel.tick_params(labelbottom=False, labelleft=False)
+        panel.tick_params(axis=axis, left=False, bottom=False)
+        panel.spines[spine].set_visible(False)

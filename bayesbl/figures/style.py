@@ -1,0 +1,129 @@
+"""One look for every figure: journal widths, colours that survive greyscale, deterministic files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.figure import Figure
+
+SINGLE_COLUMN_IN = 3.4
+DOUBLE_COLUMN_IN = 7.0
+PNG_DPI = 200
+
+MEASURED = "#8c8c8c"
+MODEL = "#0072b2"
+BAND = "#a6cee3"
+LIMIT = "#000000"
+WITHHELD = "#b0b0b0"
+NEUTRAL = "#404040"
+
+_RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
+    "font.size": 7.0,
+    "axes.titlesize": 7.0,
+    "axes.labelsize": 7.0,
+    "xtick.labelsize": 6.0,
+    "ytick.labelsize": 6.0,
+    "legend.fontsize": 6.0,
+    "mathtext.default": "regular",
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "lines.linewidth": 1.0,
+    "lines.markersize": 4.0,
+    "patch.linewidth": 0.6,
+    "hatch.linewidth": 0.4,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "figure.dpi": PNG_DPI,
+    "savefig.dpi": PNG_DPI,
+    "pdf.fonttype": 42,  # TrueType: text stays text, as journals ask
+    "path.simplify": True,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How one of several things of a kind is told from the others, in colour and in grey."""
+
+    colour: str
+    dashes: str | tuple[float, tuple[float, ...]]
+    marker: str
+
+
+LOOKS = (
+    Look("#0072b2", "-", "o"),
+    Look("#d55e00", (0.0, (4.0, 1.5)), "s"),
+    Look("#009e73", (0.0, (1.0, 1.0)), "^"),
+    Look("#cc79a7", (0.0, (5.0, 1.0, 1.0, 1.0)), "D"),
+    Look("#56b4e9", (0.0, (6.0, 2.0)), "v"),
+    Look("#e69f00", (0.0, (2.0, 1.0)), "P"),
+    Look("#000000", (0.0, (3.0, 1.0, 1.0, 1.0, 1.0, 1.0)), "X"),
+)
+"""Okabe and Ito's palette, which colour-blind readers can tell apart, with dashes and markers."""
+
+
+def look(index: int) -> Look:
+    """The look of the ``index``-th snapshot, ensemble or run."""
+    return LOOKS[index % len(LOOKS)]
+
+
+@contextmanager
+def publication_style() -> Iterator[None]:
+    """All figures are made and saved under these settings; the user's own come back after it."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_RC)
+        yield
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """An empty figure that belongs to no window and no global list."""
+    figure = Figure(figsize=(width_in, height_in))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
+    """(a), (b), … above the upper left corner of each panel, and its title behind."""
+    for index, (panel, title) in enumerate(zip(axes, titles, strict=True)):
+        letter = f"({_letters(index)})"
+        for text, shift, weight in (
+            (letter, 0.0, "bold"),
+            (title, 6.0 + 3.6 * len(letter), "normal"),
+        ):
+            panel.annotate(
+                text,
+                (0.0, 1.0),
+                (shift, 4.0),
+                xycoords="axes fraction",
+                textcoords="offset points",
+                fontweight=weight,
+            )
+
+
+def _letters(index: int) -> str:
+    first, last = divmod(index, 26)
+    return ("" if first == 0 else chr(96 + first)) + chr(97 + last)
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write ``name.pdf`` and ``name.png``; the same figure gives the same bytes at any time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
+    FigureCanvasPdf(figure).print_pdf(pdf, metadata={"CreationDate": None, "Title": name})
+    FigureCanvasAgg(figure).print_png(png, metadata={"Title": name})
+    return [pdf, png]
