@@ -17,7 +17,12 @@ from scipy.integrate import solve_ivp
 from bayesbl.config.bench import reference_bench
 from bayesbl.physics.bench import Bench, BenchParameter
 from bayesbl.physics.kernel import RPM, SLOTS, STATES, Slot
-from bayesbl.physics.simulation import simulate_channels, simulate_states, start_states
+from bayesbl.physics.simulation import (
+    simulate_channels,
+    simulate_speeds,
+    simulate_states,
+    start_states,
+)
 
 SAMPLING_HZ = 500.0
 PROMISED_RPM = 0.01
@@ -215,6 +220,25 @@ def test_speed_is_steady_from_the_first_sample_on_random_benches() -> None:
         speed = bench.simulate_many(gap, **settings)
         exact = bench.simulate_many(gap, **settings, accuracy_rpm=1e-6)
         assert np.max(np.abs(speed - exact)) < PROMISED_RPM
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"integral_gain_nm_per_rad": 0.05},
+        {"integral_gain_nm_per_rad": 0.0},
+        {"position_gain_per_s": 0.3},
+        {"shaft_damping_nm_s_per_rad": 0.0},
+        {"reference_speed_rpm": 100.0},
+        {"rigid": 1.0},
+        {"shaft_hysteresis__torque_nm": 50.0, "shaft_hysteresis__angle_rad": 5e-3},
+    ],
+)
+def test_unusual_benches_are_steady_from_the_first_sample(settings: dict[str, float]) -> None:
+    parameters = reference_bench().vector(**{"gap_rad": 1e-3, "start_angle_rad": 0.3, **settings})
+    speed = simulate_speeds(parameters, 2000, SAMPLING_HZ)
+    exact = simulate_speeds(parameters, 2000, SAMPLING_HZ, accuracy_rpm=1e-6)
+    assert np.max(np.abs(speed - exact)) < PROMISED_RPM
 
 
 EFFECT_RANGES: dict[str, dict[str, tuple[float, float]]] = {
