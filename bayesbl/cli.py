@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,8 +18,11 @@ from bayesbl.errors import UserError
 
 if TYPE_CHECKING:
     import xarray as xr
+    from rich.console import Console
+    from rich.progress import TaskID
 
     from bayesbl.config.schema import RunConfig
+    from bayesbl.workflows.measure import StageProgress
 
 FAILED, WRONG, WITHHELD, INTERRUPTED = 1, 2, 3, 130
 """Exit statuses besides 0: what no user can mend; usage, config or input; no answer; Ctrl-C."""
@@ -261,18 +265,51 @@ def _run(config: RunConfig, force: bool, json: bool) -> None:
     from bayesbl.report.progress import progress
     from bayesbl.workflows.run import run
 
-    with progress(make_console(stderr=True)) as told:
-        summary = run(config, _draw, force=force, progress=told)
+    console = make_console(stderr=True)
+    bars = _case_progress if config.kind == "study" else progress
+    with bars(console) as told:
+        summary = run(config, _draw, force=force, progress=told, say=console.print)
     if json:
         _print_json(config.run.output)
     elif config.kind == "study":
-        _print_study(summary)
+        _print_study(summary, config.run.output)
     else:
         print_result(summary, config.run.output, make_console())
     if summary["outcome"] == "withheld":
         if json:
             typer.echo(f"Withheld: {summary['reason']}", err=True)
         raise typer.Exit(WITHHELD)
+
+
+@contextmanager
+def _case_progress(console: Console) -> Iterator[StageProgress | None]:
+    """A bar per row of a study; nothing if the console is no terminal."""
+    if not console.is_terminal:
+        yield None
+        return
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def told(row: str, done: int, count: int, /) -> None:
+            if row not in tasks:
+                tasks[row] = bars.add_task(row)
+            bars.update(tasks[row], completed=done, total=count)
+
+        yield told
 
 
 def _simulate(
@@ -296,11 +333,32 @@ def _print_json(folder: Path) -> None:
     typer.echo((folder / SUMMARY_FILE).read_text(encoding="utf-8"), nl=False)
 
 
-def _print_study(summary: dict[str, Any]) -> None:
-    raise NotImplementedError
+def _print_study(summary: dict[str, Any], folder: Path | None = None) -> None:
+    """The table of a study; the commit of each row stands in the files."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    from bayesbl.report.console import make_console
+    from bayesbl.workflows.study import cell, table_columns
+
+    lines = summary["rows"]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    columns = [*table_columns(lines)[:-1], "seconds"]
+    for column in columns:
+        table.add_column(Text(column), justify="left" if column == "name" else "right")
+    for line in lines:
+        table.add_row(*(Text(cell(line.get(column))) for column in columns))
+    make_console().print(table)
+    if folder is not None:
+        typer.echo(f"Written to {folder}")
 
 
 def _draw(tree: xr.DataTree, folder: Path) -> list[Path]:
+    if tree.attrs["kind"] == "study":
+        from bayesbl.workflows.study import draw_study
+
+        return draw_study(tree, folder)
     from bayesbl.figures import draw_all
 
     return draw_all(tree, folder)
