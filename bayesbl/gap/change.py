@@ -1,16 +1,40 @@
-"""From draws of A to draws of δ, and from snapshots of δ to its change."""
+"""From posteriors of the ringing to draws of δ, and from snapshots of δ to its change."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayesbl.gap.curve import CurveDraws, GapCurve
+from bayesbl.gap.curve import CurveDraws, GapCurve, interpolate_rows
 from bayesbl.recording.types import FloatArray
 
 LARGEST_SHARE_OUTSIDE = 0.01
+CANDIDATES_PER_DRAW = 20
+FEWEST_EFFECTIVE = 200.0
+"""Effective curve draws below which the ringing is not used to weigh them."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRinging:
+    """What one snapshot's fit says of (A, ln ω, ln τ).
+
+    Attributes
+    ----------
+    amplitude_rpm
+        Posterior draws of A, shape (chain, draw), rpm.
+    centre
+        Optimum of (A, ln ω, ln τ), shape (3,).
+    covariance
+        Of these three, shape (3, 3).
+    """
+
+    amplitude_rpm: FloatArray
+    centre: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,23 +45,30 @@ class Gap:
     ----------
     delta_rad
         Draws of δ, shape (chain, draw), rad.
+    index
+        Which of the snapshot's posterior draws, flattened over (chain, draw), each draw of δ
+        belongs to, shape (chain, draw): weighting moves all symbols, not δ alone.
     outside
         −1, 0, +1 for draws of A below, inside, above the curve's range, shape (chain, draw).
     budget
         Share of the variance of ln δ by source; sums to 1.
     reason
         Why δ is withheld; ``None`` where it is not.
+    notes
+        What else the reader should know of how δ came about.
     """
 
     delta_rad: FloatArray
+    index: NDArray[np.int64]
     outside: FloatArray
     budget: dict[str, float]
     reason: str | None
+    notes: tuple[str, ...] = ()
 
 
 def gaps(
     curve: GapCurve,
-    amplitudes_rpm: Sequence[FloatArray],
+    snapshots: Sequence[MeasuredRinging],
     seed: np.random.SeedSequence,
     *,
     allow_extrapolation: bool = False,
@@ -45,56 +76,128 @@ def gaps(
 ) -> list[Gap]:
     """δ of every snapshot of one joint, all through the same draws of the curve.
 
-    The prior is flat in ln δ: draws of A, which come with a flat prior in A, are resampled with
-    the Jacobian d ln δ/dA as weight. Start-angle scatter is drawn per snapshot.
+    Importance sampling: each draw of A is put through several draws of the curve, start-angle
+    scatter drawn per snapshot, and then resampled with weights. The weights carry the prior, flat
+    in ln δ, by its Jacobian d ln δ/dA; and, for a curve with bench draws, how well the bench that
+    a draw stands for explains the frequency and decay that were measured beside A.
 
     Parameters
     ----------
-    amplitudes_rpm
-        Draws of A per snapshot, each of shape (chain, draw), rpm.
     level
         Of the one-sided bound that a withheld answer gives.
     """
-    shared_seed, *own_seeds = seed.spawn(1 + len(amplitudes_rpm))
-    count = amplitudes_rpm[0].size
-    shared = curve.draw(count, np.random.default_rng(shared_seed))
+    shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
+    chains, count = snapshots[0].amplitude_rpm.shape
+    narrows = curve.ringing is not None and "bench" in curve.sources
+    copies = CANDIDATES_PER_DRAW if narrows else 1
+    total = chains * count * copies
+    shared = curve.draw(total, np.random.default_rng(shared_seed))
+    amplitudes = [
+        _scattered(curve, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(own))
+        for s, own in zip(snapshots, own_seeds, strict=True)
+    ]
+    prior = np.sum([_log(curve.log_slope(a)) for a in amplitudes], axis=0)
+    weights, notes = prior, tuple[str, ...]()
+    if narrows:
+        matched = prior + np.sum(
+            [_log_match(shared, s, a) for s, a in zip(snapshots, amplitudes, strict=True)], axis=0
+        )
+        effective = _effective(matched)
+        if effective >= FEWEST_EFFECTIVE:
+            weights = matched
+        else:
+            notes = (
+                "The ringing's frequency and decay do not match the bench within its tolerances "
+                f"(only {effective:.0f} of {total} curve draws explain them), so they were not "
+                "used to narrow the bench. Widen the tolerances or correct the bench.",
+            )
+    index = _resampled(weights, chains, count, np.random.default_rng(pick_seed))
+    chosen = shared.take(index)
     result = []
-    for amplitude, own in zip(amplitudes_rpm, own_seeds, strict=True):
-        generator = np.random.default_rng(own)
-        weighted = resample(amplitude, curve.log_slope(amplitude), generator)
-        sd = curve.start_angle_sd(weighted)
-        scattered = weighted + sd * generator.standard_normal(weighted.shape)
-        delta = shared.gap(scattered.ravel()).reshape(amplitude.shape)
-        outside = curve.outside(scattered)
+    for snapshot, candidates in zip(snapshots, amplitudes, strict=True):
+        amplitude = candidates[index]
+        delta = chosen.gap(amplitude).reshape(chains, count)
+        outside = curve.outside(amplitude).reshape(chains, count)
         result.append(
             Gap(
                 delta,
+                (index // copies).reshape(chains, count),
                 outside,
-                _budget(curve, shared, weighted, sd, generator),
+                _budget(chosen, snapshot.amplitude_rpm),
                 None if allow_extrapolation else _extrapolation(curve, outside, delta, level),
+                notes,
             )
         )
     return result
 
 
-def resample(
-    draws: FloatArray, weights: FloatArray, generator: np.random.Generator
+def _scattered(
+    curve: GapCurve, amplitude_rpm: FloatArray, generator: np.random.Generator
 ) -> FloatArray:
-    """Systematic resampling within each chain, shape (chain, draw) kept, order nearly kept.
+    noise = generator.standard_normal(amplitude_rpm.size)
+    return amplitude_rpm + curve.start_angle_sd(amplitude_rpm) * noise
 
-    Draws whose weights are all equal come back as they are.
+
+def _log_match(
+    draws: CurveDraws, snapshot: MeasuredRinging, amplitude_rpm: FloatArray
+) -> FloatArray:
+    """ln p(ω, τ measured | A, bench draw), shape (count,), up to a constant.
+
+    Normal, with the covariance of the fit and of the start angle; conditional on A, which is
+    already drawn from its own posterior.
     """
-    result = np.empty_like(draws)
-    count = draws.shape[1]
-    for row, (values, weight) in enumerate(zip(draws, weights, strict=True)):
-        total = weight.sum()
-        if not total > 0.0:
-            result[row] = values
-            continue
-        edges = np.cumsum(weight) * (count / total)
-        ticks = np.arange(count) + generator.uniform()
-        result[row] = values[np.minimum(np.searchsorted(edges, ticks), count - 1)]
-    return result
+    curve = draws.curve
+    ringing = curve.ringing
+    assert ringing is not None
+    nearest = int(np.argmin(np.abs(curve.knots_rpm - snapshot.centre[0])))
+    covariance = snapshot.covariance + ringing.scatter[nearest]
+    gain = covariance[1:, 0] / covariance[0, 0]
+    conditional = covariance[1:, 1:] - np.outer(gain, covariance[0, 1:])
+    every = np.zeros(amplitude_rpm.size, dtype=np.int64)
+    expected = [
+        interpolate_rows(curve.knots_rpm, nominal[None], every, amplitude_rpm)
+        + interpolate_rows(curve.knots_rpm, departures, draws.rows["bench"], amplitude_rpm)
+        for nominal, departures in (
+            (ringing.log_frequency, ringing.frequency_draws),
+            (ringing.log_decay, ringing.decay_draws),
+        )
+    ]
+    measured = snapshot.centre[1:, None] + gain[:, None] * (amplitude_rpm - snapshot.centre[0])
+    difference = measured - np.stack(expected)
+    return np.asarray(
+        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(conditional), difference)
+    )
+
+
+def _resampled(
+    log_weights: FloatArray, chains: int, count: int, generator: np.random.Generator
+) -> NDArray[np.int64]:
+    """Systematic resampling of ``count`` candidates within each chain, shape (chains · count,)."""
+    per_chain = log_weights.size // chains
+    picked = []
+    for chain in range(chains):
+        own = log_weights[chain * per_chain : (chain + 1) * per_chain]
+        ticks = (np.arange(count) + generator.uniform()) / count
+        if not np.any(np.isfinite(own)):
+            index = np.linspace(0, per_chain - 1, count).round().astype(np.int64)
+        else:
+            edges = np.cumsum(np.exp(own - own.max()))
+            index = np.searchsorted(edges / edges[-1], ticks)
+        # Systematic resampling leaves neighbours alike; draws must pair at random.
+        picked.append(chain * per_chain + generator.permutation(index))
+    return np.concatenate(picked)
+
+
+def _effective(log_weights: FloatArray) -> float:
+    """Kish's effective sample size of unnormalised weights."""
+    if not np.any(np.isfinite(log_weights)):
+        return 0.0
+    weights = np.exp(log_weights - log_weights.max())
+    return float(weights.sum() ** 2 / (weights**2).sum())
+
+
+def _log(values: FloatArray) -> FloatArray:
+    return np.log(values, where=values > 0.0, out=np.full_like(values, -np.inf))
 
 
 def _extrapolation(
@@ -118,26 +221,20 @@ def _extrapolation(
     )
 
 
-def _budget(
-    curve: GapCurve,
-    shared: CurveDraws,
-    amplitude_rpm: FloatArray,
-    start_angle_sd_rpm: FloatArray,
-    generator: np.random.Generator,
-) -> dict[str, float]:
+def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:
     """Variance of ln δ with one source at work at a time, as shares of their sum."""
-    flat = amplitude_rpm.ravel()
-    middle = np.full_like(flat, np.median(flat))
-    if middle[0] <= 0.0:
+    curve = chosen.curve
+    middle = float(np.median(amplitude_rpm))
+    if middle <= 0.0:
         return {}
-    nudged = middle + start_angle_sd_rpm.ravel() * generator.standard_normal(flat.size)
-    variances = {
-        "noise": _log_variance(curve.gap(flat)),
-        "start_angle": _log_variance(curve.gap(nudged)),
-    }
-    for name, coefficients in shared.coefficients.items():
-        alone = CurveDraws(curve, {name: coefficients})
-        variances[name] = _log_variance(alone.gap(middle))
+    slope = float(curve.log_slope(np.array(middle)))
+    variances = {"noise": _log_variance(curve.gap(amplitude_rpm.ravel()))}
+    scatter = float(curve.start_angle_sd(np.array(middle)))
+    if scatter > 0.0:
+        variances["start_angle"] = (slope * scatter) ** 2
+    for name, rows in chosen.rows.items():
+        alone = chosen.only(name).gap(np.full(rows.size, middle))
+        variances[name] = _log_variance(alone)
     total = sum(variances.values())
     return {name: value / total if total else 0.0 for name, value in variances.items()}
 
@@ -178,13 +275,6 @@ def changes(delta_rad: Mapping[str, FloatArray]) -> tuple[Change, list[Change]]:
         Draws per snapshot name in order of time, each (chain, draw), paired by draw.
     """
     names = list(delta_rad)
-    steps = [
-        Change(a, b, delta_rad[b] - delta_rad[a]) for a, b in zip(names, names[1:], strict=False)
-    ]
+    steps = [Change(a, b, delta_rad[b] - delta_rad[a]) for a, b in pairwise(names)]
     first, last = names[0], names[-1]
     return Change(first, last, delta_rad[last] - delta_rad[first]), steps
-
-
-def probability_above(delta_rad: FloatArray, limit_rad: float) -> float:
-    """Share of draws with δ above a limit."""
-    return float(np.mean(delta_rad > limit_rad))

@@ -1,27 +1,51 @@
 """Curves from ringing amplitude A to backlash gap δ.
 
-Wherever a curve comes from, it is one kind of thing: a polynomial, draws of what is uncertain
-about it, by source, and the range over which it was made. Draws are shared by all snapshots of a
-joint: what is wrong with the curve is wrong the same way for each of them, and largely cancels in
-the change of δ.
+Wherever a curve comes from, it is one kind of thing: a polynomial, a smooth correction to it, draws
+of what is uncertain about it by source, and the range over which it was made. Draws are shared by
+all snapshots of a joint: what is wrong with the curve is wrong the same way for each of them, and
+largely cancels in the change of δ.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
 from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 
+KNOTS = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Ringing:
+    """What a sweep says of the ringing's frequency and decay at each amplitude.
+
+    Attributes
+    ----------
+    log_frequency, log_decay
+        ln ω (rad/s) and ln τ (1/s) at the curve's knots, shape (g,).
+    frequency_draws, decay_draws
+        Departures from these for each draw of the curve's ``bench`` source, shape (m, g).
+    scatter
+        Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (g, 3, 3).
+    """
+
+    log_frequency: FloatArray
+    log_decay: FloatArray
+    frequency_draws: FloatArray
+    decay_draws: FloatArray
+    scatter: FloatArray
+
 
 @dataclass(frozen=True, slots=True)
 class GapCurve:
-    """δ(A) = Σ c_k A^k with its uncertainty.
+    """δ(A) = Σ c_k A^k · exp(correction) with its uncertainty.
 
     Attributes
     ----------
@@ -29,40 +53,53 @@ class GapCurve:
         ``published``, or what it was made from.
     coefficients
         c_0 … c_degree for A in rpm and δ in rad, shape (degree + 1,).
+    knots_rpm
+        Amplitudes at which the following are given, increasing, shape (g,). Their ends are the
+        range over which the curve was made; beyond it δ follows the power law of the nearest end.
+    correction
+        Smooth departure of ln δ from the polynomial's, shape (g,).
     sources
-        What is uncertain, by name (``rounding``, ``regression``, ``bench``): draws of all
-        coefficients with only that source at work, shape (m, degree + 1).
-    amplitude_range_rpm
-        Where the curve was made; beyond it δ follows the power law of the nearest end.
+        What is uncertain, by name (``rounding``, ``regression``, ``lack_of_fit``, ``bench``):
+        draws of the departure of ln δ from the curve with only that source at work, (m, g).
     start_angle_sd_rpm
-        Scatter of A with the start angle, as (A, sd) pairs, shape (k, 2); independent per
-        snapshot. Empty where it is not known.
+        Scatter of A with the start angle, shape (g,), independent per snapshot; 0 if not known.
     fingerprint
         Of the estimator whose A the curve means; ``None`` accepts any least-squares fit.
+    ringing
+        Frequency and decay along the curve, where a sweep has them.
     warnings
         What every user of this curve must be told.
     """
 
     name: str
     coefficients: FloatArray
+    knots_rpm: FloatArray
+    correction: FloatArray
     sources: Mapping[str, FloatArray]
-    amplitude_range_rpm: tuple[float, float]
-    start_angle_sd_rpm: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    start_angle_sd_rpm: FloatArray
     fingerprint: str | None = None
+    ringing: Ringing | None = None
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         low, high = self.amplitude_range_rpm
         grid = np.linspace(low, high, 400)
-        slope = polynomial.polyval(grid, polynomial.polyder(self.coefficients))
-        if not (np.all(slope > 0.0) and polynomial.polyval(low, self.coefficients) > 0.0):
+        value = self.gap(grid)
+        if not (np.all(np.diff(value) > 0.0) and value[0] > 0.0):
+            worst = int(np.argmin(np.diff(value)))
             raise CurveError(
                 "The gap curve does not grow with the amplitude over its range, so an amplitude "
                 "does not tell the gap.",
                 file=self.name,
-                found=f"smallest dδ/dA {slope.min():.3g} rad/rpm in [{low:.3g}, {high:.3g}] rpm",
+                found=f"dδ/dA {(value[worst + 1] - value[worst]) / (grid[1] - grid[0]):.3g} "
+                f"rad/rpm at A = {grid[worst]:.3g} rpm",
                 expected="dδ/dA > 0 and δ > 0 everywhere",
             )
+
+    @property
+    def amplitude_range_rpm(self) -> tuple[float, float]:
+        """Range of A over which the curve was made, rpm."""
+        return float(self.knots_rpm[0]), float(self.knots_rpm[-1])
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:
@@ -72,17 +109,24 @@ class GapCurve:
 
     def gap(self, amplitude_rpm: FloatArray) -> FloatArray:
         """δ of the nominal curve in rad, same shape as A in rpm; 0 for A ≤ 0."""
-        return evaluate(self.coefficients, amplitude_rpm, self.amplitude_range_rpm)
+        amplitude_rpm = np.asarray(amplitude_rpm, dtype=float)
+        inside = np.clip(amplitude_rpm, *self.amplitude_range_rpm)
+        value = self._inside(inside)
+        positive = amplitude_rpm > 0.0
+        beyond = positive & (inside != amplitude_rpm)
+        if np.any(beyond):
+            exponent = self._relative_slope(inside) * inside
+            ratio = np.where(beyond, amplitude_rpm, inside) / inside
+            value = value * ratio**exponent
+        return np.where(positive, value, 0.0)
 
     def log_slope(self, amplitude_rpm: FloatArray) -> FloatArray:
         """d ln δ / dA in 1/rpm: the Jacobian of a prior that is flat in ln δ; 0 for A ≤ 0."""
-        low, high = self.amplitude_range_rpm
-        inside = np.clip(amplitude_rpm, low, high)
-        slope = polynomial.polyval(inside, polynomial.polyder(self.coefficients))
-        relative = slope / polynomial.polyval(inside, self.coefficients)
-        with np.errstate(divide="ignore"):
-            value = relative * np.where(amplitude_rpm > 0.0, inside / amplitude_rpm, 0.0)
-        return np.asarray(value)
+        amplitude_rpm = np.asarray(amplitude_rpm, dtype=float)
+        inside = np.clip(amplitude_rpm, *self.amplitude_range_rpm)
+        positive = amplitude_rpm > 0.0
+        share = np.where(positive, inside / np.where(positive, amplitude_rpm, 1.0), 0.0)
+        return np.asarray(self._relative_slope(inside) * share)
 
     def outside(self, amplitude_rpm: FloatArray) -> FloatArray:
         """−1 below the range, 0 inside, +1 above; same shape as A."""
@@ -99,68 +143,71 @@ class GapCurve:
         sources
             Only these are drawn, the others held at nominal; all of them by default.
         """
-        chosen = self.sources if sources is None else sources
-        picked = {
-            name: draws[generator.integers(len(draws), size=count)]
-            for name, draws in self.sources.items()
-            if name in chosen and len(draws)
-        }
+        picked = {}
+        for name, draws in self.sources.items():
+            rows = generator.integers(len(draws), size=count)
+            if sources is None or name in sources:
+                picked[name] = rows
         return CurveDraws(self, picked)
 
     def start_angle_sd(self, amplitude_rpm: FloatArray) -> FloatArray:
         """Standard deviation of A over start angles at the given A, rpm, same shape."""
-        if not len(self.start_angle_sd_rpm):
-            return np.zeros_like(amplitude_rpm)
-        known, sd = self.start_angle_sd_rpm.T
-        return np.asarray(np.interp(amplitude_rpm, known, sd))
+        return np.asarray(np.interp(amplitude_rpm, self.knots_rpm, self.start_angle_sd_rpm))
+
+    def _inside(self, amplitude_rpm: FloatArray) -> FloatArray:
+        departure = np.interp(np.log(amplitude_rpm), np.log(self.knots_rpm), self.correction)
+        return np.asarray(polynomial.polyval(amplitude_rpm, self.coefficients) * np.exp(departure))
+
+    def _relative_slope(self, amplitude_rpm: FloatArray) -> FloatArray:
+        """d ln δ / dA inside the range, by a central difference of 1e-3 of A, in 1/rpm."""
+        low, high = self.amplitude_range_rpm
+        above = np.minimum(amplitude_rpm * 1.001, high)
+        below = np.maximum(amplitude_rpm * 0.999, low)
+        return np.asarray(np.log(self._inside(above) / self._inside(below)) / (above - below))
 
 
 @dataclass(frozen=True, slots=True)
 class CurveDraws:
-    """Draws of a curve; :meth:`gap` takes one amplitude per draw."""
+    """Draws of a curve: for each source, which of its draws; one amplitude goes with each."""
 
     curve: GapCurve
-    coefficients: Mapping[str, FloatArray]
+    rows: Mapping[str, NDArray[np.int64]]
+
+    def only(self, source: str) -> CurveDraws:
+        """The same draws of one source, the others at nominal."""
+        return CurveDraws(self.curve, {source: self.rows[source]})
+
+    def take(self, index: NDArray[np.int64]) -> CurveDraws:
+        """The draws at these positions."""
+        return CurveDraws(self.curve, {name: rows[index] for name, rows in self.rows.items()})
 
     def gap(self, amplitude_rpm: FloatArray) -> FloatArray:
-        """δ in rad for A in rpm, both of shape (count,).
-
-        Sources multiply: each acts on ln δ as it does alone.
-        """
-        nominal = self.curve.gap(amplitude_rpm)
-        total = nominal.copy()
-        span = self.curve.amplitude_range_rpm
-        positive = nominal > 0.0
-        for coefficients in self.coefficients.values():
-            alone = evaluate(coefficients, amplitude_rpm, span)
-            total[positive] *= alone[positive] / nominal[positive]
-        return total
+        """δ in rad for A in rpm, both of shape (count,); sources add up in ln δ."""
+        departure = np.zeros(amplitude_rpm.size)
+        for name, rows in self.rows.items():
+            departure += interpolate_rows(
+                self.curve.knots_rpm, self.curve.sources[name], rows, amplitude_rpm
+            )
+        return np.asarray(self.curve.gap(amplitude_rpm) * np.exp(departure))
 
 
-def evaluate(
-    coefficients: FloatArray, amplitude_rpm: FloatArray, span_rpm: tuple[float, float]
+def interpolate_rows(
+    knots_rpm: FloatArray,
+    table: FloatArray,
+    rows: NDArray[np.int64],
+    amplitude_rpm: FloatArray,
 ) -> FloatArray:
-    """Polynomial inside ``span_rpm``, the power law of its nearest end beyond, 0 for A ≤ 0.
+    """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``; held at the ends.
 
-    Parameters
-    ----------
-    coefficients
-        Shape (k,), or (count, k) with one row per amplitude.
-    amplitude_rpm
-        Any shape, or (count,).
+    Returns
+    -------
+    Shape (count,), linear in ln A between knots.
     """
-    inside = np.clip(amplitude_rpm, *span_rpm)
-    columns = np.moveaxis(np.atleast_2d(coefficients), -1, 0)
-    if coefficients.ndim == 1:
-        columns = coefficients
-    value = polynomial.polyval(inside, columns, tensor=False)
-    if np.array_equal(inside, amplitude_rpm):
-        return np.asarray(value)
-    slope = polynomial.polyval(inside, polynomial.polyder(columns, axis=0), tensor=False)
-    exponent = slope * inside / value
-    positive = amplitude_rpm > 0.0
-    ratio = np.where(positive, amplitude_rpm, 1.0) / inside
-    return np.asarray(np.where(positive, value * ratio**exponent, 0.0))
+    logs = np.log(knots_rpm)
+    x = np.log(np.clip(amplitude_rpm, knots_rpm[0], knots_rpm[-1]))
+    right = np.clip(np.searchsorted(logs, x), 1, logs.size - 1)
+    weight = (x - logs[right - 1]) / (logs[right] - logs[right - 1])
+    return np.asarray((1.0 - weight) * table[rows, right - 1] + weight * table[rows, right])
 
 
 PUBLISHED_SCALE_RAD = 1e-4
@@ -176,18 +223,20 @@ def published_curve(draws: int = 4000, seed: int = 20260301) -> GapCurve:
     unit of their last digit explains it.
     """
     centre = np.array(PUBLISHED_COEFFICIENTS)
-    generator = np.random.default_rng(seed)
-    half = 0.5 * PUBLISHED_LAST_DIGIT
-    rounded = centre + generator.uniform(-half, half, size=(draws, centre.size))
     coefficients = PUBLISHED_SCALE_RAD * centre
+    ends = [_amplitude_of(coefficients, gap) for gap in PUBLISHED_GAP_RANGE_RAD]
+    knots = np.geomspace(ends[0], ends[1], KNOTS)
+    half = 0.5 * PUBLISHED_LAST_DIGIT
+    generator = np.random.default_rng(seed)
+    rounded = centre + generator.uniform(-half, half, size=(draws, centre.size))
+    powers = knots[None, :] ** np.arange(centre.size)[:, None]
     return GapCurve(
         name="published",
         coefficients=coefficients,
-        sources={"rounding": PUBLISHED_SCALE_RAD * rounded},
-        amplitude_range_rpm=(
-            _amplitude_of(coefficients, PUBLISHED_GAP_RANGE_RAD[0]),
-            _amplitude_of(coefficients, PUBLISHED_GAP_RANGE_RAD[1]),
-        ),
+        knots_rpm=knots,
+        correction=np.zeros(KNOTS),
+        sources={"rounding": np.log((rounded @ powers) / (centre @ powers))},
+        start_angle_sd_rpm=np.zeros(KNOTS),
         warnings=(
             "The published curve (the paper's eq. 4) belongs to the paper's test bench. On another "
             "joint δ can be off by several percent or more, which the interval does not include; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -50,9 +51,13 @@ class Diagnostics:
     reasons: tuple[str, ...]
 
 
-def rank_r_hat_and_ess(draws: Mapping[str, FloatArray]) -> tuple[dict[str, float], dict[str, float]]:
+def rank_r_hat_and_ess(
+    draws: Mapping[str, FloatArray],
+) -> tuple[dict[str, float], dict[str, float]]:
     """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
-    import arviz
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # arviz 0.23 announces 1.0 on import
+        import arviz
 
     r_hat = {n: float(arviz.rhat(x, method="rank")) for n, x in draws.items()}
     ess = {n: float(arviz.ess(x, method="bulk")) for n, x in draws.items()}
@@ -93,7 +98,7 @@ def judge(
     at_bound
         By symbol, the share of draws within one percent of its range of a bound.
     """
-    warnings: list[str] = []
+    doubts: list[str] = []
     failures: list[str] = []
     worst = max(r_hat, key=lambda n: r_hat[n])
     if not r_hat[worst] < R_HAT_BAD:
@@ -102,7 +107,7 @@ def judge(
             "is needed); the posterior may have several modes or an ensemble may be stuck."
         )
     elif r_hat[worst] > R_HAT_GOOD:
-        warnings.append(f"R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_GOOD} is good).")
+        doubts.append(f"R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_GOOD} is good).")
     if not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
         text = (
             f"The chain is short: {steps} steps for an autocorrelation time of "
@@ -110,15 +115,15 @@ def judge(
             "is wanted); raise [posterior] max_steps."
         )
         enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
-        (warnings if enough else failures).append(text)
+        (doubts if enough else failures).append(text)
     least = min(ess_bulk, key=lambda n: ess_bulk[n])
     if not ess_bulk[least] > FEWEST_EFFECTIVE:
-        warnings.append(f"Only {ess_bulk[least]:.0f} effective draws of {least}.")
+        doubts.append(f"Only {ess_bulk[least]:.0f} effective draws of {least}.")
     if not bounds_stable:
-        warnings.append("The interval's bounds still moved at the last check.")
+        doubts.append("The interval's bounds still moved at the last check.")
     for name, share in at_bound.items():
         if share > AT_BOUND_SHARE:
-            warnings.append(
+            doubts.append(
                 f"{share:.0%} of the draws of {name} lie at a bound of its range: "
                 "the range, not the recording, decides there."
             )
@@ -128,7 +133,7 @@ def judge(
             f"deviations above zero ({WEAKEST_SIGNAL_TO_NOISE:.0f} are needed). Record more "
             "rotations, or with less noise."
         )
-    outcome: Outcome = "withheld" if failures else "usable" if warnings else "converged"
+    outcome: Outcome = "withheld" if failures else "usable" if doubts else "converged"
     return Diagnostics(
         r_hat,
         ess_bulk,
@@ -136,5 +141,5 @@ def judge(
         steps,
         acceptance,
         outcome,
-        tuple(failures + warnings),
+        tuple(failures + doubts),
     )

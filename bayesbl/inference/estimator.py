@@ -22,7 +22,7 @@ from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sa
 from bayesbl.recording.checks import check_for_fit, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.signal.objective import Objective
-from bayesbl.signal.parameters import AMPLITUDE, ROTATION, DisturbanceModel
+from bayesbl.signal.parameters import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +48,25 @@ class PointEstimate:
         return repeating_misfit(
             self.objective.time_s, self.residual_rpm, self.optimum.symbols[ROTATION]
         )
+
+    @property
+    def ringing(self) -> tuple[FloatArray, FloatArray]:
+        """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
+
+        A fixed frequency or decay has zero variance.
+        """
+        symbols, spread = self.optimum.symbols, self.spread
+        values = (symbols[AMPLITUDE], symbols[FREQUENCY], symbols[DECAY])
+        centre = np.array([values[0], np.log(values[1]), np.log(values[2])])
+        scale = np.array([1.0, 1.0 / values[1], 1.0 / values[2]])
+        covariance = np.zeros((3, 3))
+        names = (AMPLITUDE, FREQUENCY, DECAY)
+        for i, a in enumerate(names):
+            for j, b in enumerate(names):
+                if a in spread.names and b in spread.names:
+                    entry = spread.sandwich[spread.names.index(a), spread.names.index(b)]
+                    covariance[i, j] = scale[i] * scale[j] * entry
+        return centre, covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +139,7 @@ class Estimator:
             require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
         return self.around(recording, objective, optimum)
 
-    def around(
-        self, recording: Recording, objective: Objective, optimum: Optimum
-    ) -> PointEstimate:
+    def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
         """Noise and covariance around an optimum already found."""
         residual = objective.speed_rpm - optimum.predict(objective.time_s)
         noise = estimate_noise(

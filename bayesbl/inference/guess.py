@@ -96,7 +96,8 @@ def _templates(objective: Objective) -> list[tuple[float, float]]:
     high = min(high, 0.8 * math.pi / objective.period_s)
     frequencies = [low]
     while frequencies[-1] < high:
-        frequencies.append(frequencies[-1] + min(0.18 * frequencies[-1], 1.4 * TEMPLATE_DECAY_PER_S))
+        last = frequencies[-1]
+        frequencies.append(last + min(0.18 * last, 1.4 * TEMPLATE_DECAY_PER_S))
     if FREQUENCY in fixed:
         frequencies = [fixed[FREQUENCY]]
     decay = fixed.get(DECAY, TEMPLATE_DECAY_PER_S)
@@ -168,8 +169,8 @@ def _fold_all(response, step, shortest, longest, guard):  # type: ignore[no-unty
         if (most - least) ** 2 / (2.0 * pulses) <= np.min(best[:, 0]):
             period += 2.0 * step / (turns + 1)
             continue
-        high = np.argmax(folded[:width])
-        low = np.argmin(folded[:width])
+        high = int(np.argmax(folded[:width]))
+        low = int(np.argmin(folded[:width]))
         apart = abs(high - low)
         if min(apart, width - apart) < spacing:
             # Keep the stronger of the two and find the other one away from it.
@@ -193,7 +194,7 @@ def _fold_all(response, step, shortest, longest, guard):  # type: ignore[no-unty
             if best[k, 0] > 0.0 and abs(best[k, 1] - period) < 2.0 * step:
                 place = k
         if place < 0:
-            place = np.argmin(best[:, 0])
+            place = int(np.argmin(best[:, 0]))
         if gain > best[place, 0]:
             best[place, 0] = gain
             best[place, 1] = period

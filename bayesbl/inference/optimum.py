@@ -28,7 +28,6 @@ from bayesbl.signal.parameters import (
     ROTATION,
     SEPARATION,
     START,
-    SYMBOLS,
     WINDOW_END,
     WINDOW_START,
     DisturbanceModel,
@@ -372,9 +371,7 @@ def _named(objective: Objective, point: FloatArray) -> dict[str, float]:
     return {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
 
 
-def _rivals(
-    objective: Objective, points: list[FloatArray], sse: FloatArray
-) -> tuple[Rival, ...]:
+def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> tuple[Rival, ...]:
     """Ends of the search that are not the optimum again, nor one another."""
     quarter = 0.25 * 2.0 * math.pi
     found: list[Rival] = []
@@ -397,5 +394,3 @@ def _same(a: dict[str, float], b: dict[str, float], phase: float) -> bool:
         and abs(b[ROTATION] / rotation - 1.0) < 0.02
         and abs(math.log(b[FREQUENCY] / a[FREQUENCY])) < 0.2
     )
-
-

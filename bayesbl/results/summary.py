@@ -95,7 +95,7 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         "rotations": float(diagnostics["rotations"]),
         "budget": {
             str(source): float(share)
-            for source, share in zip(gap["source"].values, gap["budget"].values, strict=True)
+            for source, share in zip(gap["source"].data, gap["budget"].data, strict=True)
             if np.isfinite(share)
         },
         "diagnostics": {
@@ -147,8 +147,6 @@ def _comparison(tree: xr.DataTree) -> dict[str, Any]:
 
 def _verdict(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
     """Outcome and reasons of one snapshot, kept as attributes of ``diagnostics``."""
-    import json
-
     verdicts: dict[str, Any] = json.loads(tree["diagnostics"].attrs["verdicts"])
     found: dict[str, Any] = verdicts[name or "fit"]
     return found

@@ -129,12 +129,13 @@ def curve_group(curve: GapCurve, level: float, seed: np.random.SeedSequence) -> 
 
 def _posterior(fit: Fit, gap: Gap) -> xr.Dataset:
     draws: dict[str, tuple[tuple[str, ...], FloatArray, str, str]] = {
-        name: (("chain", "draw"), values, SYMBOLS[name].unit, SYMBOLS[name].long_name)
+        name: (("chain", "draw"), values.ravel()[gap.index], SYMBOLS[name].unit, _long(name))
         for name, values in fit.posterior.draws.items()
     }
+    terms_of_draw = fit.posterior.baseline_rpm.reshape(gap.index.size, -1)
     draws["baseline_rpm"] = (
         ("chain", "draw", "baseline_term"),
-        fit.posterior.baseline_rpm,
+        terms_of_draw[gap.index],
         "rpm",
         "load-angle harmonics of the speed",
     )
@@ -147,12 +148,16 @@ def _posterior(fit: Fit, gap: Gap) -> xr.Dataset:
     )
 
 
+def _long(symbol: str) -> str:
+    return SYMBOLS[symbol].long_name
+
+
 def _sample_stats(fit: Fit, gap: Gap) -> xr.Dataset:
     return dataset(
         {
             "lp": (
                 ("chain", "draw"),
-                fit.posterior.log_likelihood,
+                fit.posterior.log_likelihood.ravel()[gap.index],
                 "1",
                 "log likelihood less its largest, linear symbols at their best",
             ),
@@ -398,4 +403,3 @@ def _padded(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         )
         for part in parts
     ]
-

@@ -265,9 +265,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                 if j1 > j0 or weight > 0.0:
                     j1 = max(j1, j0)
                     if j1 > j0:
-                        dot_c, dot_s = _dots(
-                            y[index + j0 : index + j1], cosine[j0:j1], sine[j0:j1]
-                        )
+                        dot_c, dot_s = _dots(y[index + j0 : index + j1], cosine[j0:j1], sine[j0:j1])
                         q_y += pulse_sign * (current.real * dot_s + current.imag * dot_c)
                         z0, z1 = complex(cosine[j0], sine[j0]), complex(cosine[j1], sine[j1])
                         q_one += pulse_sign * (current * (z0 - z1) * series).imag

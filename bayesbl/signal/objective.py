@@ -1,4 +1,4 @@
-"""Sum of squares between a recording and the disturbance model, fast for many parameters at once."""
+"""Sum of squares between a recording and the disturbance model, for many parameters at once."""
 
 from __future__ import annotations
 
@@ -85,9 +85,7 @@ class Objective:
         self._y -= self._y.mean()
         self._y_square = float(self._y @ self._y)
         grid = self.time_s[0] + self.period_s * np.arange(n)
-        self.is_even = bool(
-            np.max(np.abs(self.time_s - grid)) <= EVEN_TOLERANCE * self.period_s
-        )
+        self.is_even = bool(np.max(np.abs(self.time_s - grid)) <= EVEN_TOLERANCE * self.period_s)
         self._columns = 2 + 2 * model.baseline_harmonics
         if self.is_even:
             self.time_s = grid

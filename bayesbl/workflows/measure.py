@@ -13,7 +13,7 @@ import xarray as xr
 from bayesbl.config.loading import dump_config
 from bayesbl.config.schema import SnapshotConfig
 from bayesbl.errors import ConfigError, CurveError
-from bayesbl.gap.change import Gap, changes, gaps
+from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
 from bayesbl.inference.posterior import SamplerSettings
@@ -21,7 +21,7 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.provenance import provenance
 from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
-from bayesbl.signal.parameters import DisturbanceModel
+from bayesbl.signal.parameters import AMPLITUDE, DisturbanceModel
 
 StageProgress = Callable[[str, int, int], None]
 """Called with (recording, steps made, steps allowed)."""
@@ -70,7 +70,7 @@ def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr
     ]
     found = gaps(
         curve,
-        [fit.posterior.draws["amplitude_rpm"] for fit in fits],
+        [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits],
         seeds.gap,
         allow_extrapolation=config.curve.allow_extrapolation,
         level=config.interval.level,

@@ -1,0 +1,88 @@
+"""A fast local least-squares optimum, for starts that are already close.
+
+A quadratic is fitted to the sum of squares on a cloud of points whose shape is the Gauss-Newton
+covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call evaluates a
+whole cloud, and the regression looks across the kinks that the window's edges leave.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+from bayesbl.signal.jacobian import jacobian, jacobian_columns
+from bayesbl.signal.objective import Objective
+from bayesbl.signal.parameters import SYMBOLS
+
+ROUNDS = 12
+POINTS_PER_COEFFICIENT = 4
+FIRST_RADIUS_RPM = 6.0
+LAST_RADIUS_RPM = 0.3
+"""Cloud sizes as the noise whose scatter they equal: sd of white noise at 1 kHz, rpm."""
+
+
+def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
+    """Local optimum of the searched symbols near ``start``, both of shape (d,)."""
+    d = start.size
+    generator = np.random.default_rng(seed)
+    count = POINTS_PER_COEFFICIENT * (1 + d + d * (d + 1) // 2)
+    unit = _ball(generator, count, d)
+    design = _quadratic_columns(unit)
+    inverse = np.linalg.pinv(design)
+    centre = start
+    best = float(objective.sum_of_squares(centre[None])[0])
+    root = _scatter_root(objective, centre)
+    radii = np.geomspace(FIRST_RADIUS_RPM, LAST_RADIUS_RPM, ROUNDS)
+    for radius in radii:
+        step = radius * root
+        values = objective.sum_of_squares(centre + unit @ step.T)
+        if not np.all(np.isfinite(values)):
+            continue
+        move = _minimum(inverse @ values, d)
+        trial = centre + step @ move
+        value = float(objective.sum_of_squares(trial[None])[0])
+        least = int(np.argmin(values))
+        if values[least] < value:
+            trial, value = centre + step @ unit[least], float(values[least])
+        if value < best:
+            centre, best = trial, value
+    return centre
+
+
+def _ball(generator: np.random.Generator, count: int, d: int) -> FloatArray:
+    """Points filling a ball of radius √(d + 2): unit variance in every direction."""
+    direction = generator.standard_normal((count, d))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    length = np.sqrt(d + 2.0) * generator.uniform(size=(count, 1)) ** (1.0 / d)
+    return np.asarray(direction * length)
+
+
+def _quadratic_columns(x: FloatArray) -> FloatArray:
+    rows, columns = np.triu_indices(x.shape[1])
+    return np.column_stack([np.ones(len(x)), x, x[:, rows] * x[:, columns]])
+
+
+def _minimum(coefficients: FloatArray, d: int) -> FloatArray:
+    """Minimum of the fitted quadratic within the cloud, its curvature made positive."""
+    gradient = coefficients[1 : 1 + d]
+    curvature = np.zeros((d, d))
+    curvature[np.triu_indices(d)] = coefficients[1 + d :]
+    curvature = curvature + curvature.T
+    values, vectors = np.linalg.eigh(curvature)
+    values = np.maximum(np.abs(values), 1e-6 * np.abs(values).max() + 1e-300)
+    move = -vectors @ ((vectors.T @ gradient) / values)
+    length = float(np.linalg.norm(move))
+    longest = np.sqrt(d + 2.0)
+    return np.asarray(move if length <= longest else move * (longest / length))
+
+
+def _scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
+    """Cholesky factor of the covariance of the searched symbols per rpm² of white noise."""
+    solution = objective.solve(point[None])
+    symbols = {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
+    names = jacobian_columns(objective.model)
+    columns = jacobian(objective.model, objective.time_s, symbols, solution.coefficients[0, 1:-1])
+    norms = np.linalg.norm(columns, axis=0)
+    inverse = np.linalg.inv((columns / norms).T @ (columns / norms)) / np.outer(norms, norms)
+    order = [names.index(n) for n in SYMBOLS if n in objective.searched]
+    return np.asarray(np.linalg.cholesky(inverse[np.ix_(order, order)]))
