@@ -14,8 +14,8 @@ from bayesbl.physics.parameters import rotation_period_s
 
 FloatArray = NDArray[np.float64]
 
-# The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start is
-# off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this
+# The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start
+# is off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this
 # takes longer than twenty rotations are cut there.
 _START_ERROR_RPM = 20.0
 _SHARE_OF_ACCURACY = 0.1
