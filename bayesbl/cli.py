@@ -38,6 +38,22 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+def _whole_number(text: str) -> int:
+    """An option's value; what it may be is the schema's to say."""
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"Found: {text}. Expected: a whole number.") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise typer.BadParameter(f"Found: {text}. Expected: a number.") from None
+
+
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
 ResultPath = Annotated[
     Path, typer.Argument(metavar="RESULT", help="Output folder of a run, or its result.nc.")
@@ -51,11 +67,22 @@ Out = Annotated[
     typer.Option("--out", metavar="FOLDER", help="Output folder. [default: results/<name>]"),
 ]
 Seed = Annotated[
-    int | None, typer.Option("--seed", metavar="N", help="Seed of all random numbers. [default: 1]")
+    int | None,
+    typer.Option(
+        "--seed",
+        parser=_whole_number,
+        metavar="N",
+        help="Seed of all random numbers. [default: 1]",
+    ),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", metavar="N", help="Processes; the numbers do not depend on them."),
+    typer.Option(
+        "--workers",
+        parser=_whole_number,
+        metavar="N",
+        help="Processes; the numbers do not depend on them.",
+    ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
@@ -65,15 +92,27 @@ Curve = Annotated[
 ]
 LimitRad = Annotated[
     float | None,
-    typer.Option("--limit-rad", metavar="RAD", help="Gap at which the joint is to be repaired."),
+    typer.Option(
+        "--limit-rad",
+        parser=_number,
+        metavar="RAD",
+        help="Gap at which the joint is to be repaired.",
+    ),
 ]
 GearRatio = Annotated[
     float | None,
-    typer.Option("--gear-ratio", metavar="N", help="Motor turns per turn of the load."),
+    typer.Option(
+        "--gear-ratio", parser=_number, metavar="N", help="Motor turns per turn of the load."
+    ),
 ]
 Level = Annotated[
     float | None,
-    typer.Option("--level", metavar="P", help="Level of the credible intervals. [default: 0.9]"),
+    typer.Option(
+        "--level",
+        parser=_number,
+        metavar="P",
+        help="Level of the credible intervals. [default: 0.9]",
+    ),
 ]
 
 
