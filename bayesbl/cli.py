@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bayesbl import __version__
-from bayesbl.errors import UserError
+from bayesbl.errors import ResultError, UserError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -367,9 +367,16 @@ def _simulate(
 
 
 def _print_json(folder: Path) -> None:
+    """The stored summary, byte for byte."""
     from bayesbl.results.folder import SUMMARY_FILE
 
-    typer.echo((folder / SUMMARY_FILE).read_text(encoding="utf-8"), nl=False)
+    try:
+        text = (folder / SUMMARY_FILE).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ResultError(
+            "There is no summary beside this result.", file=folder, expected=SUMMARY_FILE
+        ) from None
+    typer.echo(text, nl=False)
 
 
 def _print_study(summary: dict[str, Any], folder: Path | None = None) -> None:
