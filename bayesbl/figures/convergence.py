@@ -36,6 +36,7 @@ def _draw(panel: Axes, snapshot: Snapshot) -> None:
             color=style.colour,
             linestyle=style.dashes,
             marker=style.marker,
+            markerfacecolor="none",
             markevery=[int(mine.sum()) - 1],
             label=f"run {index + 1}",
         )
@@ -54,4 +55,11 @@ def _draw(panel: Axes, snapshot: Snapshot) -> None:
     panel.set_xscale("log")
     panel.margins(y=0.12)
     panel.set_xlabel("Model evaluations in the run")
-    panel.legend(loc="upper right")
+    panel.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.99),
+        ncols=4,
+        columnspacing=0.8,
+        handletextpad=0.4,
+        borderaxespad=0.0,
+    )

@@ -57,7 +57,6 @@ def _draw_marginal(panel: Axes, values: FloatArray, withheld: bool) -> None:
     panel.hist(values, bins=_BINS, color=colour, histtype="stepfilled", linewidth=0.0)
     for quantile in np.quantile(values, (0.05, 0.5, 0.95)):
         panel.axvline(quantile, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
-    panel.set_yticks([])
     panel.spines["left"].set_visible(False)
 
 
@@ -100,16 +99,24 @@ def enclosing_levels(density: FloatArray, shares: tuple[float, ...]) -> FloatArr
 def _label(
     panel: Axes, row: int, column: int, count: int, horizontal: Scale, vertical: Scale
 ) -> None:
-    """Numbers and names at the outer edge only."""
-    panel.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
-    panel.tick_params(length=1.8, pad=1.5, labelbottom=row == count - 1, labelleft=column == 0)
-    if row == count - 1:
-        panel.tick_params(axis="x", labelrotation=45.0)
-        panel.set_xlabel(horizontal.label, fontsize=6.0)
-    if row != column:
-        panel.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
-        if column == 0:
-            panel.set_ylabel(vertical.label, fontsize=6.0)
+    """Numbers and names at the outer edge only; inside there is nothing but the posterior."""
+    for axis, outer, scale, away in (
+        (panel.xaxis, row == count - 1, horizontal, (0.5, -0.24)),
+        (panel.yaxis, column == 0 and row > 0, vertical, (-0.42, 0.5)),
+    ):
+        axis.set_visible(outer)
+        if outer:
+            axis.set_ticks(_inner_ticks(*axis.get_view_interval()))
+            axis.set_tick_params(length=1.8, pad=1.5, labelsize=5.5)
+            axis.set_label_text(scale.label("\n"), fontsize=6.0)
+            axis.set_label_coords(*away)
+
+
+def _inner_ticks(low: float, high: float) -> list[float]:
+    """Two or three round values away from the panel's corners, where neighbours' would collide."""
+    margin = 0.14 * (high - low)
+    ticks = MaxNLocator(4).tick_values(low, high)
+    return [float(t) for t in ticks if low + margin < t < high - margin]
 
 
 def _explain(figure: Figure, snapshot: Snapshot) -> None:
@@ -122,6 +129,6 @@ def _explain(figure: Figure, snapshot: Snapshot) -> None:
         f"not shown: {terms} baseline terms, sampled with the others" if terms else "",
         f"δ withheld: {snapshot.reason}" if snapshot.withheld else "",
     ]
-    figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0, fontweight="bold")
+    figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
     text = figure.text(0.98, 0.94, "\n".join(line for line in lines if line), ha="right", va="top")
     text.set_linespacing(1.4)

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from bayesbl.figures.change import draw_change
+from bayesbl.figures.change import draw_change, told
 from bayesbl.figures.layout import grid
-from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, interval_name, snapshots
+from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, snapshots
 from bayesbl.figures.style import (
     DOUBLE_COLUMN_IN,
     LIMIT,
@@ -23,7 +23,6 @@ from bayesbl.figures.style import (
     new_figure,
     publication_style,
 )
-from bayesbl.recording.types import FloatArray
 from bayesbl.signal.parameters import AMPLITUDE
 
 _BINS = 40
@@ -53,11 +52,11 @@ def gap(tree: xr.DataTree) -> Figure:
     _draw_limit(main, side, tree)
     _draw_overview(main, tree, parts)
     _finish(main, top, side)
-    panels, titles = [top], ["gap from the ringing"]
+    panels, titles = [top], ["gap on its curve"]
     if compare:
         panel = figure.add_subplot(outer[0, 1])
         draw_change(panel, tree, parts)
-        panels, titles = [*panels, panel], [*titles, "change of the gap"]
+        panels, titles = [*panels, panel], [*titles, "change"]
     head_panels(panels, titles)
     handles, labels = main.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
@@ -105,8 +104,8 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
 def _told(tree: xr.DataTree, snapshot: Snapshot, delta: dict[str, float]) -> str:
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
-    low, middle, high = (f"{1e3 * delta[k]:.3g}" for k in ("low", "median", "high"))
-    return f"{snapshot.name}: δ = {middle} mrad ({interval_name(tree)} {low} to {high})"
+    mrad = {k: 1e3 * delta[k] for k in ("low", "median", "high")}
+    return told(tree, f"{snapshot.name}: δ", mrad)
 
 
 def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:

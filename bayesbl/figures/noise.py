@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from bayesbl.figures.layout import grid
 from bayesbl.figures.snapshots import Snapshot, snapshots
@@ -53,9 +54,10 @@ def _draw_bic(panel: Axes, snapshot: Snapshot, colour: str) -> None:
             label=f"order used: {order}",
         )  # fmt: skip
     panel.set_yscale("symlog", linthresh=10.0)
+    panel.yaxis.set_minor_locator(NullLocator())
     panel.set_ylim(bottom=-2.0)
     panel.set_xlabel("Autoregressive order")
-    panel.set_ylabel("BIC above its smallest (1)")
+    panel.set_ylabel("BIC above its smallest")
     panel.legend(loc="upper center")
 
 
@@ -79,13 +81,13 @@ def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
         marker="o",
         markersize=2.5,
         linestyle="none",
-        label="difference between rotations",
+        label="rotation to rotation",
     )
     kind = f"AR({_coefficients(snapshot).size})" if _coefficients(snapshot).size else "white noise"
     sd = snapshot.number("noise", "sd_rpm")
     panel.plot(shown, model[:lags], color=colour, label=f"{kind}, sd {sd:.2f} rpm")
     panel.set_xlabel("Lag (ms)")
-    panel.set_ylabel("Autocorrelation (1)")
+    panel.set_ylabel("Autocorrelation")
     panel.legend(loc="upper right")
 
 

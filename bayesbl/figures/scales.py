@@ -11,7 +11,7 @@ from bayesbl.figures.snapshots import GAP
 from bayesbl.recording.types import FloatArray
 from bayesbl.signal.parameters import SYMBOLS
 
-_RELATIVE_SPREAD = 0.02
+_RELATIVE_SPREAD = 2e-3
 """Values that vary less than this are drawn as differences from a round number near them."""
 
 
@@ -37,10 +37,9 @@ class Scale:
         """Values to draw, same shape as the stored ones."""
         return self.factor * (stored - self.reference)
 
-    @property
-    def label(self) -> str:
-        """``T$_w$ − 3.6 s (ms)``."""
-        return f"{self.symbol}{self.reference_text} ({self.unit})"
+    def label(self, between: str = " ") -> str:
+        """``T$_w$ − 3.6 s (ms)``, the unit set apart by ``between``."""
+        return f"{self.symbol}{self.reference_text}{between}({self.unit})"
 
 
 def scale_of(name: str, draws: FloatArray) -> Scale:
@@ -56,9 +55,8 @@ def scale_of(name: str, draws: FloatArray) -> Scale:
     places = max(0, math.ceil(-math.log10(8.0 * spread))) if spread > 0.0 else 6
     reference = round(middle, places)
     sign = "−" if reference >= 0.0 else "+"
-    return Scale(
-        text, unit, factor, reference, f" {sign} {abs(reference):.{places}f} {symbol.unit}"
-    )
+    told = f" {sign} {abs(reference):.{places}f}" + (f" {symbol.unit}" if factor != 1.0 else "")
+    return Scale(text, unit, factor, reference, told)
 
 
 def _mathtext(paper: str) -> str:

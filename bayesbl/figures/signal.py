@@ -1,10 +1,9 @@
-"""The measured speed with the model of the optimum, predictive band and residuals (paper, fig. 9)."""
+"""Measured speed, model of the optimum, predictive band and residuals (the paper's figure 9)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -58,8 +57,8 @@ class _Signal:
 def signal(tree: xr.DataTree) -> Figure:
     """One block per snapshot: the whole recording, a positive and a negative pulse."""
     parts = snapshots(tree)
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.75 + _BLOCK_IN * len(parts))
-    spec = grid(figure, len(parts), 1, top=0.55, between=(0.55, 0.0))
+    figure = new_figure(DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
+    spec = grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
     heads: list[Axes] = []
     titles: list[str] = []
     for row, snapshot in enumerate(parts):
@@ -78,7 +77,7 @@ def signal(tree: xr.DataTree) -> Figure:
             bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
             _draw_part(top, bottom, data.within(begin, end))
             for axes in (upper, lower):
-                axes.axvspan(begin, end, color="#f2e6a6", linewidth=0.0, zorder=0.0)
+                axes.axvspan(begin, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
             top.tick_params(labelbottom=False, labelleft=False)
             bottom.tick_params(labelleft=False)
             heads.append(top)
@@ -86,7 +85,8 @@ def signal(tree: xr.DataTree) -> Figure:
         upper.tick_params(labelbottom=False)
         upper.set_ylabel("Motor speed (rpm)")
         lower.set_ylabel("Residual (rpm)")
-        figure.align_ylabels([upper, lower])
+        for axes in (upper, lower):
+            axes.yaxis.set_label_coords(-0.125, 0.5)
     head_panels(heads, titles)
     _legend(figure, interval_name(tree))
     return figure
@@ -103,7 +103,7 @@ def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
     first = symbol[START] + symbol[WINDOW_START] - (0.0 if positive else symbol[SEPARATION])
     middle = 0.5 * (time[0] + time[-1] - length)
     start = first + symbol[ROTATION] * round((middle - first) / symbol[ROTATION])
-    return start - 0.2 * length, start + 1.4 * length
+    return start - 0.4 * length, start + 1.4 * length
 
 
 def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:

@@ -1,4 +1,4 @@
-"""Whether the independent ensembles agree: their draws one beside the other, and over each other."""
+"""Whether the independent ensembles agree: their draws in turn, and their densities."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def trace(snapshot: Snapshot) -> Figure:
     names = snapshot.symbols
     rows = math.ceil(len(names) / 2)
     figure = new_figure(DOUBLE_COLUMN_IN, 0.5 + 1.35 * rows)
-    spec = grid(figure, rows, 2, left=0.5, top=0.45, between=(0.5, 0.65))
+    spec = grid(figure, rows, 2, left=0.6, top=0.45, between=(0.5, 0.75))
     heads: list[Axes] = []
     for index, name in enumerate(names):
         inner = spec[divmod(index, 2)].subgridspec(1, 2, width_ratios=(3.4, 1.0), wspace=0.04)
@@ -45,13 +45,13 @@ def trace(snapshot: Snapshot) -> Figure:
         draws = snapshot.values("posterior", name)
         scale = scale_of(name, draws)
         _draw(left, right, scale.shown(draws))
-        left.set_ylabel(scale.label, fontsize=6.0)
+        left.set_ylabel(scale.label("\n"), fontsize=6.0)
+        left.yaxis.set_label_coords(-0.15, 0.5)
         if index >= len(names) - 2:
             left.set_xlabel("Draw, ensembles one after the other")
-            right.set_xlabel("Density")
         heads.append(left)
     head_panels(heads, [_title(snapshot, n) for n in names])
-    figure.text(0.99, 0.995, snapshot.name, ha="right", va="top", fontweight="bold")
+    figure.text(0.99, 0.995, snapshot.name, ha="right", va="top")
     return figure
 
 
@@ -66,7 +66,6 @@ def _draw(left: Axes, right: Axes, draws: FloatArray) -> None:
             values,
             color=style.colour,
             linewidth=0.35,
-            rasterized=True,
             label=f"ensemble {chain + 1}",
         )
         counts, _ = np.histogram(values, edges)
@@ -76,7 +75,9 @@ def _draw(left: Axes, right: Axes, draws: FloatArray) -> None:
             left.axvline(chain * count, color=NEUTRAL, linewidth=0.4)
     left.set_xlim(0, chains * count)
     left.set_xticks(count * np.arange(chains + 1))
-    right.tick_params(labelleft=False, labelbottom=False, bottom=False)
+    for axis in (right.xaxis, right.yaxis):
+        axis.set_visible(False)
+    right.spines["bottom"].set_visible(False)
 
 
 def _title(snapshot: Snapshot, name: str) -> str:
@@ -85,4 +86,4 @@ def _title(snapshot: Snapshot, name: str) -> str:
         return "δ, from A through the gap curve" + (" (withheld)" if snapshot.withheld else "")
     one = snapshot.groups["diagnostics"].sel(symbol=name)
     label = scale_of(name, np.zeros(1)).symbol
-    return f"{label}: R̂ {float(one['r_hat']):.3f}, ESS {float(one['ess_bulk']):.0f}"
+    return f"{label}: $\\hat{{R}}$ {float(one['r_hat']):.3f}, ESS {float(one['ess_bulk']):.0f}"
