@@ -7,6 +7,8 @@ whole cloud, and the regression looks across the kinks that the window's edges l
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
@@ -14,11 +16,12 @@ from bayesbl.signal.jacobian import jacobian, jacobian_columns
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import SYMBOLS
 
-ROUNDS = 12
-POINTS_PER_COEFFICIENT = 4
-FIRST_RADIUS_RPM = 6.0
+MOST_ROUNDS = 60
+POINTS_PER_COEFFICIENT = 3
+FIRST_RADIUS_RPM = 10.0
 LAST_RADIUS_RPM = 0.3
 """Cloud sizes as the noise whose scatter they equal: sd of white noise at 1 kHz, rpm."""
+SHRINK, GROW = 0.4, 1.6
 
 
 def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
@@ -32,20 +35,24 @@ def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray
     centre = start
     best = float(objective.sum_of_squares(centre[None])[0])
     root = _scatter_root(objective, centre)
-    radii = np.geomspace(FIRST_RADIUS_RPM, LAST_RADIUS_RPM, ROUNDS)
-    for radius in radii:
+    radius = FIRST_RADIUS_RPM
+    for _ in range(MOST_ROUNDS):
         step = radius * root
         values = objective.sum_of_squares(centre + unit @ step.T)
         if not np.all(np.isfinite(values)):
+            radius *= SHRINK
             continue
-        move = _minimum(inverse @ values, d)
-        trial = centre + step @ move
-        value = float(objective.sum_of_squares(trial[None])[0])
-        least = int(np.argmin(values))
-        if values[least] < value:
-            trial, value = centre + step @ unit[least], float(values[least])
-        if value < best:
-            centre, best = trial, value
+        move, inside = _minimum(inverse @ values, d)
+        trials = np.stack([centre + step @ move, centre + step @ unit[int(np.argmin(values))]])
+        reached = objective.sum_of_squares(trials)
+        least = int(np.argmin(reached))
+        if reached[least] < best:
+            centre, best = trials[least], float(reached[least])
+            radius *= SHRINK if inside else GROW
+        else:
+            radius *= SHRINK
+        if radius < LAST_RADIUS_RPM:
+            break
     return centre
 
 
@@ -62,18 +69,23 @@ def _quadratic_columns(x: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(x)), x, x[:, rows] * x[:, columns]])
 
 
-def _minimum(coefficients: FloatArray, d: int) -> FloatArray:
-    """Minimum of the fitted quadratic within the cloud, its curvature made positive."""
+def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
+    """Minimum of the fitted quadratic, and whether it lies well inside the cloud.
+
+    The curvature is made positive, and the step kept within the cloud.
+    """
     gradient = coefficients[1 : 1 + d]
     curvature = np.zeros((d, d))
     curvature[np.triu_indices(d)] = coefficients[1 + d :]
     curvature = curvature + curvature.T
     values, vectors = np.linalg.eigh(curvature)
+    convex = bool(values[0] > 0.0)
     values = np.maximum(np.abs(values), 1e-6 * np.abs(values).max() + 1e-300)
     move = -vectors @ ((vectors.T @ gradient) / values)
     length = float(np.linalg.norm(move))
-    longest = np.sqrt(d + 2.0)
-    return np.asarray(move if length <= longest else move * (longest / length))
+    edge = math.sqrt(d + 2.0)
+    inside = convex and length < 0.5 * edge
+    return np.asarray(move if length <= edge else move * (edge / length)), inside
 
 
 def _scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
