@@ -20,11 +20,10 @@ _TOTAL = "#0072b2"
 def draw_change(panel: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     """Change from first to last snapshot with its interval; each step too where there are more."""
     change = tree["change"].to_dataset()
-    first, last = parts[0], parts[-1]
-    hidden, names = first.withheld or last.withheld, f"{first.name} to {last.name}"
-    _draw_total(panel, tree, names, 1e3 * change["change_rad"].values, hidden)
+    hidden = parts[0].withheld or parts[-1].withheld
+    _draw_total(panel, tree, 1e3 * change["change_rad"].values, hidden)
     if change.sizes["step"] > 1:
-        _draw_steps(panel, tree, change, {p.name: p.withheld for p in parts})
+        _draw_steps(panel, change, {p.name: p.withheld for p in parts})
     panel.axvline(0.0, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
     panel.set_ylim(0.0, 1.1 * panel.get_ylim()[1])
     panel.set_xlabel("Change of the gap δ (mrad)")
@@ -32,13 +31,13 @@ def draw_change(panel: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     panel.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.07), borderaxespad=0.0)
 
 
-def _draw_total(panel: Axes, tree: xr.DataTree, names: str, mrad: FloatArray, hidden: bool) -> None:
+def _draw_total(panel: Axes, tree: xr.DataTree, mrad: FloatArray, hidden: bool) -> None:
     """Distribution, and above it the median with its interval; grey and without where withheld."""
     colour = WITHHELD if hidden else _TOTAL
     counts, edges = np.histogram(mrad, _BINS, density=True)
     panel.stairs(
         counts, edges, fill=True, color=colour, alpha=0.3,
-        label=f"{names}: withheld" if hidden else None,
+        label="withheld" if hidden else None,
     )  # fmt: skip
     panel.stairs(counts, edges, color=colour, linewidth=1.0)
     if hidden:
@@ -47,28 +46,24 @@ def _draw_total(panel: Axes, tree: xr.DataTree, names: str, mrad: FloatArray, hi
     panel.errorbar(
         [found["median"]], [1.06 * counts.max()],
         xerr=[[found["median"] - found["low"]], [found["high"] - found["median"]]],
-        color=colour, marker="o", linestyle="none", capsize=2.5, label=told(tree, names, found),
+        color=colour, marker="o", linestyle="none", capsize=2.5, label=told(tree, found),
     )  # fmt: skip
 
 
-def _draw_steps(
-    panel: Axes, tree: xr.DataTree, change: xr.Dataset, withheld: dict[str, bool]
-) -> None:
+def _draw_steps(panel: Axes, change: xr.Dataset, withheld: Mapping[str, bool]) -> None:
     for step in range(change.sizes["step"]):
         first, last = (str(change[k].values[step]) for k in ("step_from", "step_to"))
         hidden, style = withheld[first] or withheld[last], look(step + 1)
         mrad = 1e3 * change["step_change_rad"].values[step]
         counts, edges = np.histogram(mrad, _BINS, density=True)
-        names = f"{first} to {last}"
         panel.stairs(
             counts, edges, color=WITHHELD if hidden else style.colour, linestyle=style.dashes,
-            linewidth=1.0, label=f"{names}: withheld" if hidden
-            else told(tree, names, credible_interval(tree, mrad)),
+            linewidth=1.0, label=f"{first} to {last}" + (": withheld" if hidden else ""),
         )  # fmt: skip
 
 
-def told(tree: xr.DataTree, names: str, found: Mapping[str, float]) -> str:
-    """``before to after: 0.246 mrad (90 % interval 0.211 to 0.281)``."""
-    places = max(0, 2 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))) - 1)
+def told(tree: xr.DataTree, found: Mapping[str, float]) -> str:
+    """``0.246 mrad (90 % interval 0.211 to 0.281)``."""
+    places = max(0, 1 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))))
     low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
-    return f"{names}: {middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
+    return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")

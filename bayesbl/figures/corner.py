@@ -13,7 +13,7 @@ from bayesbl.figures.snapshots import Snapshot, snapshots
 from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, WITHHELD, new_figure, publication_style
 from bayesbl.recording.types import FloatArray
 
-_BINS = 24
+_BINS = 32
 _LEVELS = (0.9, 0.5)
 _LEFT_IN, _BOTTOM_IN, _EDGE_IN, _GAP_IN = 0.62, 0.62, 0.08, 0.06
 
@@ -113,10 +113,11 @@ def _label(
 
 
 def _inner_ticks(low: float, high: float) -> list[float]:
-    """Two or three round values away from the panel's corners, where neighbours' would collide."""
-    margin = 0.14 * (high - low)
+    """One or two round values away from the panel's corners, where neighbours' would collide."""
+    margin = 0.12 * (high - low)
     ticks = MaxNLocator(4).tick_values(low, high)
-    return [float(t) for t in ticks if low + margin < t < high - margin]
+    inner = [float(t) for t in ticks if low + margin < t < high - margin]
+    return inner if len(inner) < 2 else [inner[0], inner[-1]]
 
 
 def _explain(figure: Figure, snapshot: Snapshot) -> None:

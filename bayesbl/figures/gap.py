@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -23,6 +25,7 @@ from bayesbl.figures.style import (
     new_figure,
     publication_style,
 )
+from bayesbl.recording.types import FloatArray
 from bayesbl.signal.parameters import AMPLITUDE
 
 _BINS = 40
@@ -56,7 +59,10 @@ def gap(tree: xr.DataTree) -> Figure:
     if compare:
         panel = figure.add_subplot(outer[0, 1])
         draw_change(panel, tree, parts)
-        panels, titles = [*panels, panel], [*titles, "change"]
+        panels, titles = (
+            [*panels, panel],
+            [*titles, f"change from {parts[0].name} to {parts[-1].name}"],
+        )
     head_panels(panels, titles)
     handles, labels = main.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
@@ -105,16 +111,17 @@ def _told(tree: xr.DataTree, snapshot: Snapshot, delta: dict[str, float]) -> str
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
     mrad = {k: 1e3 * delta[k] for k in ("low", "median", "high")}
-    return told(tree, f"{snapshot.name}: δ", mrad)
+    return f"{snapshot.name}: {told(tree, mrad)}"
 
 
 def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
     style = look(index)
     colour = WITHHELD if snapshot.withheld else style.colour
-    for panel, values, orientation, fill in (
+    marginals: tuple[tuple[Axes, FloatArray, Literal["vertical", "horizontal"], str], ...] = (
         (top, snapshot.values("posterior", AMPLITUDE), "vertical", style.colour),
         (side, 1e3 * snapshot.values("posterior", GAP), "horizontal", colour),
-    ):
+    )
+    for panel, values, orientation, fill in marginals:
         counts, edges = np.histogram(values, _BINS, density=True)
         panel.stairs(
             counts, edges, orientation=orientation, fill=True, color=fill, alpha=0.3,
@@ -202,7 +209,7 @@ def _median(snapshot: Snapshot, name: str) -> float:
 def _finish(main: Axes, top: Axes, side: Axes) -> None:
     main.set_xlabel("Amplitude of the ringing A (rpm)")
     main.set_ylabel("Gap δ (mrad)")
-    for panel, spine, axis in ((top, "left", "y"), (side, "bottom", "x")):
+    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
         panel.tick_params(labelbottom=False, labelleft=False)
-        panel.tick_params(axis=axis, left=False, bottom=False)
         panel.spines[spine].set_visible(False)
+        axis.set_visible(False)

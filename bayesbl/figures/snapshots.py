@@ -69,7 +69,7 @@ def snapshots(tree: xr.DataTree) -> list[Snapshot]:
     if tree.attrs["kind"] != "compare":
         name = _recording_names(tree)[0]
         return [Snapshot(name, datasets, verdicts["fit"]["reason"] or None)]
-    names = [str(n) for n in tree["posterior"]["snapshot"].values]
+    names = [str(n) for n in tree["posterior"].to_dataset()["snapshot"].values]
     return [
         Snapshot(
             name,

@@ -138,7 +138,9 @@ def above_limit(summary: Summary) -> str | None:
     parts = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
     if not parts:
         return None
-    told = ", ".join(f"{name} {_probability_or_withheld(part)}".strip() for name, part in parts)
+    told = ", ".join(
+        _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in parts
+    )
     limit = 1e3 * parts[0][1]["limit_rad"]
     return f"Probability that the gap is above its limit of {limit:g} mrad: {told}."
 
@@ -149,8 +151,11 @@ def _probability_or_withheld(part: Summary) -> str:
 
 
 def budget(summary: Summary) -> str | None:
-    """Where the width of the (last) interval comes from, in one line."""
-    name, part = snapshots(summary)[-1]
+    """Where the width of the last interval given comes from, in one line."""
+    answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
+    if not answered:
+        return None
+    name, part = answered[-1]
     shares = {source: share for source, share in part["budget"].items() if share >= RAREST}
     if not shares:
         return None
