@@ -2,7 +2,9 @@
 
 Damped-sinusoid templates are correlated with the speed; each correlation is folded over every
 candidate rotation period; a period, a phase where impacts of one sign pile up and one where those
-of the other sign do make a guess. Nothing about T_w needs to be known beforehand.
+of the other sign do make a guess. What the load-angle baseline explains at a period counts as well:
+under strong noise it tells T_w better than the pulses do. Nothing about T_w needs to be known
+beforehand.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ TEMPLATE_DECAY_PER_S = 12.0
 SAMPLES_PER_RINGING = 8.0
 """Time resolution of the folding, in steps per ringing period of the template."""
 FOLDS_KEPT = 24
+PERIODOGRAM_PADDING = 8
 LONGEST_ROTATION = 0.95
 """Longest candidate period as a share of the recording: beyond one rotation nothing repeats."""
 
@@ -66,11 +69,19 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     """
     window = search_window(objective)
     time_s, speed = _even(objective)
+    power = _baseline_power(speed)
     folds: list[tuple[float, float, float, float, float, float]] = []
     for decay, frequency in _templates(objective):
         response, step = _response(speed, objective.period_s, window, decay, frequency)
         found = _fold_all(
-            response, step, window.shortest_rotation_s, window.longest_rotation_s, window.length_s
+            response,
+            step,
+            window.shortest_rotation_s,
+            window.longest_rotation_s,
+            window.length_s,
+            power,
+            PERIODOGRAM_PADDING * objective.duration_s,
+            objective.model.baseline_harmonics,
         )
         folds += [(gain, decay, frequency, *rest) for gain, *rest in found]
     folds.sort(reverse=True)
@@ -87,6 +98,16 @@ def _even(objective: Objective) -> tuple[FloatArray, FloatArray]:
         return objective.time_s, objective.speed_rpm - objective.offset_rpm
     grid = objective.time_s[0] + objective.period_s * np.arange(objective.samples)
     return grid, np.interp(grid, objective.time_s, objective.speed_rpm) - objective.offset_rpm
+
+
+def _baseline_power(speed_rpm: FloatArray) -> FloatArray:
+    """Drop in the sum of squares by one sinusoid, rpm², shape (f,): a zero-padded periodogram.
+
+    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration).
+    """
+    n = speed_rpm.size
+    spectrum = np.fft.rfft(speed_rpm, PERIODOGRAM_PADDING * n)
+    return np.asarray(2.0 / n * np.abs(spectrum) ** 2)
 
 
 def _templates(objective: Objective) -> list[tuple[float, float]]:
@@ -138,11 +159,14 @@ def _extremes(values):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _fold_all(response, step, shortest, longest, guard):  # type: ignore[no-untyped-def]
+def _fold_all(  # type: ignore[no-untyped-def]
+    response, step, shortest, longest, guard, power, power_length, harmonics
+):
     """Best folds of a response over all periods: (gain, period, positive and negative phase).
 
-    The gain is the drop in the sum of squares, (F₊ − F₋)² / number of pulses, for pulses of unit
-    norm at the two phases; they keep ``guard`` seconds apart so that one impact is not both.
+    The gain is the drop in the sum of squares: (F₊ − F₋)² / number of pulses, for pulses of unit
+    norm at the two phases, and that of the baseline's harmonics. The phases keep ``guard`` seconds
+    apart so that one impact is not both.
     """
     n = response.size
     kept = 6
@@ -165,8 +189,11 @@ def _fold_all(response, step, shortest, longest, guard):  # type: ignore[no-unty
                 break
             _add(folded[:stop], response[begin : begin + stop])
             pulses += 1
+        baseline = 0.0
+        for k in range(1, harmonics + 1):
+            baseline += power[int(round(k * power_length / period))]
         most, least = _extremes(folded[:width])
-        if (most - least) ** 2 / (2.0 * pulses) <= np.min(best[:, 0]):
+        if baseline + (most - least) ** 2 / (2.0 * pulses) <= np.min(best[:, 0]):
             period += 2.0 * step / (turns + 1)
             continue
         high = int(np.argmax(folded[:width]))
@@ -187,7 +214,7 @@ def _fold_all(response, step, shortest, longest, guard):  # type: ignore[no-unty
                             low = j
                         else:
                             high = j
-        gain = (folded[high] - folded[low]) ** 2 / (2.0 * pulses)
+        gain = baseline + (folded[high] - folded[low]) ** 2 / (2.0 * pulses)
         # Neighbouring periods are one peak: a better one replaces it, another takes a new place.
         place = -1
         for k in range(kept):
