@@ -28,7 +28,7 @@ def draw_change(panel: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     panel.set_ylim(0.0, 1.1 * panel.get_ylim()[1])
     panel.set_xlabel("Change of the gap δ (mrad)")
     panel.set_ylabel("Posterior density (1/mrad)")
-    panel.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.07), borderaxespad=0.0)
+    panel.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.12), borderaxespad=0.0)
 
 
 def _draw_total(panel: Axes, tree: xr.DataTree, mrad: FloatArray, hidden: bool) -> None:

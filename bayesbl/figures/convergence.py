@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from bayesbl.figures.layout import one_panel_each
 from bayesbl.figures.snapshots import Snapshot, snapshots
-from bayesbl.figures.style import NEUTRAL, head_panels, look, publication_style
+from bayesbl.figures.style import NEUTRAL, head_panels, legend_above, look, publication_style
 
 
 @publication_style()
@@ -55,11 +55,4 @@ def _draw(panel: Axes, snapshot: Snapshot) -> None:
     panel.set_xscale("log")
     panel.margins(y=0.12)
     panel.set_xlabel("Model evaluations in the run")
-    panel.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.99),
-        ncols=4,
-        columnspacing=0.8,
-        handletextpad=0.4,
-        borderaxespad=0.0,
-    )
+    legend_above(panel)

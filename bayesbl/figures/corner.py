@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -128,7 +130,7 @@ def _explain(figure: Figure, snapshot: Snapshot) -> None:
         f"{count} draws; contours hold 50 % and 90 % of them,",
         "dashed lines are the median and the 5 % and 95 % quantiles",
         f"not shown: {terms} baseline terms, sampled with the others" if terms else "",
-        f"δ withheld: {snapshot.reason}" if snapshot.withheld else "",
+        *textwrap.wrap(f"δ withheld: {snapshot.reason}" if snapshot.withheld else "", 62),
     ]
     figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
     text = figure.text(0.98, 0.94, "\n".join(line for line in lines if line), ha="right", va="top")

@@ -16,9 +16,7 @@ from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, snapshot
 from bayesbl.figures.style import (
     DOUBLE_COLUMN_IN,
     LIMIT,
-    MEASURED,
     NEUTRAL,
-    SINGLE_COLUMN_IN,
     WITHHELD,
     head_panels,
     look,
@@ -36,37 +34,47 @@ def gap(tree: xr.DataTree) -> Figure:
     """δ against A with the posteriors of both along the axes; for snapshots also the change."""
     parts = snapshots(tree)
     compare = "change" in tree.children
-    figure = new_figure(DOUBLE_COLUMN_IN if compare else SINGLE_COLUMN_IN, 3.5)
-    outer = grid(
-        figure, 1, 2 if compare else 1, top=0.32 + 0.14 * len(parts), between=(0.0, 0.5),
-        widths=(1.35, 1.0) if compare else None,
-    )  # fmt: skip
-    inner = outer[0, 0].subgridspec(
+    figure = new_figure(DOUBLE_COLUMN_IN, 4.2 if compare else 3.4)
+    outer = grid(figure, 1, 2, top=0.46 + 0.14 * len(parts), widths=(1.4, 1.0))
+    joint = outer[0, 0].subgridspec(
         2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
     )
-    main = figure.add_subplot(inner[1, 0])
-    top = figure.add_subplot(inner[0, 0], sharex=main)
-    side = figure.add_subplot(inner[1, 1], sharey=main)
+    main = figure.add_subplot(joint[1, 0])
+    top = figure.add_subplot(joint[0, 0], sharex=main)
+    side = figure.add_subplot(joint[1, 1], sharey=main)
+    _draw_joint(main, top, side, tree, parts)
+    if compare:
+        right = outer[0, 1].subgridspec(2, 1, height_ratios=(1.3, 1.0), hspace=0.5)
+        panel, overview = figure.add_subplot(right[0, 0]), figure.add_subplot(right[1, 0])
+        draw_change(panel, tree, parts)
+        change = f"change from {parts[0].name} to {parts[-1].name}"
+        panels, titles = [top, panel, overview], ["gap on its curve", change]
+    else:
+        overview = figure.add_subplot(outer[0, 1])
+        panels, titles = [top, overview], ["gap on its curve"]
+    _draw_overview(overview, main, tree, parts)
+    head_panels(panels, [*titles, "the whole curve; grey: the view of (a)"])
+    handles, labels = main.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
+    return figure
+
+
+def _draw_joint(
+    main: Axes, top: Axes, side: Axes, tree: xr.DataTree, parts: list[Snapshot]
+) -> None:
     _draw_curve(main, tree)
     for index, snapshot in enumerate(parts):
         _draw_snapshot(main, tree, snapshot, index)
         _draw_marginals(top, side, snapshot, index)
     _set_view(main, tree, parts)
-    _draw_limit(main, side, tree)
-    _draw_overview(main, tree, parts)
-    _finish(main, top, side)
-    panels, titles = [top], ["gap on its curve"]
-    if compare:
-        panel = figure.add_subplot(outer[0, 1])
-        draw_change(panel, tree, parts)
-        panels, titles = (
-            [*panels, panel],
-            [*titles, f"change from {parts[0].name} to {parts[-1].name}"],
-        )
-    head_panels(panels, titles)
-    handles, labels = main.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
-    return figure
+    for panel in (main, side):
+        _draw_limit(panel, tree)
+    main.set_xlabel("Amplitude of the ringing A (rpm)")
+    main.set_ylabel("Gap δ (mrad)")
+    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
+        panel.tick_params(labelbottom=False, labelleft=False)
+        panel.spines[spine].set_visible(False)
+        axis.set_visible(False)
 
 
 def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
@@ -133,11 +141,12 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
     if snapshot.withheld:
         side.annotate(
             "withheld",
-            (0.08, 1e3 * float(np.median(snapshot.values("posterior", GAP)))),
+            (0.75, 1e3 * _median(snapshot, GAP)),
             xycoords=("axes fraction", "data"),
             rotation=90.0,
             va="center",
             fontsize=6.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
         )
 
 
@@ -162,54 +171,34 @@ def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
         setter(factor * bottom, factor * top)
 
 
-def _draw_limit(main: Axes, side: Axes, tree: xr.DataTree) -> None:
-    if "limit_rad" not in tree.attrs:
-        return
-    limit = 1e3 * float(tree.attrs["limit_rad"])
-    bottom, top = main.get_ylim()
-    if not bottom < limit < top:
-        return
-    for panel in (main, side):
-        panel.axhline(limit, color=LIMIT, linewidth=0.9, linestyle=(0.0, (6.0, 2.0, 1.0, 2.0)))
-    main.annotate(
-        f"limit {limit:g} mrad", (0.02, limit), (0.0, -3.0), va="top", fontsize=6.0,
-        xycoords=("axes fraction", "data"), textcoords="offset points",
-    )  # fmt: skip
+def _draw_limit(panel: Axes, tree: xr.DataTree) -> None:
+    if "limit_rad" in tree.attrs:
+        limit = 1e3 * float(tree.attrs["limit_rad"])
+        dashes = (0.0, (6.0, 2.0, 1.0, 2.0))
+        panel.axhline(
+            limit, color=LIMIT, linewidth=0.9, linestyle=dashes, label=f"limit {limit:g} mrad"
+        )
 
 
-def _draw_overview(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     """The curve over its whole range, with the view of the main panel marked."""
-    curve = tree["curve"].to_dataset()
-    small = main.inset_axes((0.6, 0.13, 0.38, 0.33))
-    small.plot(curve["amplitude"].values, 1e3 * curve["delta_rad"].values, color=NEUTRAL)
     (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
-    small.add_patch(
-        Rectangle((left, bottom), right - left, top - bottom, fill=False, color=MEASURED)
+    panel.add_patch(
+        Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
     )
+    _draw_curve(panel, tree)
+    _draw_limit(panel, tree)
     for index, snapshot in enumerate(parts):
         style = look(index)
-        small.plot(
+        colour = WITHHELD if snapshot.withheld else style.colour
+        panel.plot(
             [_median(snapshot, AMPLITUDE)], [1e3 * _median(snapshot, GAP)],
-            color=WITHHELD if snapshot.withheld else style.colour, marker=style.marker,
-            markersize=2.5, linestyle="none",
+            color=colour, marker=style.marker, linestyle="none",
+            markerfacecolor="white" if snapshot.withheld else colour,
         )  # fmt: skip
-    if "limit_rad" in tree.attrs:
-        small.axhline(1e3 * float(tree.attrs["limit_rad"]), color=LIMIT, linewidth=0.6,
-                      linestyle=(0.0, (6.0, 2.0, 1.0, 2.0)))  # fmt: skip
-    small.set_title("range of the curve", fontsize=6.0, pad=2.0)
-    small.set_xlabel("A (rpm)", fontsize=5.5, labelpad=1.0)
-    small.set_ylabel("δ (mrad)", fontsize=5.5, labelpad=1.0)
-    small.tick_params(labelsize=5.5, length=1.8, pad=1.0)
+    panel.set_xlabel("Amplitude of the ringing A (rpm)")
+    panel.set_ylabel("Gap δ (mrad)")
 
 
 def _median(snapshot: Snapshot, name: str) -> float:
     return float(np.median(snapshot.values("posterior", name)))
-
-
-def _finish(main: Axes, top: Axes, side: Axes) -> None:
-    main.set_xlabel("Amplitude of the ringing A (rpm)")
-    main.set_ylabel("Gap δ (mrad)")
-    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
-        panel.tick_params(labelbottom=False, labelleft=False)
-        panel.spines[spine].set_visible(False)
-        axis.set_visible(False)

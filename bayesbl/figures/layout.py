@@ -11,7 +11,7 @@ from matplotlib.gridspec import GridSpec
 
 from bayesbl.figures.style import DOUBLE_COLUMN_IN, SINGLE_COLUMN_IN, new_figure
 
-MOST_COLUMNS = 3
+MOST_COLUMNS = 2
 
 
 def grid(
@@ -47,7 +47,7 @@ def grid(
 
 
 def one_panel_each(count: int, height_in: float = 2.1) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel per snapshot, at most three in a row, axes shared."""
+    """A figure with one panel per snapshot, at most two in a row, axes shared."""
     columns = min(count, MOST_COLUMNS)
     rows = math.ceil(count / columns)
     width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN

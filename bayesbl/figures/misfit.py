@@ -56,7 +56,7 @@ def _draw(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     panel.plot(phase, mean, color=colour, linewidth=0.8, label="mean over rotations")
     panel.set_xlabel("Load phase since the recording began (rad)")
     panel.margins(y=0.18)
-    panel.legend(loc="lower left", ncols=2, columnspacing=1.0)
+    panel.legend(loc="lower left", ncols=2, columnspacing=1.0, borderaxespad=0.0)
 
 
 def _pulses(snapshot: Snapshot) -> list[tuple[float, float, str]]:

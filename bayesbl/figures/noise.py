@@ -15,6 +15,7 @@ from bayesbl.figures.style import (
     MEASURED,
     NEUTRAL,
     head_panels,
+    legend_above,
     look,
     new_figure,
     publication_style,
@@ -39,7 +40,7 @@ def noise(tree: xr.DataTree) -> Figure:
         _draw_bic(left, snapshot, look(row).colour)
         _draw_autocorrelation(right, snapshot, look(row).colour)
         axes += [left, right]
-        titles += [f"{snapshot.name}: order", f"{snapshot.name}: autocorrelation"]
+        titles += [f"{snapshot.name}", f"{snapshot.name}"]
     head_panels(axes, titles)
     return figure
 
@@ -58,7 +59,7 @@ def _draw_bic(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     panel.set_ylim(bottom=-2.0)
     panel.set_xlabel("Autoregressive order")
     panel.set_ylabel("BIC above its smallest")
-    panel.legend(loc="upper center")
+    legend_above(panel)
 
 
 def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
@@ -88,7 +89,7 @@ def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     panel.plot(shown, model[:lags], color=colour, label=f"{kind}, sd {sd:.2f} rpm")
     panel.set_xlabel("Lag (ms)")
     panel.set_ylabel("Autocorrelation")
-    panel.legend(loc="upper right")
+    legend_above(panel)
 
 
 def _coefficients(snapshot: Snapshot) -> FloatArray:

@@ -106,6 +106,18 @@ def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         panel.set_title(f"({_letters(index)})  {title}", loc="left", pad=4.0)
 
 
+def legend_above(panel: Axes) -> None:
+    """A legend in one line beside the panel's title, where there is never data."""
+    panel.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=4,
+        columnspacing=0.8,
+        handletextpad=0.4,
+        borderaxespad=0.2,
+    )
+
+
 def _letters(index: int) -> str:
     first, last = divmod(index, 26)
     return ("" if first == 0 else chr(96 + first)) + chr(97 + last)
