@@ -256,6 +256,22 @@ def simulate_command(
     _simulate(config, out, seed, workers, force, False)
 
 
+@app.command("sweep")
+def sweep_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Sweep a virtual bench over its gap, for a gap curve of its own."""
+    from bayesbl.workflows.run import load_run
+
+    loaded = load_run(config, kind="sweep", out=out, seed=seed, workers=workers)
+    _run(loaded, force, json)
+
+
 @app.command("figures")
 def figures_command(result: ResultPath) -> None:
     """Draw the figures of a result again."""

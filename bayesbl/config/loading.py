@@ -51,7 +51,6 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 _PATH_OPTIONS = frozenset({"curve", "bench", "out"})
 
 _COMES_LATER: tuple[tuple[Location, str], ...] = (
-    (("kind",), "sweep"),
     (("kind",), "diagnose"),
     (("estimator", "noise", "kind"), "student_t"),
     (("estimator", "route"), "direct"),

@@ -22,9 +22,9 @@ from scipy.linalg import cho_factor, cho_solve
 from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 
-SIZES = np.geomspace(1e-5, 6e-3, 24)
+SIZES = np.geomspace(1e-5, 6e-3, 12)
 """Relative; a lack of fit beyond half a percent calls for another degree, not for a correction."""
-LENGTHS = np.geomspace(0.15, 0.7, 8)
+LENGTHS = np.geomspace(0.15, 0.7, 5)
 """In ln A; longer ones would only compete with the polynomial."""
 SMALLEST_SCATTER = 1e-5
 

@@ -235,5 +235,3 @@ def _turned(
     period = bench.rotation_period_s()
     turned[model.searched.index(START)] -= direction * angle_rad / (2.0 * math.pi) * period
     return turned
-
-

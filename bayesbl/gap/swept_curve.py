@@ -161,9 +161,7 @@ def _log_values(row: SweepRow, model: DisturbanceModel) -> FloatArray:
     )
 
 
-def departures(
-    row: SweepRow, nominal: SweepRow, model: DisturbanceModel
-) -> FloatArray:
+def departures(row: SweepRow, nominal: SweepRow, model: DisturbanceModel) -> FloatArray:
     """Departure of (ln A, ln ω, ln τ) of a drawn bench from the nominal sweep, shape (g, 3)."""
     return np.asarray(_log_values(row, model)[:, 0] - _log_values(nominal, model)[:, 0])
 

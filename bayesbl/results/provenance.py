@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -53,6 +54,11 @@ def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[s
         "python_version": platform.python_version(),
         "dependency_versions": json.dumps(dependency_versions()),
     }
+
+
+def file_sha256(path: str | Path) -> str:
+    """SHA-256 of a file's bytes."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def dependency_versions() -> dict[str, str]:

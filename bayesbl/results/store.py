@@ -38,7 +38,7 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     """
     marked = tree.copy()
     marked.attrs = {**tree.attrs, FORMAT: FORMAT_VERSION}
-    with _replacing(Path(path)) as temporary:
+    with replacing(Path(path)) as temporary:
         marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
 
 
@@ -116,12 +116,12 @@ def read_json(path: str | Path) -> dict[str, Any]:
 
 def write_text(text: str, path: str | Path) -> None:
     """Write a text file that appears whole or not at all."""
-    with _replacing(Path(path)) as temporary:
+    with replacing(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path) -> Iterator[Path]:
     """A temporary file in the same folder that takes the name ``path`` on success."""
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))

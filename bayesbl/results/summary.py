@@ -38,10 +38,12 @@ def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, A
 
 
 def summarise(tree: xr.DataTree) -> dict[str, Any]:
-    """The summary of a fit or of compared snapshots.
+    """The summary of a fit, of compared snapshots, or of a sweep.
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
+    if tree.attrs["kind"] == "sweep":
+        return _sweep(tree)
     if tree.attrs["kind"] == "compare":
         return _comparison(tree)
     return {**_head(tree), **_snapshot(tree, None)}
@@ -142,6 +144,37 @@ def _comparison(tree: xr.DataTree) -> dict[str, Any]:
         "change_rad": total["change_rad"],
         "changes": steps,
         "probability_increase": total["probability_increase"],
+    }
+
+
+def _sweep(tree: xr.DataTree) -> dict[str, Any]:
+    sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
+    stored = tree["gap_curve"].to_dataset()
+    return {
+        **_head(tree),
+        "coefficients": stored["coefficients"].values.tolist(),
+        "degree": int(tree.attrs["degree"]),
+        "gap_rad": [float(sweep["gap_rad"][0]), float(sweep["gap_rad"][-1])],
+        "amplitude_rpm": [float(stored["knots_rpm"][0]), float(stored["knots_rpm"][-1])],
+        "largest_correction": float(np.abs(stored["correction"]).max()),
+        "relative_sd": {
+            str(name).removeprefix("source_"): float(
+                stored[name].std(dim=stored[name].dims[0]).max()
+            )
+            for name in stored.data_vars
+            if str(name).startswith("source_")
+        },
+        "largest_departure_from_published": float(
+            np.abs(sweep["amplitude_over_published"] - 1.0).max()
+        ),
+        "degrees": {
+            str(int(d)): {
+                "rms_departure": float(degrees["rms_departure"].sel(degree=d)),
+                "largest_departure": float(degrees["largest_departure"].sel(degree=d)),
+                "log_evidence": float(degrees["log_evidence"].sel(degree=d)),
+            }
+            for d in degrees["degree"].values
+        },
     }
 
 

@@ -17,8 +17,10 @@ from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
 from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.recording.checks import check_for_fit
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
+from bayesbl.results.curve_file import read_curve
 from bayesbl.results.provenance import provenance
 from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
 from bayesbl.signal.parameters import AMPLITUDE, DisturbanceModel
@@ -57,6 +59,7 @@ def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr
     estimator, curve = estimator_of(config), curve_of(config)
     recordings = read_recordings(config)
     for recording in recordings:
+        check_for_fit(recording, config.joint.gear_ratio)
         require_same_estimator(curve, estimator, recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
     fits = [
@@ -108,12 +111,7 @@ def curve_of(config: SnapshotConfig) -> GapCurve:
     """The gap curve that a configuration names."""
     if config.curve.source == "published":
         return published_curve()
-    raise ConfigError(
-        "Curves from a sweep come later: they are not available in this version.",
-        where="[curve] source",
-        found=config.curve.source,
-        expected='"published"',
-    )
+    return read_curve(config.curve.source)
 
 
 def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Recording) -> None:

@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.config.loading import config_from_options, dump_config, load_config
-from bayesbl.config.schema import RunConfig, SnapshotConfig, SnapshotRecording, StudyConfig
+from bayesbl.config.schema import (
+    RunConfig,
+    SnapshotConfig,
+    SnapshotRecording,
+    StudyConfig,
+    SweepConfig,
+)
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.results.folder import (
     CONFIG_FILE,
@@ -33,7 +39,7 @@ Draw = Callable[["xr.DataTree", Path], object]
 Summary = dict[str, Any]
 
 
-def load_run(path: str | Path, **options: object) -> RunConfig:
+def load_run(path: str | Path, *, kind: str | None = None, **options: object) -> RunConfig:
     """A configuration file with the options of the command line over it; ``None`` is not given.
 
     Raises
@@ -41,15 +47,14 @@ def load_run(path: str | Path, **options: object) -> RunConfig:
     ConfigError
         As :func:`bayesbl.config.loading.load_config`.
     """
-    kind = kind_of(path)
-    if kind == "bench":
+    if kind_of(path) == "bench":
         raise ConfigError(
             "A bench is simulated on, not run.",
             file=path,
             found='kind = "bench"',
             expected='a configuration that names this bench, e.g. of kind = "simulate"',
         )
-    config = load_config(path)
+    config = load_config(path, kind=kind)
     given = {option: value for option, value in options.items() if value is not None}
     return config_from_options(config.kind, (), path, **given) if given else config
 
@@ -89,26 +94,28 @@ def run(
         from bayesbl.workflows.study import run_study
 
         return run_study(config, force=force, progress=progress, say=say)
-    if not isinstance(config, SnapshotConfig):
-        raise TypeError(f"no workflow for kind {config.kind!r}")
-    return run_snapshots(config, draw, force=force, progress=progress)
-
-
-def run_snapshots(
-    config: SnapshotConfig,
-    draw: Draw,
-    *,
-    force: bool = False,
-    progress: StageProgress | None = None,
-) -> Summary:
-    """Fit or compare recordings; nothing is written before everything is computed."""
     require_free(config.run.output, force=force)
     # Imported after the questions that can be answered at once: numba and xarray take a second.
+    if isinstance(config, SweepConfig):
+        from bayesbl.workflows.sweep import run_sweep
+
+        tree = run_sweep(config, progress)
+    elif isinstance(config, SnapshotConfig):
+        from bayesbl.workflows.measure import measure
+
+        tree = measure(config, progress)
+    else:
+        raise TypeError(f"no workflow for kind {config.kind!r}")
+    return write_result(tree, config, draw, force=force)
+
+
+def write_result(
+    tree: xr.DataTree, config: RunConfig, draw: Draw, *, force: bool = False
+) -> Summary:
+    """The output folder of a result, whole or not at all; its summary."""
     from bayesbl.results.store import write_json, write_text, write_tree
     from bayesbl.results.summary import summarise
-    from bayesbl.workflows.measure import measure
 
-    tree = measure(config, progress)
     summary = summarise(tree)
     with new_result(config.run.output, force=force) as folder:
         write_tree(tree, folder / RESULT_FILE)
@@ -157,6 +164,11 @@ def check(path: str | Path) -> Plan:
         plan.add("study", lambda: describe(config))
     if isinstance(config, SnapshotConfig):
         _check_snapshots(plan, config)
+    if isinstance(config, SweepConfig):
+        _check_bench(plan, config.bench)
+        gap = config.sweep.gap_rad
+        told = f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
+        plan.lines.append(("gaps", told))
     return plan
 
 
