@@ -8,6 +8,7 @@ from pathlib import Path
 import xarray as xr
 from matplotlib.figure import Figure
 
+from bayesbl.errors import ResultError
 from bayesbl.figures.convergence import convergence
 from bayesbl.figures.corner import corners
 from bayesbl.figures.gap import gap
@@ -32,7 +33,18 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
     Returns
     -------
     The files written.
+
+    Raises
+    ------
+    ResultError
+        If the result is of another kind.
     """
+    if tree.attrs["kind"] not in ("fit", "compare"):
+        raise ResultError(
+            "There are no figures for a result of this kind.",
+            found=tree.attrs["kind"],
+            expected="a fit or a comparison",
+        )
     return [path for name, figure in _figures(tree) for path in save(figure, folder, name)]
 
 

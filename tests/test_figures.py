@@ -1,0 +1,297 @@
+"""Laws of the figures: they show what is stored, all of it, and say where an answer is withheld."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from bayesbl.config.loading import load_config
+from bayesbl.errors import ResultError
+from bayesbl.figures import convergence, corner, draw_all, gap, misfit, noise, signal, trace
+from bayesbl.figures.corner import enclosing_levels
+from bayesbl.figures.scales import scale_of
+from bayesbl.figures.snapshots import snapshots
+from bayesbl.figures.style import publication_style, save
+from bayesbl.figures.traces import envelope
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.signal.parameters import SYMBOLS
+from bayesbl.signal.waveform import pulse_train
+from bayesbl.workflows.measure import measure
+
+FIXED = ("window_start_s", "window_end_s")
+FREE = tuple(name for name in SYMBOLS if name not in FIXED)
+REASON = "The ensembles disagree: [posterior] has several modes."
+
+CONFIG = """
+schema = 1
+kind = "compare"
+[run]
+output = "result"
+[joint]
+limit_rad = 1.2e-3
+[posterior]
+ensembles = 2
+max_steps = 150
+[[recordings]]
+name = "old"
+file = "old.csv"
+[[recordings]]
+name = "new"
+file = "new.csv"
+"""
+
+
+def write_recording(path, amplitude_rpm, samples, seed):
+    """A low-rate recording of the disturbance model, with rotations of 1.4 s."""
+    time = np.arange(samples) / 250.0
+    train = pulse_train(time, 0.3, 19.0, 70.0, 0.204, 0.7, 1.4, 1.0 / 250.0)
+    noise_rpm = np.random.default_rng(seed).standard_normal(samples)
+    speed = 2000.0 + amplitude_rpm * train + noise_rpm
+    columns = "time_s,motor_speed_rpm"
+    np.savetxt(path, np.c_[time, speed], "%.9g", ",", header=columns, comments="")
+
+
+def judged(tree, **reasons):
+    """The tree with the given snapshots withheld and every other one converged."""
+    copy = tree.copy()
+    names = [str(n) for n in tree["posterior"]["snapshot"].values]
+    verdicts = {
+        n: {"outcome": "withheld", "reasons": [reasons[n]], "reason": reasons[n]}
+        if n in reasons
+        else {"outcome": "converged", "reasons": [], "reason": None}
+        for n in names
+    }
+    copy["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
+    return copy
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """A stored comparison of two recordings, the second one shorter."""
+    folder = tmp_path_factory.mktemp("compare")
+    write_recording(folder / "old.csv", 30.0, 1300, 1)
+    write_recording(folder / "new.csv", 40.0, 1000, 2)
+    (folder / "compare.toml").write_text(CONFIG)
+    write_tree(judged(measure(load_config(folder / "compare.toml"))), folder / "result.nc")
+    return folder / "result.nc"
+
+
+@pytest.fixture(scope="module")
+def tree(file):
+    return read_tree(file)
+
+
+@pytest.fixture(scope="module")
+def drawn(tree, tmp_path_factory):
+    """Every file that ``draw_all`` writes, by name."""
+    return {path.name: path for path in draw_all(tree, tmp_path_factory.mktemp("figures"))}
+
+
+def texts(figure):
+    """All visible text of a figure."""
+    found = [t for t in figure.findobj(mpl.text.Text) if t.get_visible()]
+    return "\n".join(t.get_text() for t in found)
+
+
+def labelled(axes, label):
+    """The one line of a panel with a label."""
+    (line,) = [line for line in axes.lines if line.get_label() == label]
+    return line
+
+
+# What is drawn is what is stored
+
+
+def test_every_free_symbol_and_the_gap_have_a_row_in_the_corner(tree):
+    snapshot = snapshots(tree)[0]
+    assert snapshot.symbols == (*FREE, "delta_rad")
+    count = len(snapshot.symbols)
+    figure = corner(snapshot)
+    assert len(figure.axes) == count * (count + 1) // 2
+    shown = texts(figure)
+    for name in snapshot.symbols:
+        assert scale_of(name, snapshot.values("posterior", name)).symbol in shown
+    assert "baseline" in shown, "what has no row is named"
+
+
+def test_traces_are_the_stored_draws_of_every_symbol_and_chain(tree):
+    snapshot = snapshots(tree)[1]
+    heads = [axes for axes in trace(snapshot).axes if axes.lines]
+    assert len(heads) == len(snapshot.symbols)
+    for axes, name in zip(heads, snapshot.symbols, strict=True):
+        draws = snapshot.values("posterior", name)
+        scale = scale_of(name, draws)
+        for chain, stored in enumerate(draws):
+            shown = labelled(axes, f"ensemble {chain + 1}").get_ydata()
+            assert np.allclose(shown / scale.factor + scale.reference, stored, rtol=1e-12)
+
+
+def test_titles_of_traces_give_the_stored_diagnostics(tree):
+    snapshot = snapshots(tree)[0]
+    titles = [axes.get_title(loc="left") for axes in trace(snapshot).axes]
+    stored = snapshot.groups["diagnostics"].sel(symbol="decay_rate_per_s")
+    (title,) = [t for t in titles if "τ" in t]
+    assert f"{float(stored['r_hat']):.3f}" in title
+    assert f"ESS {float(stored['ess_bulk']):.0f}" in title
+
+
+def test_pulses_are_drawn_sample_by_sample(tree):
+    axes = signal(tree).axes
+    for snapshot, panels in zip(snapshots(tree), (axes[:6], axes[6:]), strict=True):
+        stored = dict(
+            zip(
+                snapshot.values("observed_data", "time_s"),
+                zip(
+                    snapshot.values("observed_data", "motor_speed_rpm"),
+                    snapshot.values("predictive", "model_rpm"),
+                    strict=True,
+                ),
+                strict=True,
+            )
+        )
+        for panel in (panels[2], panels[4]):
+            measured, model = labelled(panel, "measured"), labelled(panel, "model")
+            expected = np.array([stored[t] for t in measured.get_xdata()])
+            assert len(expected) > 50
+            assert np.array_equal(measured.get_ydata(), expected[:, 0])
+            assert np.array_equal(model.get_ydata(), expected[:, 1])
+
+
+def test_a_positive_pulse_rises_and_a_negative_one_falls(tree):
+    axes = signal(tree).axes
+    for panel, sign in ((axes[2], 1.0), (axes[4], -1.0)):
+        speed = sign * (labelled(panel, "model").get_ydata() - 2000.0)
+        assert np.argmax(speed) < np.argmin(speed)
+        assert speed.max() > -speed.min()
+
+
+def test_an_outline_keeps_every_extreme():
+    generator = np.random.default_rng(3)
+    time, values = np.arange(10_001.0), generator.standard_normal(10_001)
+    values[[17, 9_000]] = 50.0, -60.0
+    middle, low, high = envelope(time, values, 300)
+    assert middle.size == 300
+    assert high.max() == 50.0
+    assert low.min() == -60.0
+    for begin in (0, 4_321, 9_990):
+        inside = np.interp(np.arange(begin, begin + 5), middle, np.arange(300)).round().astype(int)
+        assert np.all(low[inside] <= values[begin : begin + 5].max())
+
+
+def test_a_short_signal_is_outlined_by_its_own_samples():
+    middle, low, high = envelope(np.arange(5.0), np.array([0.0, 1.0, 0.0, -1.0, 0.0]), 700)
+    assert middle.size == 4
+    assert np.array_equal(high, [1.0, 1.0, 0.0, 0.0])
+    assert np.array_equal(low, [0.0, 0.0, -1.0, -1.0])
+
+
+def test_misfit_convergence_and_noise_are_the_stored_arrays(tree):
+    for i, snapshot in enumerate(snapshots(tree)):
+        mean = labelled(misfit(tree).axes[i], "mean over rotations").get_ydata()
+        assert np.array_equal(mean, snapshot.values("misfit", "mean_rpm"))
+        bic = labelled(noise(tree).axes[2 * i], "BIC").get_ydata()
+        assert np.array_equal(bic, snapshot.values("noise", "bic"))
+        runs = [line for line in convergence(tree).axes[i].lines if "run" in str(line.get_label())]
+        errors = np.concatenate([line.get_ydata() for line in runs])
+        stored = snapshot.values("search_history", "rmse_rpm")
+        assert np.array_equal(np.sort(errors), np.sort(stored))
+
+
+def test_the_gap_figure_shows_curve_limit_and_change_as_stored(tree):
+    main, *_ = gap(tree).axes
+    (curve,) = [line for line in main.lines if "gap curve" in str(line.get_label())]
+    assert np.array_equal(curve.get_ydata(), 1e3 * tree["curve"]["delta_rad"].values)
+    assert labelled(main, "limit 1.2 mrad").get_ydata()[0] == pytest.approx(1.2)
+    shown = texts(gap(tree))
+    low, high = 1e3 * np.quantile(tree["change"]["change_rad"].values, [0.05, 0.95])
+    assert re.search(rf"90 % interval {low:.2f}\d* to {high:.2f}\d*", shown)
+
+
+def test_contours_hold_their_share_of_the_draws():
+    x = np.linspace(-4.0, 4.0, 200)
+    density = np.exp(-0.5 * (x[:, None] ** 2 + x**2))
+    nine, half = enclosing_levels(density, (0.9, 0.5))
+    # Of a unit Gaussian in two dimensions, exp(−r²/2) of the mass lies beyond r.
+    assert nine == pytest.approx(0.1, rel=0.02)
+    assert half == pytest.approx(0.5, rel=0.02)
+
+
+# Files
+
+
+def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, drawn, tmp_path):
+    tree = read_tree(file)
+    with publication_style():
+        again = save(gap(tree), tmp_path, "gap") + save(signal(tree), tmp_path, "signal")
+    for path in again:
+        assert path.read_bytes() == drawn[path.name].read_bytes(), path.name
+
+
+def test_every_figure_is_there_as_pdf_and_png(drawn):
+    names = {"signal", "gap", "misfit", "noise", "convergence"}
+    names |= {f"{kind}_{snapshot}" for kind in ("corner", "trace") for snapshot in ("old", "new")}
+    assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
+    assert all(path.stat().st_size < 500_000 for path in drawn.values())
+
+
+def test_pdf_text_is_embedded_truetype_without_a_date(drawn):
+    for name, path in drawn.items():
+        if name.endswith(".pdf"):
+            content = path.read_bytes()
+            assert b"/CIDFontType2" in content, name
+            assert b"/Type3" not in content, name
+            assert b"/CreationDate" not in content, name
+
+
+def test_a_users_settings_of_matplotlib_change_nothing_and_stay(tree):
+    with mpl.rc_context({"font.size": 31.0, "lines.linewidth": 9.0}):
+        figure = misfit(tree)
+        assert mpl.rcParams["font.size"] == 31.0
+    assert figure.axes[0].xaxis.label.get_size() == 7.0
+
+
+def test_a_result_of_another_kind_is_refused(tree, tmp_path):
+    other = tree.copy()
+    other.attrs = {**tree.attrs, "kind": "sweep"}
+    with pytest.raises(ResultError, match="sweep"):
+        draw_all(other, tmp_path)
+
+
+# Withheld answers
+
+
+def test_a_withheld_gap_is_said_so_and_its_number_is_not_given(tree):
+    whole = texts(gap(tree))
+    assert "withheld" not in whole
+    assert len(re.findall(r"\d mrad \(", whole)) == 3
+    shown = texts(gap(judged(tree, new=REASON)))
+    assert "new: δ withheld" in shown
+    assert len(re.findall(r"\d mrad \(", shown)) == 1, "only the snapshot that has an answer"
+
+
+def test_a_withheld_reason_is_on_the_corner_and_the_trace(tree):
+    old, new = snapshots(judged(tree, new=REASON))
+    assert REASON.split(":")[0] in " ".join(texts(corner(new)).split())
+    assert "withheld" in texts(trace(new))
+    assert "withheld" not in texts(corner(old)) + texts(trace(old))
+
+
+# Scales
+
+
+@pytest.mark.parametrize("name", [*SYMBOLS, "delta_rad"])
+@pytest.mark.parametrize("middle", [-3.7, 1e-4, 1.8, 1999.99])
+@pytest.mark.parametrize("spread", [0.0, 1e-6, 1e-2, 5.0])
+def test_a_scale_can_be_undone_and_names_its_unit(name, middle, spread):
+    draws = middle + spread * np.linspace(-2.0, 2.0, 50)
+    scale = scale_of(name, draws)
+    back = scale.shown(draws) / scale.factor + scale.reference
+    assert np.allclose(back, draws, rtol=1e-9, atol=1e-12)
+    assert scale.label().endswith(f"({scale.unit})")
+    if scale.reference:
+        told = scale.reference_text.replace("−", "-").replace("+", "-").split()[1]
+        assert float(told) == pytest.approx(abs(scale.reference), rel=1e-9)

@@ -1,0 +1,280 @@
+"""Laws of the terminal: the answer first, nothing certain, nothing wider than the terminal."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from bayesbl.config.loading import load_config
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.report import words
+from bayesbl.report.console import error, print_result, print_summary
+from bayesbl.report.progress import progress
+from bayesbl.signal.parameters import SYMBOLS
+from bayesbl.signal.waveform import pulse_train
+from bayesbl.workflows.measure import measure
+
+WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
+
+
+def console(*, terminal=False, width=80):
+    return Console(
+        file=io.StringIO(), force_terminal=terminal, width=width, highlight=False, markup=False
+    )
+
+
+def between(low, high, kind="equal_tailed"):
+    return {"median": 0.5 * (low + high), "low": low, "high": high, "level": 0.9, "kind": kind}
+
+
+def part(low=6.85e-4, high=7.31e-4, reasons=()):
+    """A snapshot's part of a summary; with reasons it is withheld."""
+    return {
+        "delta_rad": None if reasons else between(low, high),
+        "amplitude_rpm": between(30.8, 32.3),
+        "rotations": 5.0,
+        "noise": {"kind": "ar", "order": 1, "sd_rpm": 1.51, "coefficients": [0.6]},
+        "budget": {"noise": 0.97, "start_angle": 0.0, "rounding": 0.03},
+        "diagnostics": {
+            "r_hat": 1.001,
+            "ess_bulk": 3000.0,
+            "outcome": "withheld" if reasons else "converged",
+            "reasons": list(reasons),
+        },
+        "limit_rad": 1.2e-3,
+        "probability_above_limit": None if reasons else 0.0,
+    }
+
+
+def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "after"), reasons=()):
+    """A summary of compared snapshots; with reasons the last one is withheld."""
+    snapshots = [{"name": name, **part()} for name in names[:-1]]
+    snapshots.append({"name": names[-1], **part(9.3e-4, 9.8e-4, reasons)})
+    change = None if reasons else between(low, high)
+    given_probability = None if reasons else probability
+    steps = [
+        {"from": a, "to": b, "change_rad": change, "probability_increase": given_probability}
+        for a, b in pairwise(names)
+    ]
+    return {
+        "kind": "compare",
+        "outcome": "withheld" if reasons else "converged",
+        "warnings": [WARNING],
+        "snapshots": snapshots,
+        "change_rad": change,
+        "changes": steps,
+        "probability_increase": given_probability,
+    }
+
+
+def printed(summary, folder=None, **options):
+    target = console(**options)
+    print_result(summary, folder, target)
+    return target.file.getvalue()
+
+
+def flat(text):
+    return " ".join(text.split())
+
+
+# The answer
+
+
+def test_the_answer_comes_first_in_words():
+    first = flat(printed(comparison())).split(" Probability that the gap")[0]
+    assert first == (
+        "The gap grew by 0.25 mrad (90 % interval 0.21 to 0.28 mrad); "
+        "probability that it grew: > 99.9 %."
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "told"),
+    [
+        (-2.81e-4, -2.12e-4, "The gap shrank by 0.25 mrad (90 % interval 0.21 to 0.28 mrad)"),
+        (-1e-4, 2e-4, "may not have changed: the change is 0.05 mrad (90 % interval −0.10 to"),
+    ],
+)
+def test_a_change_is_named_by_where_its_interval_lies(low, high, told):
+    text = flat(printed(comparison(low, high, 0.5)))
+    assert told in text
+    assert "grew by" not in text
+
+
+def test_a_fit_answers_with_the_gap():
+    text = flat(printed({"kind": "fit", "outcome": "converged", "warnings": [], **part()}))
+    assert text.startswith("The gap is 0.708 mrad (90 % interval 0.685 to 0.731 mrad).")
+    assert "limit of 1.2 mrad: < 0.1 %." in text
+
+
+def test_every_snapshot_stands_in_the_table_and_every_step_is_told():
+    names = ("March", "May", "July")
+    text = flat(printed(comparison(names=names)))
+    for first, last in (names[:2], names[1:]):
+        assert f"From {first} to {last}:" in text
+    assert text.count("converged") == 3
+
+
+def test_warnings_sources_and_folder_are_told():
+    text = printed(comparison(), Path("results/wear"))
+    assert f"Warning: {WARNING}" in flat(text)
+    assert "noise of the recording 97.0 %" in flat(text)
+    assert "Written to results/wear\n" in text
+
+
+def test_a_withheld_answer_is_told_with_its_reason_and_without_a_number():
+    reason = "The chain is short; raise [posterior] max_steps."
+    text = flat(printed(comparison(reasons=[reason])))
+    assert text.startswith("The change of the gap is withheld")
+    assert f"Withheld: after: {reason}" in text
+    assert "after withheld withheld" in text, "the table's row"
+    assert "withheld (after)" in text, "the probability above the limit"
+
+
+def test_an_interval_tells_its_kind():
+    summary = comparison()
+    summary["change_rad"] = between(2.1e-4, 2.8e-4, "hdi")
+    assert "90 % highest-density interval" in flat(printed(summary))
+
+
+# Probabilities and numbers
+
+
+@given(st.floats(0.0, 1.0))
+def test_a_probability_is_never_certain(value):
+    text = words.probability(value)
+    number = float(re.search(r"[\d.]+", text).group())
+    assert 0.0 < number < 100.0
+    assert text.startswith("<") == (value < 1e-3)
+    assert text.startswith(">") == (value > 0.999)
+    if text[0] not in "<>":
+        assert number == pytest.approx(100.0 * value, abs=0.5)
+
+
+@given(st.floats(-5.0, 5.0), st.floats(1e-6, 3.0))
+def test_rounding_never_swallows_an_interval(low, width):
+    found = between(low, low + width)
+    places = words.decimals(found)
+    shown = [float(x) for x in words.bounds(found).replace("−", "-").split(" to ")]
+    assert shown[0] < shown[1]
+    assert shown[1] - shown[0] == pytest.approx(width, rel=0.21)
+    assert "-0" not in words.number(-0.1 * 10.0**-places, places)
+
+
+# The terminal
+
+
+@pytest.mark.parametrize("reasons", [(), ("R̂ of amplitude_rpm is 1.2 (below 1.05 is needed).",)])
+@pytest.mark.parametrize("names", [("before", "after"), ("a" * 60, "the other one " * 4 + "b")])
+def test_no_line_is_wider_than_the_terminal(names, reasons):
+    text = printed(comparison(names=names, reasons=reasons), Path("results/wear"))
+    assert max(len(line) for line in text.splitlines()) <= 80
+
+
+def test_a_pipe_gets_no_colour_codes_and_a_terminal_does():
+    assert "\x1b" not in printed(comparison())
+    assert "\x1b" in printed(comparison(), terminal=True)
+
+
+def test_numbers_stay_with_their_signs_and_units():
+    for width in range(20, 60):
+        lines = words.wrapped("probability that it grew: > 99.9 %; by 0.25 mrad", width).split("\n")
+        assert all(len(line) <= width for line in lines)
+        assert any("> 99.9 %" in line for line in lines)
+        assert any("0.25 mrad" in line for line in lines)
+
+
+def test_an_error_is_one_line_with_its_brackets():
+    target = console()
+    path = "/a/very/long/path/that/does/not/fit/into/a/line/of/eighty/characters/recording.csv"
+    error(target, RecordingError("Not a number.", file=path, where="[[recordings]] 1", found="[x]"))
+    text = target.file.getvalue()
+    assert text == f"Error: {path}, [[recordings]] 1: Not a number. Found: [x].\n"
+
+
+def test_an_error_without_a_place_is_told_too():
+    target = console()
+    error(target, ConfigError("Nothing to do."))
+    assert target.file.getvalue() == "Error: Nothing to do.\n"
+
+
+def test_progress_is_silent_in_a_pipe():
+    target = console()
+    with progress(target) as tell:
+        tell("before", 100, 20_000)
+    assert target.file.getvalue() == ""
+
+
+def test_progress_names_the_recording_on_a_terminal():
+    target = console(terminal=True, width=100)
+    with progress(target) as tell:
+        tell("before [1]", 100, 20_000)
+        tell("before [1]", 900, 20_000)
+        tell("after", 100, 20_000)
+    text = target.file.getvalue()
+    assert "Sampling before [1]" in text
+    assert "Sampling after" in text
+
+
+# Inspecting a stored result
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A small fit as a tree."""
+    folder = tmp_path_factory.mktemp("fit")
+    time = np.arange(1000) / 250.0
+    train = pulse_train(time, 0.3, 19.0, 70.0, 0.204, 0.7, 1.4, 1.0 / 250.0)
+    speed = 2000.0 + 30.0 * train + np.random.default_rng(1).standard_normal(time.size)
+    table = np.c_[time, speed]
+    header = "time_s,motor_speed_rpm"
+    np.savetxt(folder / "one.csv", table, "%.9g", ",", header=header, comments="")
+    (folder / "fit.toml").write_text(
+        'schema = 1\nkind = "fit"\n[run]\noutput = "x"\n[posterior]\nensembles = 2\n'
+        'max_steps = 100\n[[recordings]]\nfile = "one.csv"\n'
+    )
+    return measure(load_config(folder / "fit.toml"))
+
+
+def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
+    target = console()
+    print_summary(stored, target)
+    text = target.file.getvalue()
+    for symbol in SYMBOLS.values():
+        (row,) = [line for line in text.splitlines() if line.startswith(symbol.name)]
+        assert row.rstrip().endswith(symbol.unit)
+        assert ("fixed" in row) == symbol.name.startswith("window")
+    for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
+        assert told in text
+    assert text.startswith(words.headline(_summary(stored)).split(" (")[0])
+
+
+def test_inspect_of_a_withheld_fit_gives_no_gap(stored):
+    withheld = copy.copy(stored)
+    withheld["diagnostics"].attrs = {
+        "verdicts": json.dumps(
+            {"fit": {"outcome": "withheld", "reasons": ["Too weak."], "reason": "Too weak."}}
+        )
+    }
+    target = console()
+    print_summary(withheld, target)
+    text = flat(target.file.getvalue())
+    assert text.startswith("The gap is withheld")
+    assert "Withheld: Too weak." in text
+    assert not re.search(r"\d mrad", text)
+
+
+def _summary(tree):
+    from bayesbl.results.summary import summarise
+
+    return summarise(tree)
