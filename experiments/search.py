@@ -1,0 +1,219 @@
+"""How often each search method finds the global RMSE optimum of recordings with known truth.
+
+    bayesbl run configs/search_study.toml
+
+Every case is a recording of the disturbance model itself: A = 20 rpm, T_w 2.5 to 4.5 s, 4 to 6
+rotations, half the cases with white noise and half with AR(1) noise of a random coefficient. The
+optimum refined from the truth is what a search has to reach. Under noise as strong as the ringing
+the global optimum is not always at the true pulses, so both are told: whether the search ended as
+low (``found``), and whether it did so with its pulses where they truly are (``success``).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayesbl.inference.optimum import find_optimum, local_search, search_box, table_2_box
+from bayesbl.inference.refine import refine
+from bayesbl.physics.noise import NoiseModel
+from bayesbl.recording.types import FloatArray
+from bayesbl.signal.objective import Objective
+from bayesbl.signal.parameters import (
+    AMPLITUDE,
+    FREQUENCY,
+    MEAN,
+    ROTATION,
+    SEPARATION,
+    START,
+    SYMBOLS,
+    WINDOW_END,
+    WINDOW_START,
+    DisturbanceModel,
+)
+from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
+
+AMPLITUDE_RPM = 20.0
+SAME_RMSE = 1e-6
+"""An RMSE within this part of the optimum's is the optimum's."""
+PAPER_METHODS = ("paper", "nine symbols", "nine symbols as printed")
+
+COLUMNS = {
+    "found": ("1", "1 where the RMSE is as low as that of the optimum refined from the truth"),
+    "right_pulses": (
+        "1",
+        "1 where all pulses are within a quarter ringing period of the truth",
+    ),
+    "rmse_excess": ("1", "RMSE relative to that of the optimum refined from the truth, less 1"),
+    "search_seconds": ("s", "processor time of the search, one thread, after warm-up"),
+    "evaluations": ("1", "evaluations of the RMSE by CMA-ES"),
+    "signal_to_noise": ("1", "A over the standard deviation of the noise"),
+    "noise_coefficient": ("1", "AR(1) coefficient of the noise, 0 for white"),
+}
+
+
+class Row(BaseModel):
+    """A row: a method on a range of signal to noise."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    method: Literal["guess", "paper", "nine symbols", "nine symbols as printed"]
+    cases: int = Field(ge=1)
+    signal_to_noise: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a search ended."""
+
+    symbols: Mapping[str, float]
+    rmse_rpm: float
+    evaluations: int
+
+
+def count(row: Row) -> int:
+    return row.cases
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, float]:
+    warm_up(row.method)
+    truth_seed, search_seed = seed.spawn(2)
+    generator = np.random.default_rng(truth_seed)
+    truth = draw_symbols(generator, AMPLITUDE_RPM)
+    low, high = row.signal_to_noise
+    ratio = math.exp(generator.uniform(math.log(low), math.log(high)))
+    coefficient = generator.uniform(0.3, 0.95) if index % 2 else 0.0
+    noise = NoiseModel(AMPLITUDE_RPM / ratio, (coefficient,) if coefficient else ())
+    # The paper's model has no baseline, so its recordings have none either.
+    harmonics = 0 if row.method in PAPER_METHODS else 1
+    baseline = generator.uniform(0.0, 0.5 * AMPLITUDE_RPM) * _direction(generator)
+    recording = synthetic_recording(
+        truth,
+        noise,
+        generator,
+        rotations=generator.uniform(4.0, 6.0),
+        baseline_rpm=baseline[: 2 * harmonics],
+    )
+    objective = Objective(DisturbanceModel(harmonics), recording.time_s, recording.motor_speed_rpm)
+    begin = time.process_time()
+    found = search(row.method, objective, np.random.default_rng(search_seed))
+    seconds = time.process_time() - begin
+    reference = best_rmse_near(objective, truth)
+    return {
+        "found": found.rmse_rpm <= reference * (1.0 + SAME_RMSE),
+        "right_pulses": same_pulses(found.symbols, truth, recording.duration_s),
+        "rmse_excess": found.rmse_rpm / reference - 1.0,
+        "search_seconds": seconds,
+        "evaluations": found.evaluations,
+        "signal_to_noise": ratio,
+        "noise_coefficient": coefficient,
+    }
+
+
+def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
+    found, right = cases["found"].values, cases["right_pulses"].values
+    return {
+        "found": float(found.mean()),
+        "right_pulses": float(right.mean()),
+        "success": float((found * right).mean()),
+        "median_rmse_excess": float(cases["rmse_excess"].median()),
+        "median_search_seconds": float(cases["search_seconds"].median()),
+        "longest_search_seconds": float(cases["search_seconds"].max()),
+        "median_evaluations": float(cases["evaluations"].median()),
+    }
+
+
+def search(method: str, objective: Objective, generator: np.random.Generator) -> Found:
+    """Where a method ends on a recording."""
+    if method in ("guess", "paper"):
+        optimum = find_optimum(objective, method, generator)
+        return Found(optimum.symbols, optimum.rmse_rpm, optimum.evaluations)
+    return search_nine(objective, generator, as_printed=method == "nine symbols as printed")
+
+
+def search_nine(objective: Objective, generator: np.random.Generator, *, as_printed: bool) -> Found:
+    """The paper's search over all nine symbols of Table 2, t1 and t2 included.
+
+    Where t2 is not later than t1 (in the middle of the printed ranges, for one) there is no pulse,
+    and the model is the constant v_t.
+    """
+    box = table_2_box(objective)
+    if as_printed:
+        box[WINDOW_START], box[WINDOW_END] = box[WINDOW_END], box[WINDOW_START]
+    # t0 and t1 only enter as their sum, t1 and t2 as their difference.
+    inner = Objective(
+        DisturbanceModel(0, fixed={WINDOW_START: 0.0}), objective.time_s, objective.speed_rpm
+    )
+    names = list(SYMBOLS)
+    speed = objective.speed_rpm
+
+    def sum_of_squares(x: FloatArray) -> FloatArray:
+        s = dict(zip(names, x.T, strict=True))
+        s[START] = s[START] + s[WINDOW_START]
+        s[WINDOW_END] = s[WINDOW_END] - s[WINDOW_START]
+        searched = np.column_stack([s[name] for name in inner.searched])
+        values = inner.sum_of_squares_at(searched, s[AMPLITUDE], s[MEAN])
+        constant = speed.size * (speed.var() + (speed.mean() - s[MEAN]) ** 2)
+        return np.where(s[WINDOW_END] > 0.5 * inner.period_s, values, constant)
+
+    low, high = np.array([box[name] for name in names]).T
+    end, history = search_box(sum_of_squares, low, high, generator, objective.samples)
+    rmse = math.sqrt(float(sum_of_squares(end[None])[0]) / objective.samples)
+    symbols = {name: float(value) for name, value in zip(names, end, strict=True)}
+    return Found(symbols, rmse, int(history.evaluations[-1]))
+
+
+def best_rmse_near(objective: Objective, truth: Mapping[str, float]) -> float:
+    """RMSE of the optimum refined from the truth, in rpm."""
+    start = np.array([truth[name] for name in objective.searched])
+    refined = refine(objective, start)
+    polished, _ = local_search(objective, refined, np.random.default_rng(0))
+    least = objective.sum_of_squares(np.array([refined, polished])).min()
+    return math.sqrt(least / objective.samples)
+
+
+def same_pulses(found: Mapping[str, float], truth: Mapping[str, float], duration_s: float) -> bool:
+    """Whether positive and negative impacts agree all along a recording.
+
+    To a quarter of the ringing period.
+    """
+    rotation = truth[ROTATION]
+    quarter = 0.5 * math.pi / truth[FREQUENCY]
+    drift = abs(found[ROTATION] / rotation - 1.0) * duration_s
+    shifts = [
+        (a - b + 0.5 * rotation) % rotation - 0.5 * rotation
+        for a, b in zip(_impacts(found), _impacts(truth), strict=True)
+    ]
+    return drift < quarter and max(abs(shift) for shift in shifts) < quarter
+
+
+def _impacts(symbols: Mapping[str, float]) -> tuple[float, float]:
+    """Times of a positive and a negative impact, s; a negative A makes them change places."""
+    first = symbols[START] + symbols[WINDOW_START]
+    times = (first, first - symbols[SEPARATION])
+    return times if symbols[AMPLITUDE] > 0.0 else times[::-1]
+
+
+def _direction(generator: np.random.Generator) -> FloatArray:
+    """cos and sin of a random phase."""
+    phase = generator.uniform(0.0, 2.0 * math.pi)
+    return np.array([math.cos(phase), math.sin(phase)])
+
+
+@functools.cache
+def warm_up(method: str) -> None:
+    """Compile and import what a search needs, once in each process."""
+    generator = np.random.default_rng(0)
+    symbols = draw_symbols(generator, AMPLITUDE_RPM)
+    recording = synthetic_recording(symbols, NoiseModel(1.0), generator, rotations=3.0)
+    harmonics = 0 if method in PAPER_METHODS else 1
+    objective = Objective(DisturbanceModel(harmonics), recording.time_s, recording.motor_speed_rpm)
+    find_optimum(objective, "guess", generator)
