@@ -15,7 +15,7 @@ class UserError(Exception):
     file
         The file it was found in, if any.
     where
-        The line, column or field inside the file, e.g. ``"line 14"`` or ``"[posterior] ensembles"``.
+        The line, column or field inside the file, e.g. ``"line 14"`` or ``"[run] seed"``.
     found, expected
         What stood there and what should have.
     """
@@ -37,8 +37,9 @@ class UserError(Exception):
         super().__init__(self._message())
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Exceptions are rebuilt from args when they cross process boundaries; keywords would be lost.
-        return _rebuild, (type(self), self.problem, self.file, self.where, self.found, self.expected)
+        # Rebuilt from args when they cross process boundaries, exceptions would lose keywords.
+        parts = (self.problem, self.file, self.where, self.found, self.expected)
+        return _rebuild, (type(self), *parts)
 
     def _message(self) -> str:
         place = ", ".join(part for part in (self.file, self.where) if part)

@@ -48,6 +48,12 @@ def dimension_of(channel: str) -> str | None:
     return None
 
 
+def unit_of(channel: str) -> str:
+    """The package's own unit of a channel, empty where its name ends in none we know."""
+    units = accepted_units(channel)
+    return units[0] if units else ""
+
+
 def accepted_units(channel: str) -> tuple[str, ...]:
     """Units in which a column for this channel may come, the package's own first."""
     dimension = dimension_of(channel)

@@ -35,8 +35,8 @@ def trace(snapshot: Snapshot) -> Figure:
     """Per symbol: draws of every chain in turn, so that none hides another, and their densities."""
     names = snapshot.symbols
     rows = math.ceil(len(names) / 2)
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.5 + 1.35 * rows)
-    spec = grid(figure, rows, 2, left=0.6, top=0.45, between=(0.5, 0.75))
+    figure = new_figure(DOUBLE_COLUMN_IN, 0.5 + 1.25 * rows)
+    spec = grid(figure, rows, 2, left=0.6, top=0.45, between=(0.36, 0.75))
     heads: list[Axes] = []
     for index, name in enumerate(names):
         inner = spec[divmod(index, 2)].subgridspec(1, 2, width_ratios=(3.4, 1.0), wspace=0.04)
@@ -49,6 +49,8 @@ def trace(snapshot: Snapshot) -> Figure:
         left.yaxis.set_label_coords(-0.15, 0.5)
         if index >= len(names) - 2:
             left.set_xlabel("Draw, ensembles one after the other")
+        else:
+            left.tick_params(labelbottom=False)
         heads.append(left)
     head_panels(heads, [_title(snapshot, n) for n in names])
     figure.text(0.99, 0.995, snapshot.name, ha="right", va="top")

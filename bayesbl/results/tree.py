@@ -16,9 +16,10 @@ import xarray as xr
 from bayesbl.gap.change import Change, Gap
 from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.estimator import Fit
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.signal.jacobian import jacobian_columns
 from bayesbl.signal.parameters import ROTATION, SYMBOLS
+from bayesbl.units import unit_of
 
 PREDICTIVE_DRAWS = 100
 
@@ -178,17 +179,13 @@ def _sample_stats(fit: Fit, gap: Gap) -> xr.Dataset:
 
 
 def _observed(fit: Fit) -> xr.Dataset:
-    return dataset(
-        {
-            "time_s": (("sample",), fit.point.recording.time_s, "s", "time"),
-            "motor_speed_rpm": (
-                ("sample",),
-                fit.point.recording.motor_speed_rpm,
-                "rpm",
-                "motor speed",
-            ),
-        }
-    )
+    """Every channel that was recorded: later figures lay simulations over them."""
+    recording = fit.point.recording
+    channels: dict[str, tuple[tuple[str, ...], FloatArray, str, str]] = {
+        name: (("sample",), values, unit_of(name), CHANNELS.get(name, name))
+        for name, values in recording.channels.items()
+    }
+    return dataset({"time_s": (("sample",), recording.time_s, "s", "time")} | channels)
 
 
 def _predictive(fit: Fit, level: float) -> xr.Dataset:

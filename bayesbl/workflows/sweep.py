@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.bench import load_bench
+from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.loading import dump_config
 from bayesbl.config.schema import SweepConfig
 from bayesbl.errors import BenchError, ConfigError
@@ -115,6 +115,7 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
         "lack_of_fit_size": regression.lack_of_fit_size,
         "lack_of_fit_length": regression.lack_of_fit_length,
         "degree": config.sweep.degree,
+        "bench": dump_bench(bench),
         **provenance(
             dump_config(config), config.run.seed, {str(config.bench): file_sha256(config.bench)}
         ),
