@@ -128,6 +128,5 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
     figure.savefig(pdf, metadata={"CreationDate": None, "Title": name})
-    # Full compression takes longer than it is worth: a tenth of the bytes.
-    figure.savefig(png, metadata={"Title": name}, pil_kwargs={"compress_level": 2})
+    figure.savefig(png, metadata={"Title": name})
     return [pdf, png]

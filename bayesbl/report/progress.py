@@ -63,4 +63,7 @@ class _Bars:
         if self._searching is not None:
             self._bars.remove_task(self._searching)
             self._searching = None
+        for task in self._bars.tasks:
+            self._bars.update(task.id, total=task.completed, told=f"{task.completed:.0f} steps")
+            self._bars.stop_task(task.id)
         self._tasks[recording] = self._bars.add_task(f"Sampling {recording}", total=None, told="")
