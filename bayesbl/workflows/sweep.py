@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -219,7 +220,7 @@ def _cached(cache: Path, key: str, make: Callable[[], SweepRow]) -> SweepRow:
                     stored["rmse_rpm"],
                     tuple(str(n) for n in stored["names"]),
                 )
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             path.unlink(missing_ok=True)
     row = make()
     if not np.all(np.isfinite(row.amplitude_rpm)):

@@ -1,0 +1,306 @@
+"""Sweeps of the virtual bench and the gap curves they give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.config.loading import load_config
+from bayesbl.config.schema import SweepConfig
+from bayesbl.errors import CurveError, UserError
+from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
+from bayesbl.gap.change import MeasuredRinging, gaps
+from bayesbl.gap.curve import GapCurve
+from bayesbl.gap.regression import regress
+from bayesbl.gap.sweep import SweepRow, SweepSettings, sweep_nominal
+from bayesbl.gap.swept_curve import degree_reports, swept_curve
+from bayesbl.inference.estimator import Estimator
+from bayesbl.recording.readers import read_recording
+from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.signal.parameters import DisturbanceModel
+from bayesbl.workflows.measure import require_same_estimator
+from bayesbl.workflows.sweep import run_sweep
+
+SETTINGS = SweepSettings(count=14, start_angles=3)
+EXAMPLES = Path(__file__).parents[1] / "configs" / "recordings"
+TOLERANT = (
+    "shaft_stiffness_nm_per_rad",
+    "speed_gain_nm_s_per_rad",
+    "integral_gain_nm_per_rad",
+    "gravity_torque_nm",
+)
+
+
+@pytest.fixture(scope="session")
+def nominal() -> SweepRow:
+    return sweep_nominal(
+        reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1), workers=2
+    )
+
+
+@pytest.fixture(scope="session")
+def curve(nominal: SweepRow) -> GapCurve:
+    recording = reference_bench().simulate(1e-3)
+    return swept_curve(
+        "test",
+        nominal,
+        DisturbanceModel(),
+        3,
+        Estimator().fingerprint(recording),
+        np.random.SeedSequence(1),
+    )[0]
+
+
+def point(recording, seed: int = 1):  # type: ignore[no-untyped-def]
+    return Estimator().estimate(recording, np.random.SeedSequence(seed))
+
+
+def sweep_config(folder: Path, workers: int = 1, draws: int = 6, **sweep: object) -> SweepConfig:
+    """A small sweep of a bench with tolerances, as a file."""
+    text = dump_bench(reference_bench())
+    lines = []
+    for line in text.splitlines():
+        lines.append(line)
+        if line.strip("[]").removeprefix("parameters.") in TOLERANT:
+            lines.append("relative_tolerance = 0.05")
+    (folder / "bench.toml").write_text("\n".join(lines))
+    settings = {"start_angles": 2, "rotations": 2.0, "sampling_hz": 500.0, "degree": 3} | sweep
+    body = "\n".join(f"{k} = {v}" for k, v in settings.items())
+    (folder / "sweep.toml").write_text(
+        f"""schema = 1
+kind = "sweep"
+bench = "bench.toml"
+[run]
+workers = {workers}
+output = "out/sweep"
+[sweep]
+gap_rad = {{low = 2e-4, high = 3e-3, count = 8}}
+bench_draws = {draws}
+{body}
+"""
+    )
+    config = load_config(folder / "sweep.toml")
+    assert isinstance(config, SweepConfig)
+    return config
+
+
+def test_the_reference_bench_follows_the_papers_curve_within_5_percent(nominal: SweepRow) -> None:
+    paper = 1e-4 * np.array([-0.138809, 0.138764, 0.003122, -0.000009])
+    grid = np.linspace(5.0, 115.0, 50_000)
+    expected = np.interp(nominal.gap_rad, np.polynomial.polynomial.polyval(grid, paper), grid)
+    assert np.all(np.abs(nominal.amplitude_rpm.mean(axis=1) / expected - 1.0) < 0.05)
+
+
+def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: GapCurve) -> None:
+    rng = np.random.default_rng(3)
+    for gap in np.exp(rng.uniform(np.log(1.5e-4), np.log(3.8e-3), 4)):
+        recording = reference_bench().simulate(gap, start_angle_rad=rng.uniform(0.0, 6.28))
+        amplitude = point(recording).optimum.symbols["amplitude_rpm"]
+        # Scatter with the start angle is below 0.15 % of A, the regression's error below 0.1 %.
+        assert abs(float(curve.gap(np.array(amplitude))) / gap - 1.0) < 5e-3
+
+
+def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve) -> None:
+    truths = (6.8539e-4, 9.5394e-4)
+    points = [point(read_recording(EXAMPLES / f"wear_{name}.csv")) for name in ("before", "after")]
+    rng = np.random.default_rng(1)
+    ringing = [
+        MeasuredRinging(
+            rng.normal(p.ringing[0][0], np.sqrt(p.ringing[1][0, 0]), (4, 1000)), *p.ringing
+        )
+        for p in points
+    ]
+    found = gaps(curve, ringing, np.random.SeedSequence(1))
+    for truth, gap in zip(truths, found, strict=True):
+        low, high = np.quantile(gap.delta_rad, [0.025, 0.975])
+        assert abs(np.median(gap.delta_rad) / truth - 1.0) < 0.04
+        assert low < truth < high
+    low, high = np.quantile(found[1].delta_rad - found[0].delta_rad, [0.025, 0.975])
+    assert low < truths[1] - truths[0] < high
+
+
+def test_a_cubic_describes_the_bench_where_lower_degrees_do_not(nominal: SweepRow) -> None:
+    reports = {report.degree: report for report in degree_reports(nominal)}
+    assert reports[1].rms_departure > 0.1
+    assert reports[2].rms_departure > 3.0 * reports[3].rms_departure
+    assert reports[3].largest_departure < 0.005
+
+
+def test_the_regression_recovers_a_known_cubic_within_its_own_uncertainty() -> None:
+    rng = np.random.default_rng(5)
+    truth = np.array([-1e-5, 1.4e-5, 3e-7, -9e-10])
+    knots = np.geomspace(8.0, 95.0, 30)
+    inside = []
+    for _ in range(30):
+        amplitude = np.repeat(np.geomspace(7.0, 100.0, 25), 3)
+        gap = np.polynomial.polynomial.polyval(amplitude, truth)
+        slope = np.gradient(np.log(gap[::3]), amplitude[::3]).repeat(3)
+        seen = amplitude + 0.05 * rng.standard_normal(amplitude.size)
+        regression = regress(seen, gap, slope * 0.05, knots, 3)
+        coefficients, lack = regression.draws(400, rng)
+        nominal = np.log(np.polynomial.polynomial.polyval(knots, regression.coefficients))
+        draws = nominal + regression.correction + coefficients + lack
+        exact = np.log(np.polynomial.polynomial.polyval(knots, truth))
+        low, high = np.quantile(draws, [0.05, 0.95], axis=0)
+        inside.append(np.mean((low < exact) & (exact < high)))
+    # 30 sweeps with correlated knots: outside 0.8 to 0.98 less than once in a thousand seeds.
+    assert 0.8 < np.mean(inside) < 0.98
+
+
+def test_draws_of_a_curve_leave_the_curve_where_it_is(curve: GapCurve) -> None:
+    amplitude = np.full(4000, 30.0)
+    drawn = curve.draw(4000, np.random.default_rng(1)).gap(amplitude)
+    assert abs(np.log(drawn).mean() - np.log(curve.gap(amplitude[:1])[0])) < 1e-4
+
+
+def test_a_curve_is_the_same_after_a_round_trip_through_netcdf(
+    curve: GapCurve, tmp_path: Path
+) -> None:
+    import xarray as xr
+
+    tree = xr.DataTree.from_dict({"gap_curve": curve_to_dataset(curve)})
+    tree.attrs = {"outcome": "converged", "kind": "sweep"}
+    write_tree(tree, tmp_path / "result.nc")
+    again = read_curve(tmp_path / "result.nc")
+    grid = np.geomspace(3.0, 200.0, 100)
+    np.testing.assert_array_equal(again.gap(grid), curve.gap(grid))
+    draws = [c.draw(100, np.random.default_rng(2)).gap(grid) for c in (curve, again)]
+    np.testing.assert_array_equal(*draws)
+    assert again.fingerprint == curve.fingerprint
+
+
+def test_an_amplitude_that_does_not_grow_with_the_gap_is_refused(nominal: SweepRow) -> None:
+    import dataclasses
+
+    amplitude = nominal.amplitude_rpm.copy()
+    amplitude[6] = amplitude[4]
+    broken = dataclasses.replace(nominal, amplitude_rpm=amplitude)
+    with pytest.raises(CurveError, match="does not grow with the gap"):
+        swept_curve("broken", broken, DisturbanceModel(), 3, "", np.random.SeedSequence(1))
+
+
+def test_a_gap_beyond_the_sweep_is_withheld_with_a_bound(curve: GapCurve) -> None:
+    centre = np.array([150.0, np.log(70.0), np.log(18.0)])
+    amplitude = np.random.default_rng(1).normal(150.0, 0.5, (4, 500))
+    ringing = MeasuredRinging(amplitude, centre, np.diag([0.25, 1e-4, 1e-4]))
+    gap = gaps(curve, [ringing], np.random.SeedSequence(1))[0]
+    assert gap.reason is not None
+    assert "is above" in gap.reason
+    allowed = gaps(curve, [ringing], np.random.SeedSequence(1), allow_extrapolation=True)[0]
+    assert allowed.reason is None
+    assert np.median(allowed.delta_rad) > curve.gap_range_rad[1]
+
+
+@pytest.mark.parametrize(
+    ("estimator", "sampling_hz", "word"),
+    [
+        (Estimator(DisturbanceModel(baseline_harmonics=0)), 1000.0, "baseline_harmonics"),
+        (Estimator(), 500.0, "sampling_hz"),
+        (
+            Estimator(DisturbanceModel(fixed={"window_start_s": 0.0, "window_end_s": 0.15})),
+            1000.0,
+            "window_end_s",
+        ),
+    ],
+)
+def test_a_curve_made_with_another_estimator_is_refused(
+    curve: GapCurve, estimator: Estimator, sampling_hz: float, word: str
+) -> None:
+    recording = reference_bench().simulate(1e-3, rotations=2.0, sampling_hz=sampling_hz)
+    with pytest.raises(CurveError, match=word):
+        require_same_estimator(curve, estimator, recording)
+    require_same_estimator(curve, Estimator(), reference_bench().simulate(1e-3))
+
+
+def test_virtual_draws_reproduce_what_depends_linearly_on_the_parameters() -> None:
+    rng = np.random.default_rng(2)
+    slopes = rng.normal(size=(3, 5, 3)) * 0.02
+    shifts = rng.uniform(-1.0, 1.0, (40, 3))
+    swept = SweptDraws(("a", "b", "c"), shifts, np.einsum("bp,pgk->bgk", shifts, slopes))
+    virtual = virtual_departures(swept, rng, 20_000)
+    # Uniform on [−1, 1] has variance 1/3.
+    np.testing.assert_allclose(
+        virtual.std(axis=0), np.sqrt((slopes**2).sum(axis=0) / 3.0), rtol=0.03
+    )
+
+
+@pytest.fixture(scope="session")
+def tolerant_sweep(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
+    folder = tmp_path_factory.mktemp("sweep")
+    config = sweep_config(folder, draws=24)
+    return folder, config, run_sweep(config)
+
+
+def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_same(
+    tolerant_sweep,
+    tmp_path: Path,  # type: ignore[no-untyped-def]
+) -> None:
+    folder, config, first = tolerant_sweep
+    cache = folder / "out" / ".sweep-cache"
+    made = {path.name: path.stat().st_mtime_ns for path in cache.iterdir()}
+    assert len(made) == 25
+    again = run_sweep(config)
+    assert {path.name: path.stat().st_mtime_ns for path in cache.iterdir()} == made
+    elsewhere = run_sweep(sweep_config(tmp_path, workers=2, draws=6))
+    few = elsewhere["bench_draws"]["departure"].values
+    np.testing.assert_array_equal(few, first["bench_draws"]["departure"].values[:6])
+    np.testing.assert_array_equal(again["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+    np.testing.assert_array_equal(
+        elsewhere["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"]
+    )
+
+
+def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]
+    folder, config, first = tolerant_sweep
+    entry = sorted((folder / "out" / ".sweep-cache").iterdir())[0]
+    entry.write_bytes(entry.read_bytes()[:100])
+    again = run_sweep(config)
+    np.testing.assert_array_equal(
+        again["bench_draws"]["departure"], first["bench_draws"]["departure"]
+    )
+
+
+def test_a_shared_bench_cancels_in_the_change_and_the_ringing_narrows_it(
+    tolerant_sweep,  # type: ignore[no-untyped-def]
+) -> None:
+    curve = curve_from_dataset(tolerant_sweep[2]["gap_curve"].to_dataset(), "test")
+    rng = np.random.default_rng(1)
+    assert curve.ringing is not None
+    snapshots, blind = [], []
+    for knot in (20, 40):
+        amplitude = curve.knots_rpm[knot]
+        frequency, decay = curve.ringing.log_frequency[knot], curve.ringing.log_decay[knot]
+        draws = rng.normal(amplitude, 0.01 * amplitude, (4, 1000))
+        centre = np.array([amplitude, frequency, decay])
+        sharp = np.diag([(0.01 * amplitude) ** 2, 4e-3**2, 2e-2**2])
+        snapshots.append(MeasuredRinging(draws, centre, sharp))
+        blind.append(MeasuredRinging(draws, centre, sharp + np.diag([0.0, 10.0, 10.0])))
+    seeing = [g.delta_rad.ravel() for g in gaps(curve, snapshots, np.random.SeedSequence(1))]
+    unseeing = [g.delta_rad.ravel() for g in gaps(curve, blind, np.random.SeedSequence(1))]
+    shared = (seeing[1] - seeing[0]).std()
+    independent = (seeing[1] - rng.permutation(seeing[0])).std()
+    assert shared < 0.9 * independent
+    for narrow, wide in zip(seeing, unseeing, strict=True):
+        assert np.log(narrow).std() < 0.9 * np.log(wide).std()
+
+
+def test_draws_without_a_tolerance_are_refused(tmp_path: Path) -> None:
+    config = sweep_config(tmp_path, draws=3)
+    (tmp_path / "bench.toml").write_text(dump_bench(reference_bench()))
+    with pytest.raises(UserError, match="nothing to draw"):
+        run_sweep(config)
+
+
+def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:
+    import xarray as xr
+
+    tree = xr.DataTree.from_dict({"posterior": xr.Dataset()})
+    tree.attrs = {"outcome": "converged", "kind": "fit"}
+    write_tree(tree, tmp_path / "result.nc")
+    assert read_tree(tmp_path / "result.nc").attrs["kind"] == "fit"
+    with pytest.raises(CurveError, match="holds no gap curve"):
+        read_curve(tmp_path / "result.nc")
