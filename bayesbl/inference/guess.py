@@ -261,7 +261,10 @@ def _neighbours(
             axes[name] = [fixed[name]]
     mesh = np.meshgrid(*[np.asarray(axes[name]) for name in axes], indexing="ij")
     values = {name: grid.ravel() for name, grid in zip(axes, mesh, strict=True)}
-    values[SEPARATION] = values[SEPARATION] % values[ROTATION]
+    for name, begin in ((START, origin_s), (SEPARATION, 0.0)):
+        if name not in fixed:
+            begin = ranges[name][0] if name in ranges else begin
+            values[name] = begin + (values[name] - begin) % values[ROTATION]
     return np.column_stack([values[name] for name in searched])
 
 

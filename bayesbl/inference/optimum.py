@@ -348,22 +348,37 @@ def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:
 
 
 def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
-    """The one of many equal solutions with A > 0, 0 < T < T_w and t0 in the first rotation."""
+    """The one of many equal solutions with A > 0, 0 < T < T_w and t0 in the first rotation.
+
+    Where t0 or T has a range, in the first T_w of that range instead; a form that leaves a range
+    is not taken.
+    """
     names = objective.searched
     fixed = objective.model.fixed
     movable = {START, SEPARATION} <= set(names)
     value = dict(zip(names, (float(x) for x in point), strict=True)) | dict(fixed)
     amplitude = float(objective.solve(point[None]).coefficients[0, -1])
+    forms = [value]
     if movable and amplitude < 0.0 and AMPLITUDE not in fixed:
-        value[START] -= value[SEPARATION]
-        value[SEPARATION] = -value[SEPARATION]
-    if SEPARATION in names:
-        value[SEPARATION] %= value[ROTATION]
-    if START in names:
-        begin = objective.time_s[0]
-        first = value[START] + value[WINDOW_START]
-        value[START] += (first - begin) % value[ROTATION] - (first - begin)
-    return np.array([value[name] for name in names])
+        separation = value[SEPARATION]
+        forms.insert(0, value | {START: value[START] - separation, SEPARATION: -separation})
+    ranges = {name: r for name, r in objective.model.ranges.items() if name in names}
+    for form in forms:
+        placed = _first_turn(objective, form)
+        if all(low <= placed[name] <= high for name, (low, high) in ranges.items()):
+            return np.array([placed[name] for name in names])
+    return point
+
+
+def _first_turn(objective: Objective, value: dict[str, float]) -> dict[str, float]:
+    """t0 and T, where they are searched, moved by whole rotations to the begin of their range."""
+    ranges, rotation = objective.model.ranges, value[ROTATION]
+    begins = {START: objective.time_s[0] - value[WINDOW_START], SEPARATION: 0.0}
+    moved = dict(value)
+    for name in {START, SEPARATION} & set(objective.searched):
+        begin = ranges[name][0] if name in ranges else begins[name]
+        moved[name] = begin + (value[name] - begin) % rotation
+    return moved
 
 
 def _named(objective: Objective, point: FloatArray) -> dict[str, float]:
