@@ -124,7 +124,6 @@ ranges = {rotation_period_s = [3, 4.5]}
 kind = "ar"
 order = 3
 [posterior]
-walkers = 40
 [interval]
 level = 0.95
 kind = "hdi"

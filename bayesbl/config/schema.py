@@ -195,7 +195,6 @@ class Posterior(Section):
 
     ensembles: int = Field(default=4, ge=2, le=64)
     max_steps: int = Field(default=20_000, ge=100)
-    walkers: int | None = Field(default=None, ge=4, multiple_of=2)
 
 
 class Interval(Section):
