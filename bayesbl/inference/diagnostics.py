@@ -74,7 +74,9 @@ def integrated_time(chain: FloatArray) -> float:
     spread = chain.reshape(-1, chain.shape[-1]).std(axis=0)
     if len(chain) < 8 or np.any(spread == 0.0):
         return math.inf
-    return float(np.max(estimate(chain, tol=0, quiet=True)))
+    with np.errstate(invalid="ignore"):  # a walker that never moved
+        longest = float(np.max(estimate(chain, tol=0, quiet=True)))
+    return longest if math.isfinite(longest) else math.inf
 
 
 def judge(
