@@ -1,7 +1,11 @@
 """Publication figures from a stored result alone; nothing is fitted again."""
 
+from bayesbl.figures.bench_draws import bench_draws
 from bayesbl.figures.convergence import convergence
 from bayesbl.figures.corner import corner, corners
+from bayesbl.figures.curve import curve
+from bayesbl.figures.degrees import degrees
+from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.draw import draw_all
 from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
@@ -10,9 +14,13 @@ from bayesbl.figures.signal import signal
 from bayesbl.figures.trace import trace, traces
 
 __all__ = [
+    "bench_draws",
     "convergence",
     "corner",
     "corners",
+    "curve",
+    "degrees",
+    "disturbance",
     "draw_all",
     "gap",
     "misfit",

@@ -9,8 +9,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from bayesbl.errors import ResultError
+from bayesbl.figures.bench_draws import bench_draws
 from bayesbl.figures.convergence import convergence
 from bayesbl.figures.corner import corners
+from bayesbl.figures.curve import curve
+from bayesbl.figures.degrees import degrees
+from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
 from bayesbl.figures.noise import noise
@@ -26,7 +30,7 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
     Parameters
     ----------
     tree
-        A fit or a comparison, as :func:`bayesbl.results.store.read_tree` gives it.
+        A fit, a comparison or a sweep, as :func:`bayesbl.results.store.read_tree` gives it.
     folder
         Is made if it is missing.
 
@@ -39,16 +43,25 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
     ResultError
         If the result is of another kind.
     """
-    if tree.attrs["kind"] not in ("fit", "compare"):
+    kind = tree.attrs["kind"]
+    if kind not in ("fit", "compare", "sweep"):
         raise ResultError(
             "There are no figures for a result of this kind.",
-            found=tree.attrs["kind"],
-            expected="a fit or a comparison",
+            found=kind,
+            expected="a fit, a comparison or a sweep",
         )
-    return [path for name, figure in _figures(tree) for path in save(figure, folder, name)]
+    figures = _sweep_figures(tree) if kind == "sweep" else _snapshot_figures(tree)
+    return [path for name, figure in figures for path in save(figure, folder, name)]
 
 
-def _figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+def _sweep_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    for draw in (curve, disturbance, degrees):
+        yield draw.__name__, draw(tree)
+    if "bench_draws" in tree.children:
+        yield bench_draws.__name__, bench_draws(tree)
+
+
+def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
     """File name and figure, made one at a time: a corner holds megabytes while it is open."""
     for draw in (signal, gap, misfit, noise, convergence):
         yield draw.__name__, draw(tree)

@@ -13,6 +13,7 @@ from matplotlib.patches import Rectangle
 from bayesbl.figures.change import draw_change, told
 from bayesbl.figures.layout import grid
 from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, snapshots
+from bayesbl.figures.stored import curve_name
 from bayesbl.figures.style import (
     DOUBLE_COLUMN_IN,
     LIMIT,
@@ -80,7 +81,7 @@ def _draw_joint(
 def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
     curve = tree["curve"].to_dataset()
     amplitude = curve["amplitude"].values
-    name = curve.attrs["name"]
+    name = curve_name(curve.attrs["name"])
     main.fill_between(
         amplitude, 1e3 * curve["low_rad"].values, 1e3 * curve["high_rad"].values,
         color="#c8c8c8", linewidth=0.0,

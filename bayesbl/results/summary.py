@@ -13,6 +13,9 @@ from bayesbl.signal.parameters import SYMBOLS
 
 IntervalKind = Literal["equal_tailed", "hdi"]
 
+SOURCE_PREFIX = "source_"
+"""Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
+
 
 def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, Any]:
     """Median and credible interval of draws, any shape, as the result contract writes it.
@@ -116,7 +119,7 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
 
 
 def _comparison(tree: xr.DataTree) -> dict[str, Any]:
-    names = [str(n) for n in tree["posterior"]["snapshot"].values]
+    names = [str(n) for n in tree["posterior"].to_dataset()["snapshot"].values]
     snapshots = [{"name": n, **_snapshot(tree, n)} for n in names]
     for snapshot in snapshots:
         snapshot.setdefault("probability_above_limit", None)
@@ -158,11 +161,9 @@ def _sweep(tree: xr.DataTree) -> dict[str, Any]:
         "amplitude_rpm": [float(stored["knots_rpm"][0]), float(stored["knots_rpm"][-1])],
         "largest_correction": float(np.abs(stored["correction"]).max()),
         "relative_sd": {
-            str(name).removeprefix("source_"): float(
-                stored[name].std(dim=stored[name].dims[0]).max()
-            )
-            for name in stored.data_vars
-            if str(name).startswith("source_")
+            name.removeprefix(SOURCE_PREFIX): float(stored[name].values.std(axis=0).max())
+            for name in map(str, stored.data_vars)
+            if name.startswith(SOURCE_PREFIX)
         },
         "largest_departure_from_published": float(
             np.abs(sweep["amplitude_over_published"] - 1.0).max()
