@@ -256,8 +256,8 @@ def test_a_users_settings_of_matplotlib_change_nothing_and_stay(tree):
 
 def test_a_result_of_another_kind_is_refused(tree, tmp_path):
     other = tree.copy()
-    other.attrs = {**tree.attrs, "kind": "sweep"}
-    with pytest.raises(ResultError, match="sweep"):
+    other.attrs = {**tree.attrs, "kind": "study"}
+    with pytest.raises(ResultError, match="study"):
         draw_all(other, tmp_path)
 
 

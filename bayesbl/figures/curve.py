@@ -63,7 +63,7 @@ def curve(tree: xr.DataTree) -> Figure:
         panel.xaxis.set_major_locator(FixedLocator(list(ticks)))
         panel.xaxis.set_major_formatter(ScalarFormatter())
         panel.xaxis.set_minor_formatter(NullFormatter())
-        panel.yaxis.set_label_coords(-0.11, 0.5)
+        panel.yaxis.set_label_coords(-0.13, 0.5)
         panel.axhline(0.0, color=NEUTRAL, linewidth=0.9, zorder=1.5)
     paper.tick_params(labelbottom=False)
     close.set_xlabel("Amplitude of the ringing A (rpm)")

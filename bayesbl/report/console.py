@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import UserError
 from bayesbl.report import words
+from bayesbl.report.output import add_row, new_table, print_table, say
+from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
 
 if TYPE_CHECKING:
@@ -37,21 +39,31 @@ def error(console: Console, problem: UserError) -> None:
 
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
-    """The answer in words, a table of the snapshots, and everything that limits the answer."""
-    withheld = summary["outcome"] == "withheld"
-    _say(console, words.headline(summary), "bold yellow" if withheld else "bold")
-    for sentence in (*words.steps(summary), words.above_limit(summary)):
-        if sentence:
-            _say(console, sentence)
-    _print_table(_snapshot_table(summary), console)
-    _say(console, words.GAP_EXPLAINED, "dim")
-    told = words.budget(summary)
-    if told:
-        _say(console, told, "dim")
+    """The answer in words, a table of the snapshots, and everything that limits the answer.
+
+    Of a sweep: the curve in words, its polynomial, and other degrees beside it.
+    """
+    if summary["kind"] == "sweep":
+        print_sweep(summary, console)
+    else:
+        _print_snapshots(summary, console)
     _print_limits(summary, console)
     if folder is not None:
         # Not wrapped: a path is there to be copied.
         console.print(words.written(folder), soft_wrap=True)
+
+
+def _print_snapshots(summary: Summary, console: Console) -> None:
+    withheld = summary["outcome"] == "withheld"
+    say(console, words.headline(summary), "bold yellow" if withheld else "bold")
+    for sentence in (*words.steps(summary), words.above_limit(summary)):
+        if sentence:
+            say(console, sentence)
+    print_table(_snapshot_table(summary), console)
+    say(console, words.GAP_EXPLAINED, "dim")
+    told = words.budget(summary)
+    if told:
+        say(console, told, "dim")
 
 
 def print_summary(tree: xr.DataTree, console: Console) -> None:
@@ -60,56 +72,17 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
     summary = summarise(tree)
     print_result(summary, None, console)
-    for name, part in words.snapshots(summary):
+    for name, part in [] if summary["kind"] == "sweep" else words.snapshots(summary):
         _print_details(name, part, _rivals(tree, name), console)
     _print_origin(tree.attrs, summary, console)
 
 
-def _say(console: Console, sentence: str, style: str = "", *, label: str = "") -> None:
-    from rich.text import Text
-
-    whole = f"{label}: {sentence}" if label else sentence
-    text = Text(words.wrapped(whole, console.width), style=style)
-    if label:
-        text.stylize("bold", 0, len(label) + 1)
-    console.print(text, soft_wrap=True)
-
-
 def _print_limits(summary: Summary, console: Console) -> None:
     """Reasons against the answer, then what the interval leaves out."""
-    for label, sentence in words.reasons(summary):
-        _say(console, sentence, "yellow", label=label)
+    for label, sentence in [] if summary["kind"] == "sweep" else words.reasons(summary):
+        say(console, sentence, "yellow", label=label)
     for warning in summary["warnings"]:
-        _say(console, warning, "yellow", label="Warning")
-
-
-def _table(*headers: tuple[str, str]) -> Table:
-    """An empty table; headers with their justification. Only the first column may fold."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for i, (title, justify) in enumerate(headers):
-        table.add_column(
-            Text(title),
-            justify=justify,  # type: ignore[arg-type]
-            overflow="fold",
-            no_wrap=i > 0,
-        )
-    return table
-
-
-def _print_table(table: Table, console: Console) -> None:
-    console.print()
-    console.print(table)
-    console.print()
-
-
-def _row(table: Table, *cells: str) -> None:
-    from rich.text import Text
-
-    table.add_row(*(Text(cell) for cell in cells))
+        say(console, warning, "yellow", label="Warning")
 
 
 def _snapshot_table(summary: Summary) -> Table:
@@ -118,7 +91,7 @@ def _snapshot_table(summary: Summary) -> Table:
     kind = words.short_kind(parts[0][1]["amplitude_rpm"])
     answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
     places = max((words.decimals(d, 1e3) for d in answered), default=3)
-    table = _table(
+    table = new_table(
         *([("Snapshot", "left")] if compare else []),
         ("Gap δ\n(mrad)", "right"),
         (f"{kind}\n(mrad)", "right"),
@@ -128,7 +101,7 @@ def _snapshot_table(summary: Summary) -> Table:
         ("Outcome", "left"),
     )
     for name, part in parts:
-        _row(
+        add_row(
             table,
             *([name] if compare else []),
             *_gap_cells(part["delta_rad"], places),
@@ -148,8 +121,8 @@ def _gap_cells(delta: Mapping[str, Any] | None, places: int) -> tuple[str, str]:
 
 def _print_details(name: str, part: Summary, rivals: list[str], console: Console) -> None:
     console.print()
-    _say(console, f"Snapshot {name}" if name else "Fit", "bold")
-    _print_table(_parameter_table(part), console)
+    say(console, f"Snapshot {name}" if name else "Fit", "bold")
+    print_table(_parameter_table(part), console)
     lines = {
         "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
@@ -158,14 +131,14 @@ def _print_details(name: str, part: Summary, rivals: list[str], console: Console
         "Rival optima": "; ".join(rivals) or "none",
     }
     for label, sentence in lines.items():
-        _say(console, sentence, label=label)
+        say(console, sentence, label=label)
 
 
 def _parameter_table(part: Summary) -> Table:
     """All nine symbols: the free ones with their interval, the others as fixed."""
     from bayesbl.signal.parameters import SYMBOLS
 
-    table = _table(
+    table = new_table(
         ("Parameter", "left"),
         ("Optimum", "right"),
         ("Median", "right"),
@@ -176,10 +149,10 @@ def _parameter_table(part: Summary) -> Table:
         best = part["optimum"][symbol.name]
         found = part["parameters"].get(symbol.name)
         if found is None:
-            _row(table, symbol.name, f"{best:g}", "", "fixed", symbol.unit)
+            add_row(table, symbol.name, f"{best:g}", "", "fixed", symbol.unit)
             continue
         places = words.decimals(found, units=20.0)
-        _row(
+        add_row(
             table,
             symbol.name,
             words.number(best, places),
@@ -207,7 +180,7 @@ def _print_origin(attributes: Mapping[Any, Any], summary: Summary, console: Cons
     import json
 
     console.print()
-    _say(console, "Origin", "bold")
+    say(console, "Origin", "bold")
     inputs = json.loads(attributes.get("input_sha256", "{}"))
     lines = {
         "Version": f"{summary['version']}, commit {summary['commit']}",
@@ -218,4 +191,4 @@ def _print_origin(attributes: Mapping[Any, Any], summary: Summary, console: Cons
     }
     for label, content in lines.items():
         if content is not None:
-            _say(console, str(content), label=label)
+            say(console, str(content), label=label)

@@ -19,11 +19,19 @@ RAREST = 1e-3
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
 
+DEGREES_EXPLAINED = (
+    "Departure of δ from a polynomial of that degree alone, fitted with relative weights. The log "
+    "evidence is that of the degree with a smooth lack of fit beside it."
+)
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 _SOURCES = {
     "noise": "noise of the recording",
     "start_angle": "start angle",
     "rounding": "rounding of the curve's coefficients",
-    "regression": "scatter about the curve",
+    "regression": "coefficients of the curve",
+    "lack_of_fit": "lack of fit of the curve",
     "bench": "tolerances of the bench",
 }
 
@@ -176,6 +184,69 @@ def reasons(summary: Summary) -> Iterator[tuple[str, str]]:
         label = "Withheld" if part["delta_rad"] is None else "Note"
         for sentence in found:
             yield label, f"{name}: {sentence}" if name else sentence
+
+
+def significant(value: float, digits: int = 2) -> str:
+    """``0.15``, ``32``, ``0.0007``: so many significant digits, never in powers of ten."""
+    if value == 0.0:
+        return "0"
+    return number(value, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
+
+
+def percent(value: float) -> str:
+    """A relative size with two significant digits, ``0.15 %``."""
+    return f"{significant(100.0 * value)} %"
+
+
+def swept(summary: Summary) -> str:
+    """Over which gaps the bench was swept, and what ringing they make."""
+    gaps, amplitudes = summary["gap_rad"], summary["amplitude_rpm"]
+    first, last = (f"{1e3 * gap:g}" for gap in gaps)
+    return (
+        f"As the gap grows from {first} to {last} mrad, the amplitude A of the ringing grows from "
+        f"{amplitudes[0]:.1f} to {amplitudes[1]:.1f} rpm."
+    )
+
+
+def curve_quality(summary: Summary) -> Iterator[str]:
+    """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
+    kind = polynomial_kind(summary["degree"])
+    found = summary["degrees"].get(str(summary["degree"]))
+    if found is not None:
+        yield (
+            f"A {kind} describes δ of the sweep within {percent(found['largest_departure'])} "
+            f"({percent(found['rms_departure'])} RMS)."
+        )
+    ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
+    told = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
+    yield f"Largest standard deviation of δ along the curve, by source: {told}."
+    yield (
+        "At a given gap, A differs from that of the paper's eq. 4 by at most "
+        f"{percent(summary['largest_departure_from_published'])}."
+    )
+
+
+def polynomial(summary: Summary) -> str:
+    """What the coefficients are, and what they leave."""
+    return (
+        "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
+        f"{percent(summary['largest_correction'])}, which the stored curve holds: the coefficients "
+        "alone are off by as much."
+    )
+
+
+def polynomial_kind(degree: int) -> str:
+    """``cubic``, ``polynomial of degree 4``."""
+    names = {1: "straight line", 2: "parabola", 3: "cubic"}
+    return names.get(degree, f"polynomial of degree {degree}")
+
+
+def power_of_amplitude(power: int) -> tuple[str, str]:
+    """The term of a polynomial in A (rpm) for δ (rad), and its coefficient's unit."""
+    if power == 0:
+        return "1", "rad"
+    raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
+    return f"A{raised}", f"rad/rpm{raised}"
 
 
 def noise(part: Summary) -> str:
