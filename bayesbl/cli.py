@@ -397,21 +397,12 @@ def _print_json(folder: Path) -> None:
 
 def _print_study(summary: dict[str, Any], folder: Path | None = None) -> None:
     """The table of a study; the commit of each row stands in the files."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
     from bayesbl.report.console import make_console
-    from bayesbl.workflows.study import cell, table_columns
+    from bayesbl.report.study import print_study
+    from bayesbl.workflows.study import table_columns
 
     lines = summary["rows"]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = [*table_columns(lines)[:-1], "seconds"]
-    for column in columns:
-        table.add_column(Text(column), justify="left" if column == "name" else "right")
-    for line in lines:
-        table.add_row(*(Text(cell(line.get(column))) for column in columns))
-    make_console().print(table)
+    print_study(lines, [*table_columns(lines)[:-1], "seconds"], make_console())
     if folder is not None:
         typer.echo(f"Written to {folder}")
 
