@@ -210,15 +210,20 @@ def _extrapolation(
     low, high = curve.gap_range_rad
     if np.sum(outside > 0.0) >= np.sum(outside < 0.0):
         bound = min(float(np.quantile(delta_rad, 1.0 - level)), high)
-        statement = f"δ is above {bound:.3g} rad with {level:.0%} probability"
+        statement = f"δ is above {bound:.3g} rad with {100.0 * level:g} % probability"
     else:
         bound = max(float(np.quantile(delta_rad, level)), low)
-        statement = f"δ is below {bound:.3g} rad with {level:.0%} probability"
+        statement = f"δ is below {bound:.3g} rad with {100.0 * level:g} % probability"
     return (
-        f"{share:.0%} of the posterior lies beyond the range of the gap curve "
+        f"{_share(share)} of the posterior lies beyond the range of the gap curve "
         f"({low:.3g} to {high:.3g} rad). {statement}. Use a curve that reaches farther, or ask for "
         "extrapolation by [curve] allow_extrapolation = true."
     )
+
+
+def _share(share: float) -> str:
+    """A share of draws in percent; a finite number of draws never shows that all lie there."""
+    return "More than 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
 
 
 def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:
