@@ -1,0 +1,144 @@
+"""Figure 6: recorded and simulated position, speed and current laid over each other.
+
+The bench is the one that was swept, the gap the median of the stored posterior. What is left is
+where the load stood at the first sample: found by least squares: from the current alone to within
+a few degrees, as its error has one minimum, then from speed and current together.
+The example recordings were made by this bench, so they agree up to noise; a real joint would not.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from common import Stored, main
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.optimize import minimize_scalar
+
+from bayesbl.errors import ResultError
+from bayesbl.figures.layout import grid
+from bayesbl.figures.snapshots import GAP, Snapshot, snapshots
+from bayesbl.figures.style import (
+    DOUBLE_COLUMN_IN,
+    MODEL,
+    head_panels,
+    new_figure,
+)
+from bayesbl.physics.bench import Bench
+from bayesbl.recording.types import (
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    FloatArray,
+    Recording,
+)
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+_CHANNELS = {
+    MOTOR_POSITION: "Position − ω$_{ref}$ t (rad)",
+    MOTOR_SPEED: "Speed (rpm)",
+    MOTOR_CURRENT: "Current (A)",
+}
+_ANGLES = 24
+_LIGHT = "#b4b4b4"
+_REFERENCE = "reference_speed_rpm"
+
+
+def draw(stored: Stored) -> Figure:
+    """A column a recording, one load rotation of each channel."""
+    parts = snapshots(stored.wear)
+    figure = new_figure(DOUBLE_COLUMN_IN, 4.4)
+    spec = grid(figure, 3, len(parts), top=0.45, between=(0.12, 0.45))
+    heads, titles = [], []
+    for column, snapshot in enumerate(parts):
+        time, recorded = recorded_channels(snapshot)
+        gap = float(np.median(snapshot.values("posterior", GAP)))
+        simulated = simulated_like(stored.bench, gap, time, recorded)
+        for row, channel in enumerate(_CHANNELS):
+            panel = figure.add_subplot(spec[row, column])
+            _draw_channel(panel, channel, time, recorded, simulated)
+            panel.tick_params(labelbottom=row == 2)
+            if column == 0:
+                panel.set_ylabel(_CHANNELS[channel])
+                panel.yaxis.set_label_coords(-0.13, 0.5)
+            if row == 0:
+                heads.append(panel)
+                titles.append(f"{snapshot.name}, δ = {1e3 * gap:.3f} mrad")
+        panel.set_xlabel("Time (s)")
+    head_panels(heads, titles)
+    figure.legend(*heads[0].get_legend_handles_labels(), loc="upper center", ncols=2)
+    return figure
+
+
+def recorded_channels(snapshot: Snapshot) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Time since the first sample in s, and the three recorded channels, each (n,)."""
+    lacking = [name for name in _CHANNELS if name not in snapshot.groups["observed_data"]]
+    if lacking:
+        raise ResultError(
+            f"The stored recording {snapshot.name} lacks channels.",
+            found=f"no {', '.join(lacking)}",
+            expected=", ".join(_CHANNELS),
+        )
+    time = snapshot.values("observed_data", "time_s")
+    return time - time[0], {n: snapshot.values("observed_data", n) for n in _CHANNELS}
+
+
+def simulated_like(
+    bench: Bench, gap: float, time: FloatArray, recorded: dict[str, FloatArray]
+) -> Recording:
+    """One load rotation, noise-free, that begins where the recording does."""
+    rate = (time.size - 1) / time[-1]
+    reference = float(np.sign(recorded[MOTOR_SPEED].mean()) * abs(bench.value(_REFERENCE)))
+
+    def simulate(angle: float) -> Recording:
+        return bench.simulate(
+            gap,
+            rotations=1.0,
+            sampling_hz=rate,
+            start_angle_rad=angle,
+            reference_speed_rpm=reference,
+        )
+
+    def apart(angle: float, *names: str) -> float:
+        """Mean squared departure over the variance, summed over channels."""
+        made = simulate(angle).channels
+        pairs = [(made[n], recorded[n][: made[n].size]) for n in names]
+        return sum(float(np.mean((m[: r.size] - r) ** 2) / np.var(r)) for m, r in pairs)
+
+    step = 2.0 * np.pi / _ANGLES
+    coarse = min(step * np.arange(_ANGLES), key=lambda angle: apart(angle, MOTOR_CURRENT))
+    both = (MOTOR_SPEED, MOTOR_CURRENT)
+    # Impacts are sharp: the grid must be finer than a fraction of the ringing.
+    near = coarse + step * np.linspace(-1.0, 1.0, 4 * _ANGLES + 1)
+    close, fine = min(near, key=lambda angle: apart(angle, *both)), near[1] - near[0]
+    bounds = (close - fine, close + fine)
+    found = minimize_scalar(lambda angle: apart(angle, *both), bounds=bounds, method="bounded")
+    return simulate(float(found.x))
+
+
+def _draw_channel(
+    panel: Axes,
+    channel: str,
+    time: FloatArray,
+    recorded: dict[str, FloatArray],
+    simulated: Recording,
+) -> None:
+    length = min(simulated.time_s.size, time.size)
+    # Where there is little noise, a thin line would vanish under the simulated one.
+    width = 0.6 if channel == MOTOR_SPEED else 2.6
+    for values, colour, width, label in (
+        (recorded[channel][:length], _LIGHT, width, "recorded"),
+        (simulated.channels[channel][:length], MODEL, 0.9, "simulated"),
+    ):
+        shown = values
+        if channel == MOTOR_POSITION:
+            reference = simulated.metadata["reference_speed_rpm"] / RPM_PER_RAD_PER_S
+            shown = values - values[0] - reference * time[:length]
+        panel.plot(time[:length], shown, color=colour, linewidth=width, label=label)
+    panel.set_xlim(0.0, time[length - 1])
+    panel.locator_params(axis="y", nbins=5)
+
+
+if __name__ == "__main__":
+    sys.exit(main([("figure_6", draw)]))
