@@ -126,9 +126,9 @@ def _draw_channel(
 ) -> None:
     length = min(simulated.time_s.size, time.size)
     # Where there is little noise, a thin line would vanish under the simulated one.
-    width = 0.6 if channel == MOTOR_SPEED else 2.6
+    thick = 0.6 if channel == MOTOR_SPEED else 2.6
     for values, colour, width, label in (
-        (recorded[channel][:length], _LIGHT, width, "recorded"),
+        (recorded[channel][:length], _LIGHT, thick, "recorded"),
         (simulated.channels[channel][:length], MODEL, 0.9, "simulated"),
     ):
         shown = values

@@ -2,25 +2,50 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+import xarray as xr
 
+from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ResultError
-from bayesbl.figures import convergence, corner, draw_all, gap, misfit, noise, signal, trace
+from bayesbl.figures import (
+    bench_draws,
+    convergence,
+    corner,
+    curve,
+    degrees,
+    disturbance,
+    draw_all,
+    gap,
+    misfit,
+    noise,
+    signal,
+    trace,
+)
+from bayesbl.figures.bench_draws import standardised_slopes
 from bayesbl.figures.corner import enclosing_levels
+from bayesbl.figures.curve import departures_from_curve, source_bands
+from bayesbl.figures.degrees import departure_of_degree
 from bayesbl.figures.scales import scale_of
 from bayesbl.figures.snapshots import snapshots
 from bayesbl.figures.style import publication_style, save
 from bayesbl.figures.traces import envelope
+from bayesbl.gap.curve import PUBLISHED_COEFFICIENTS
+from bayesbl.results.curve_file import curve_from_dataset
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
 from bayesbl.workflows.measure import measure
+from bayesbl.workflows.sweep import run_sweep
 
 FIXED = ("window_start_s", "window_end_s")
 FREE = tuple(name for name in SYMBOLS if name not in FIXED)
@@ -42,6 +67,23 @@ file = "old.csv"
 [[recordings]]
 name = "new"
 file = "new.csv"
+"""
+
+SCRIPTS = Path(__file__).parents[1] / "paper_figures"
+
+SWEEP = """
+schema = 1
+kind = "sweep"
+bench = "bench.toml"
+[run]
+workers = 1
+output = "sweep"
+[sweep]
+gap_rad = {low = 2e-4, high = 3e-3, count = 8}
+start_angles = 2
+rotations = 2.0
+sampling_hz = 500.0
+bench_draws = 6
 """
 
 
@@ -295,3 +337,236 @@ def test_a_scale_can_be_undone_and_names_its_unit(name, middle, spread):
     if scale.reference:
         told = scale.reference_text.replace("−", "-").replace("+", "-").split()[1]
         assert float(told) == pytest.approx(abs(scale.reference), rel=1e-9)
+
+
+# A sweep
+
+
+@pytest.fixture(scope="module")
+def sweep_file(tmp_path_factory):
+    """A stored sweep of the reference bench, two of its parameters known to 5 %."""
+    folder = tmp_path_factory.mktemp("sweep")
+    bench = dump_bench(reference_bench())
+    for name in ("shaft_stiffness_nm_per_rad", "speed_gain_nm_s_per_rad"):
+        head = f"[parameters.{name}]\n"
+        assert head in bench
+        bench = bench.replace(head, f"{head}relative_tolerance = 0.05\n")
+    (folder / "bench.toml").write_text(bench)
+    (folder / "sweep.toml").write_text(SWEEP)
+    write_tree(run_sweep(load_config(folder / "sweep.toml")), folder / "result.nc")
+    return folder / "result.nc"
+
+
+@pytest.fixture(scope="module")
+def swept(sweep_file):
+    return read_tree(sweep_file)
+
+
+def points(figure, label):
+    """Every point of the one line with a label in any panel, shape (n, 2)."""
+    (line,) = [x for axes in figure.axes for x in axes.lines if str(x.get_label()) == label]
+    return np.column_stack([line.get_xdata(), line.get_ydata()])
+
+
+def test_the_curve_figure_shows_every_sweep_point_and_the_stored_curve(swept):
+    figure = curve(swept)
+    shown = points(figure, "sweep: 8 gaps, 2 start angles")
+    amplitude = swept["sweep"]["amplitude_rpm"].values
+    assert np.array_equal(shown[:, 0], amplitude.ravel())
+    assert np.array_equal(shown[:, 1], 1e3 * np.repeat(swept["sweep"]["gap_rad"].values, 2))
+    drawn = points(figure, "curve: cubic with lack of fit")
+    assert np.array_equal(drawn[:, 0], swept["curve"]["amplitude"].values)
+    assert np.array_equal(drawn[:, 1], 1e3 * swept["curve"]["delta_rad"].values)
+
+
+def test_every_source_of_the_curve_has_its_band(swept):
+    bands = source_bands(swept)
+    assert set(bands) == {"regression", "lack_of_fit", "bench"}
+    stored = swept["gap_curve"]["source_bench"].values
+    inside = (100.0 * np.expm1(stored) >= bands["bench"][0]) & (
+        100.0 * np.expm1(stored) <= bands["bench"][1]
+    )
+    assert np.allclose(inside.mean(axis=0), 0.9, atol=0.01)
+    shown = texts(curve(swept))
+    for name in ("coefficients", "lack of fit", "tolerances of the bench"):
+        assert re.search(rf"^{name}$", shown, re.MULTILINE), name
+
+
+def test_a_source_that_is_not_known_is_drawn_and_named_too(swept):
+    more = swept.copy()
+    stored = swept["gap_curve"].to_dataset()
+    draws = stored["source_regression"].rename(draw_regression="draw_oil_warmth")
+    more["gap_curve"] = xr.DataTree(stored.assign(source_oil_warmth=draws))
+    assert "oil warmth" in texts(curve(more))
+
+
+def test_departures_are_those_of_the_sweep_and_of_eq_4_from_the_curve(swept):
+    departure = departures_from_curve(swept)
+    stored = curve_from_dataset(swept["gap_curve"].to_dataset(), "")
+    amplitude = swept["sweep"]["amplitude_rpm"].values
+    back = stored.gap(amplitude) * (1.0 + departure / 100.0)
+    assert np.allclose(back, swept["sweep"]["gap_rad"].values[:, None], rtol=1e-12)
+    eq4 = curve(swept).axes[1].lines[0]
+    x, y = eq4.get_xdata(), eq4.get_ydata()
+    cubic = np.polynomial.polynomial.polyval(x, 1e-4 * np.array(PUBLISHED_COEFFICIENTS))
+    assert len(x) > 100
+    assert np.allclose(stored.gap(x) * (1.0 + y / 100.0), cubic, rtol=1e-9)
+
+
+def test_the_disturbance_is_drawn_sample_by_sample_with_both_pulses_in_view(swept):
+    figure = disturbance(swept)
+    examples = swept["examples"].to_dataset()
+    for gap_rad, speed in zip(
+        examples["gap_rad"].values, examples["motor_speed_rpm"].values, strict=True
+    ):
+        shown = points(figure, f"δ = {1e3 * gap_rad:.2f} mrad")
+        assert np.array_equal(shown[:, 1], speed)
+    largest = examples["motor_speed_rpm"].values[-1]
+    _, positive, negative = figure.axes
+    assert positive.lines[-1].get_ydata().max() == largest.max()
+    assert negative.lines[-1].get_ydata().min() == largest.min()
+
+
+def test_a_pulse_that_runs_over_the_end_of_the_rotation_is_drawn_whole(swept):
+    """The rotation begins anywhere: turned by any amount, the views hold the same samples."""
+    examples = swept["examples"].to_dataset()
+    speed = examples["motor_speed_rpm"].values
+    peak = int(np.argmax(speed[-1]))
+    turned = np.roll(speed[:, :-1], -peak, axis=1)
+    other = swept.copy()
+    closed = np.concatenate([turned, turned[:, :1]], axis=1)
+    other["examples"] = xr.DataTree(
+        examples.assign(motor_speed_rpm=examples["motor_speed_rpm"].copy(data=closed))
+    )
+    before, after = (disturbance(t).axes[1].lines[-1].get_ydata() for t in (swept, other))
+    assert abs(len(before) - len(after)) <= 1, "a sample on the edge may fall on either side"
+    assert np.isin(before[1:-1], after).all()
+
+
+def test_departure_along_the_curve_agrees_with_what_is_stored_of_each_degree(swept):
+    stored = swept["degrees"].to_dataset()
+    for degree in stored["degree"].values:
+        _, departure = departure_of_degree(swept, int(degree))
+        largest = float(stored["largest_departure"].sel(degree=degree))
+        assert np.abs(departure).max() == pytest.approx(100.0 * largest, rel=1e-9)
+    shown = points(degrees(swept), "RMS")
+    assert np.array_equal(shown[:, 1], 100.0 * stored["rms_departure"].values)
+
+
+def test_every_bench_draw_is_a_line_and_its_slopes_follow_the_physics(swept):
+    group = swept["bench_draws"].to_dataset()
+    spread = bench_draws(swept).axes[0]
+    percent = 100.0 * np.expm1(group["departure"].sel(quantity="ln_amplitude").values)
+    lines = [line.get_ydata() for line in spread.lines]
+    assert all(any(np.array_equal(row, line) for line in lines) for row in percent)
+    slopes, errors = standardised_slopes(swept)
+    names = [str(n) for n in group["parameter"].values]
+    stiffness, gain = (next(i for i, n in enumerate(names) if k in n) for k in ("stiff", "gain"))
+    # A stiffer shaft rings louder at the same gap, a tighter speed loop holds the ringing down.
+    assert np.all(slopes[stiffness] > 5.0 * errors[stiffness])
+    assert np.all(slopes[gain] < -5.0 * errors[gain])
+
+
+def test_slopes_are_left_out_where_the_draws_are_too_few(swept):
+    few = swept.copy()
+    few["bench_draws"] = xr.DataTree(swept["bench_draws"].to_dataset().isel(draw=slice(3)))
+    assert standardised_slopes(few) is None
+    assert "too few draws" in texts(bench_draws(few))
+
+
+def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monkeypatch):
+    monkeypatch.setattr("bayesbl.figures.draw.save", lambda _, folder, name: [folder / name])
+    nominal = swept.copy()
+    del nominal["bench_draws"]
+    names = {path.name for path in draw_all(nominal, tmp_path)}
+    assert names == {"curve", "disturbance", "degrees"}
+    assert {path.name for path in draw_all(swept, tmp_path)} == names | {"bench_draws"}
+
+
+# The paper's figures
+
+
+@pytest.fixture
+def scripts(monkeypatch):
+    """The modules of ``paper_figures``, importable as its scripts see each other."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    yield lambda name: importlib.import_module(name)
+    for path in SCRIPTS.glob("*.py"):
+        sys.modules.pop(path.stem, None)
+
+
+def on_bench(tree, gaps, start_angle_rad):
+    """The comparison with its recordings replaced by noise-free ones of the reference bench."""
+    made = [
+        reference_bench().simulate(
+            g, rotations=1.2, sampling_hz=500.0, start_angle_rad=start_angle_rad
+        )
+        for g in gaps
+    ]
+    channels = {
+        name: (("snapshot", "sample"), np.array([r.channels[name] for r in made]))
+        for name in made[0].channels
+    }
+    times = (("snapshot", "sample"), np.array([r.time_s for r in made]))
+    other = tree.copy()
+    names = tree["posterior"]["snapshot"].values
+    other["observed_data"] = xr.DataTree(
+        xr.Dataset({"time_s": times, **channels}, coords={"snapshot": names})
+    )
+    posterior = tree["posterior"].to_dataset()
+    delta = posterior["delta_rad"].copy()
+    for name, gap_rad in zip(names, gaps, strict=True):
+        delta.loc[{"snapshot": name}] = gap_rad
+    other["posterior"] = xr.DataTree(posterior.assign(delta_rad=delta))
+    return other
+
+
+def test_every_script_writes_its_figure_from_stored_results(
+    scripts, sweep_file, tree, file, tmp_path, capsys
+):
+    write_tree(on_bench(tree, (7e-4, 9e-4), 2.0), tmp_path / "bench.nc")
+    make_all, common = scripts("make_all"), scripts("common")
+    without_6 = [figure for figure in make_all.FIGURES if figure[0] != "figure_6"]
+    stored = ["--sweep", str(sweep_file), "--out", str(tmp_path / "drawn")]
+    assert common.main(without_6, [*stored, "--wear", str(file)]) == 0
+    six = [("figure_6", scripts("figure_6").draw)]
+    assert common.main(six, [*stored, "--wear", str(tmp_path / "bench.nc")]) == 0
+    written = {path.name for path in (tmp_path / "drawn").iterdir()}
+    assert written == {f"figure_{n}.{k}" for n in (3, 5, 6, 7, 8, 9, 10) for k in ("pdf", "png")}
+    capsys.readouterr()
+    on_disk = {path.stem for path in SCRIPTS.glob("figure_*.py")}
+    assert on_disk == {name for name, _ in make_all.FIGURES}, "make_all makes all"
+
+
+def test_the_simulated_recording_is_laid_where_the_recorded_one_lies(scripts, sweep_file, tree):
+    figure_6, common = scripts("figure_6"), scripts("common")
+    bench = common.Stored(sweep_file, sweep_file).bench
+    for angle in (0.1, 3.3):
+        made = snapshots(on_bench(tree, (7e-4, 9e-4), angle))[0]
+        time, recorded = figure_6.recorded_channels(made)
+        found = figure_6.simulated_like(bench, 7e-4, time, recorded)
+        turn = (found.metadata["start_angle_rad"] - angle + np.pi) % (2.0 * np.pi) - np.pi
+        assert abs(turn) < 1e-3
+
+
+def test_the_variable_stiffness_is_that_of_the_shaft_outside_the_gap_and_none_inside(scripts):
+    stiffness = scripts("figure_5").variable_stiffness
+    twist = np.array([-3e-3, -1e-3, 0.0, 1e-3, 3e-3])
+    found = stiffness(twist, 1e-3, 1.2e5, 1e6)
+    assert found / 1.2e5 == pytest.approx([1.0, 0.5, 0.0, 0.5, 1.0], abs=2e-3)
+
+
+def test_a_missing_result_is_told_with_its_command(scripts, sweep_file, tmp_path, capsys):
+    figures = [(f"figure_{n}", scripts(f"figure_{n}").draw) for n in (7, 9, 10)]
+    arguments = ["--sweep", str(sweep_file), "--wear", str(tmp_path / "no.nc"), "--out"]
+    assert scripts("common").main(figures, [*arguments, str(tmp_path)]) == 2
+    told = capsys.readouterr()
+    assert told.out.count("figure_7") == 2, "what can be drawn is drawn"
+    assert "Not drawn: figure_9, figure_10." in told.err
+    assert "bayesbl compare" in told.err
+
+
+def test_a_script_runs_by_itself(sweep_file, tmp_path):
+    command = [sys.executable, str(SCRIPTS / "figure_7.py"), "--sweep", str(sweep_file)]
+    done = subprocess.run([*command, "--out", str(tmp_path)], capture_output=True, check=True)
+    assert (tmp_path / "figure_7.pdf").is_file(), done.stderr

@@ -17,9 +17,12 @@ from rich.console import Console
 
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.gap.change import MeasuredRinging, gaps
+from bayesbl.gap.curve import published_curve
 from bayesbl.report import words
 from bayesbl.report.console import error, print_result, print_summary
 from bayesbl.report.progress import progress
+from bayesbl.report.study import filled, print_study
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
 from bayesbl.workflows.measure import measure
@@ -278,3 +281,130 @@ def _summary(tree):
     from bayesbl.results.summary import summarise
 
     return summarise(tree)
+
+
+# Sweeps
+
+
+def sweep_summary(**changes):
+    found = {
+        "kind": "sweep",
+        "outcome": "converged",
+        "reason": None,
+        "warnings": [],
+        "curve": "results/sweep",
+        "coefficients": [-1.921674e-06, 1.283017e-05, 2.922097e-07, -4.716268e-10],
+        "degree": 3,
+        "gap_rad": [1e-4, 4e-3],
+        "amplitude_rpm": [6.89, 104.7],
+        "largest_correction": 0.0106,
+        "relative_sd": {"regression": 0.00036, "lack_of_fit": 0.00055, "bench": 0.051},
+        "largest_departure_from_published": 0.0324,
+        "degrees": {
+            "2": {"rms_departure": 0.0103, "largest_departure": 0.0256, "log_evidence": 795.7},
+            "3": {"rms_departure": 0.0015, "largest_departure": 0.0033, "log_evidence": 820.0},
+            "4": {"rms_departure": 0.0007, "largest_departure": 0.0016, "log_evidence": 822.6},
+        },
+    }
+    return found | changes
+
+
+def test_a_sweep_is_told_with_its_ranges_first():
+    first = flat(printed(sweep_summary())).split(" A cubic")[0]
+    assert first == (
+        "As the gap grows from 0.1 to 4 mrad, the amplitude A of the ringing grows from 6.9 to "
+        "104.7 rpm."
+    )
+
+
+def test_every_coefficient_has_its_unit_and_can_be_read_back():
+    text = printed(sweep_summary()).replace("−", "-")
+    for value, unit in zip(
+        sweep_summary()["coefficients"], ("rad", "rad/rpm", "rad/rpm²", "rad/rpm³"), strict=True
+    ):
+        (found,) = re.findall(rf"(-?\d\.\d+e-\d+)\s+{unit}\s*$", text, re.MULTILINE)
+        assert float(found) == pytest.approx(value, rel=1e-6)
+
+
+def test_every_source_of_the_curve_is_told_the_largest_first():
+    told = flat(printed(sweep_summary(relative_sd={"bench": 0.051, "oil_warmth": 0.2})))
+    assert "by source: oil warmth 20 %, tolerances of the bench 5.1 %." in told
+
+
+def test_what_is_left_is_told_of_the_cubic_of_eq_4_and_of_the_coefficients_alone():
+    told = flat(printed(sweep_summary()))
+    assert "A cubic describes δ of the sweep within 0.33 % (0.15 % RMS)." in told
+    assert "eq. 4 by at most 3.2 %." in told
+    assert "at most 1.1 %" in told
+
+
+def test_the_degree_used_is_marked_and_evidence_is_given_below_the_best():
+    lines = printed(sweep_summary()).splitlines()
+    (used,) = [line for line in lines if line.rstrip().endswith("used")]
+    assert used.split()[:4] == ["3", "0.15", "0.33", "2.6"]
+    (best,) = [line for line in lines if line.split()[:1] == ["4"]]
+    assert best.split()[-1] == "0.0"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_sweep_is_never_wider_than_the_terminal(width):
+    assert max(map(len, printed(sweep_summary(), width=width).splitlines())) <= width
+
+
+def test_significant_digits_are_kept_whatever_the_size():
+    values = (0.000149, 0.15, 1.04, 32.6, 0.0, -2.55)
+    assert [words.significant(v) for v in values] == ["0.00015", "0.15", "1.0", "33", "0", "−2.5"]
+
+
+# Studies
+
+COLUMNS = ["name", "pairs", "coverage_90", "bias_percent", "width_ratio", "median_error_percent"]
+VALUES = ("bench, AR(1) 0.6, δ 2e-4", 300, 0.893333, -0.0123, 1.0123, 1.2)
+ROWS = [dict(zip(COLUMNS, VALUES, strict=True)), {"name": "[b]", "pairs": 12}]
+
+
+def study(width):
+    target = console(width=width)
+    print_study(ROWS, COLUMNS, target)
+    return target.file.getvalue()
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
+def test_every_value_of_a_study_is_printed_whole_beside_its_column(width):
+    text = study(width)
+    assert "…" not in text
+    for row in ROWS:
+        for column, value in row.items():
+            assert column in text or column == "name"
+            assert str(value) in text
+    if width >= 60:
+        assert max(map(len, text.splitlines())) <= width
+
+
+def test_a_study_that_fits_is_a_table_and_one_that_does_not_a_block_a_row():
+    assert study(200).splitlines()[0].split() == COLUMNS
+    narrow = study(60).splitlines()
+    assert narrow[0] == "bench, AR(1) 0.6, δ 2e-4"
+    assert narrow[1].startswith("  pairs 300, coverage_90 0.893333,")
+    assert narrow[-2:] == ["[b]", "  pairs 12"]
+
+
+@given(
+    st.lists(st.text("ab ", min_size=1, max_size=12).map(str.strip), min_size=1),
+    st.integers(1, 40),
+)
+def test_pairs_are_broken_between_them_alone(pairs, width):
+    lines = filled(pairs, width)
+    assert " ".join(lines) == ", ".join(pairs)
+    alone = {len(pair) + 1 for pair in pairs}
+    assert all(len(line) <= max(width, *alone, 0) for line in lines)
+
+
+def test_a_withheld_gap_beyond_the_curve_claims_no_certainty():
+    curve = published_curve(draws=50)
+    amplitude = np.random.default_rng(1).normal(190.0, 0.5, (2, 200))
+    ringing = MeasuredRinging(amplitude, np.array([190.0, 4.2, 2.9]), np.diag([0.25, 1e-4, 1e-4]))
+    (found,) = gaps(curve, [ringing], np.random.SeedSequence(1))
+    assert np.all(found.outside == 1.0)
+    assert "More than 99 % of the posterior" in found.reason
+    assert "100" not in found.reason
