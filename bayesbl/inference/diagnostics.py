@@ -98,7 +98,7 @@ def judge(
     signal_to_noise
         A / √V_AA.
     at_bound
-        By symbol, the share of draws within one percent of its range of a bound.
+        By symbol, the share of draws at a bound of its range.
     """
     doubts: list[str] = []
     failures: list[str] = []

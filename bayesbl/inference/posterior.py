@@ -252,8 +252,12 @@ def _complete(
 
 
 def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
-    """By symbol, the share of draws within one percent of its range of a bound."""
+    """By symbol, the share of draws at a bound of its range.
+
+    That is within one percent of the range, and within half a standard deviation: a narrow
+    posterior beside a bound is not cut by it.
+    """
     low, high = bounds(objective)
-    near = 0.01 * (high - low)
+    near = np.minimum(0.01 * (high - low), 0.5 * points.std(axis=(0, 1)))
     close = (points < low + near) | (points > high - near)
     return dict(zip(objective.searched, close.mean(axis=(0, 1)).tolist(), strict=True))
