@@ -211,7 +211,7 @@ def covariance_at_truth(noise: NoiseModel, measured: Recording) -> Covariance:
         seconds=0.0,
         method="guess",
     )
-    return covariance(at_truth, objective.time_s, known)
+    return covariance(at_truth, objective.time_s, np.zeros(objective.samples), known)
 
 
 def test_under_white_noise_the_sandwich_is_the_inverse_curvature() -> None:
@@ -250,7 +250,7 @@ def test_symbols_that_the_recording_does_not_determine_are_refused() -> None:
     lost = Optimum(**{**{n: getattr(found, n) for n in found.__slots__}, "symbols": silent})
     noise = Noise(1.5, np.zeros(0), np.zeros(16), 0, False)
     with pytest.raises(RecordingError, match="does not determine"):
-        covariance(lost, objective.time_s, noise)
+        covariance(lost, objective.time_s, np.zeros(objective.samples), noise)
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say(
@@ -406,13 +406,14 @@ def test_symbols_stay_where_they_are_fixed_and_inside_their_ranges() -> None:
 @pytest.mark.parametrize("free", [WINDOW_START, WINDOW_END])
 def test_the_pulse_window_can_be_free(free: str) -> None:
     # t0 and t1 only enter as their sum, so t0 is fixed where t1 is free.
-    fixed = {WINDOW_START: 0.0, WINDOW_END: 0.204, START: TRUTH[START] - 0.05}
+    fixed = {WINDOW_START: 0.0, WINDOW_END: 0.204, START: TRUTH[START] - 0.03}
     del fixed[free]
     if free == WINDOW_END:
         del fixed[START]
-    model = DisturbanceModel(fixed=fixed, ranges={free: (0.0, 0.4)})
+    ranges = {WINDOW_START: (0.0, 0.1), WINDOW_END: (0.1, 0.4)}
+    model = DisturbanceModel(fixed=fixed, ranges={free: ranges[free]})
     found = Estimator(model).estimate(recording(WHITE), np.random.SeedSequence(2))
-    expected = 0.05 if free == WINDOW_START else TRUTH[WINDOW_END]
+    expected = 0.03 if free == WINDOW_START else TRUTH[WINDOW_END]
     assert math.isclose(found.optimum.symbols[free], expected, abs_tol=0.01)
     assert found.spread.standard_deviations[free] > 0.0
 
@@ -457,8 +458,11 @@ def test_the_same_seed_gives_the_same_draws_and_leaves_numpys_random_state_alone
             point.objective, point.optimum, point.spread, settings, np.random.SeedSequence(seed)
         ).draws
 
-    first, again, other = draws(5), draws(5), draws(6)
+    first = draws(5)
     np.testing.assert_array_equal(before[1], np.random.get_state()[1])  # noqa: NPY002
+    np.random.seed(77)  # noqa: NPY002
+    again, other = draws(5), draws(6)
+    np.random.set_state(before)  # noqa: NPY002
     for name in first:
         np.testing.assert_array_equal(first[name], again[name])
         assert not np.array_equal(first[name], other[name])
