@@ -17,11 +17,18 @@ from bayesbl.gap.curve import GapCurve
 from bayesbl.gap.regression import regress
 from bayesbl.gap.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.gap.swept_curve import degree_reports, swept_curve
+from bayesbl.inference.covariance import covariance
 from bayesbl.inference.estimator import Estimator
+from bayesbl.inference.noise import Noise
+from bayesbl.inference.optimum import find_optimum
+from bayesbl.inference.refine import refine
+from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.readers import read_recording
 from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.signal.parameters import DisturbanceModel
+from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
+from bayesbl.signal.objective import Objective
+from bayesbl.signal.parameters import SYMBOLS, DisturbanceModel
 from bayesbl.workflows.measure import require_same_estimator
 from bayesbl.workflows.sweep import run_sweep
 
@@ -123,6 +130,50 @@ def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve
     assert low < truths[1] - truths[0] < high
 
 
+def test_a_waveform_that_is_not_exact_bends_the_sum_of_squares_as_the_sandwich_says() -> None:
+    model, noise = DisturbanceModel(), NoiseModel(1.5, (0.6,))
+    speed = reference_bench().simulate_many(1.2e-3, start_angle_rad=1.0)[0]
+    time_s = np.arange(speed.size) / 1000.0
+    clean = Objective(model, time_s, speed)
+    optimum = find_optimum(clean, "guess", np.random.default_rng(1))
+    residual = speed - optimum.predict(time_s)
+    known = Noise(1.5, np.array([0.6]), np.zeros(16), 0, False)
+    spread = covariance(optimum, time_s, residual, known)
+    without = covariance(optimum, time_s, np.zeros_like(speed), known)
+    rng, count, found = np.random.default_rng(4), 120, []
+    for seed in range(count):
+        noisy = Objective(model, time_s, speed + noise.draw(speed.size, rng))
+        point = refine(noisy, optimum.searched, seed)
+        found.append([noisy.solve(point[None]).coefficients[0, -1], point[2]])
+    actual = np.std(found, axis=0, ddof=1)
+    # Chi-square: a standard deviation from 120 is within 20 % but in 0.2 % of seeds.
+    for name, value in zip(("amplitude_rpm", "angular_frequency_rad_per_s"), actual, strict=True):
+        assert 0.8 < value / spread.standard_deviations[name] < 1.2, name
+    assert actual[1] > 1.25 * without.standard_deviations["angular_frequency_rad_per_s"]
+
+
+def test_the_curvature_of_the_misfit_is_the_derivative_of_the_gradient() -> None:
+    model = DisturbanceModel()
+    names = jacobian_columns(model)
+    time_s = np.arange(4000) / 500.0
+    symbols = dict(zip(SYMBOLS, (20.0, 0.4, 12.0, 60.0, 2000.0, 0.0, 0.204, 1.7, 3.6), strict=True))
+    residual = np.random.default_rng(1).standard_normal(time_s.size)
+    curvature = misfit_curvature(model, time_s, symbols, residual)
+    np.testing.assert_allclose(curvature, curvature.T, atol=1e-9 * np.abs(curvature).max())
+    # The decay and the frequency move no window edge, so differences see nothing else.
+    for name in ("decay_rate_per_s", "angular_frequency_rad_per_s"):
+        step = 1e-4
+        gradients = [
+            residual @ jacobian(model, time_s, {**symbols, name: symbols[name] + h}, np.zeros(2))
+            for h in (step, -step)
+        ]
+        numeric = (gradients[0] - gradients[1]) / (2.0 * step)
+        column = names.index(name)
+        for row in ("start_time_s", "decay_rate_per_s", "angular_frequency_rad_per_s"):
+            i = names.index(row)
+            np.testing.assert_allclose(curvature[i, column], numeric[i], rtol=1e-5, atol=1e-6)
+
+
 def test_a_cubic_describes_the_bench_where_lower_degrees_do_not(nominal: SweepRow) -> None:
     reports = {report.degree: report for report in degree_reports(nominal)}
     assert reports[1].rms_departure > 0.1
@@ -142,8 +193,7 @@ def test_the_regression_recovers_a_known_cubic_within_its_own_uncertainty() -> N
         seen = amplitude + 0.05 * rng.standard_normal(amplitude.size)
         regression = regress(seen, gap, slope * 0.05, knots, 3)
         coefficients, lack = regression.draws(400, rng)
-        nominal = np.log(np.polynomial.polynomial.polyval(knots, regression.coefficients))
-        draws = nominal + regression.correction + coefficients + lack
+        draws = regression.log_gap + coefficients + lack
         exact = np.log(np.polynomial.polynomial.polyval(knots, truth))
         low, high = np.quantile(draws, [0.05, 0.95], axis=0)
         inside.append(np.mean((low < exact) & (exact < high)))

@@ -61,9 +61,10 @@ class Regression:
     _remaining_root: FloatArray
 
     @property
-    def correction(self) -> FloatArray:
-        """Departure of ln δ from the polynomial's at the knots, shape (g,)."""
-        return np.asarray(-np.log1p(-self.lack_of_fit))
+    def log_gap(self) -> FloatArray:
+        """ln δ at the knots, polynomial and lack of fit together, shape (g,)."""
+        value = polynomial.polyval(self.knots_rpm, self.coefficients)
+        return np.asarray(np.log(value) - np.log1p(-self.lack_of_fit))
 
     def draws(self, count: int, generator: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Departures of ln δ at the knots: by the coefficients, by the lack of fit, (count, g).

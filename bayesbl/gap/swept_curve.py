@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import polynomial
 
 from bayesbl.errors import CurveError
 from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
@@ -61,6 +62,7 @@ def swept_curve(
     by_coefficients, by_lack_of_fit = regression.draws(
         REGRESSION_DRAWS, np.random.default_rng(regression_seed)
     )
+    coefficients = relative_fit(mean, nominal.gap_rad, degree)
     sources = {"regression": by_coefficients, "lack_of_fit": by_lack_of_fit}
     values = _log_values(nominal, model)
     ringing = None
@@ -69,9 +71,9 @@ def swept_curve(
         sources["bench"], ringing = _bench_source(nominal, values, departures, knots)
     curve = GapCurve(
         name=name,
-        coefficients=regression.coefficients,
+        coefficients=coefficients,
         knots_rpm=knots,
-        correction=regression.correction,
+        correction=regression.log_gap - np.log(polynomial.polyval(knots, coefficients)),
         sources=sources,
         start_angle_sd_rpm=np.interp(knots, mean, sd),
         fingerprint=fingerprint,
@@ -90,7 +92,7 @@ def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
         if nominal.gap_rad.size < degree + 3:
             break
         coefficients = relative_fit(mean, nominal.gap_rad, degree)
-        departure = np.polynomial.polynomial.polyval(mean, coefficients) / nominal.gap_rad - 1.0
+        departure = polynomial.polyval(mean, coefficients) / nominal.gap_rad - 1.0
         evidence = _regression(nominal, sd, knots, degree).log_evidence
         reports.append(
             DegreeReport(
@@ -113,8 +115,8 @@ def smooth_scatter(values: FloatArray) -> FloatArray:
     variance = np.maximum(values.var(axis=1, ddof=1), 1e-18)
     x = np.linspace(-1.0, 1.0, len(values))
     degree = min(2, len(values) - 1)
-    logs = np.polynomial.polynomial.polyfit(x, np.log(variance), degree)
-    smooth = np.exp(np.polynomial.polynomial.polyval(x, logs))
+    logs = polynomial.polyfit(x, np.log(variance), degree)
+    smooth = np.exp(polynomial.polyval(x, logs))
     # The mean of a log variance with ν degrees of freedom lies below the log of its mean.
     return np.asarray(np.sqrt(smooth * variance.mean() / smooth.mean()))
 
@@ -182,7 +184,9 @@ def _bench_source(
         gap[i] = _interpolate(at_knots, order, log_gap) - nominal_gap
         for k in (0, 1):
             ringing[k][i] = _interpolate(at_knots, order, moved[:, k + 1]) - nominal_ringing[k]
-    return gap, Ringing(*nominal_ringing, *ringing, scatter=_scatter(nominal, values, knots_rpm))
+    frequency, decay = nominal_ringing
+    scatter = _scatter(nominal, values, knots_rpm)
+    return gap, Ringing(frequency, decay, ringing[0], ringing[1], scatter)
 
 
 def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:

@@ -149,7 +149,7 @@ class Estimator:
             self.noise_kind,
             self.noise_order,
         )
-        spread = covariance(optimum, objective.time_s, noise)
+        spread = covariance(optimum, objective.time_s, residual, noise)
         return PointEstimate(recording, objective, optimum, noise, spread, residual)
 
     def fit(

@@ -89,6 +89,61 @@ def jacobian(
     return np.column_stack([*free, columns[:, 1:]])
 
 
+def misfit_curvature(
+    model: DisturbanceModel,
+    time_s: FloatArray,
+    symbols: Mapping[str, float],
+    residual_rpm: FloatArray,
+) -> FloatArray:
+    """Σ_n r_n ∂²h_n/∂θ∂θ: what a residual that is not small adds to the curvature.
+
+    Half the second derivative of the sum of squares is JᵀJ less this matrix. Analytic, the window's
+    edges held still as in :func:`jacobian`. Rows of A and v_t vanish at an optimum and are zero
+    here, those of a free window and of the baseline are left out: the residual is orthogonal to
+    the one and the other carries no ringing.
+
+    Parameters
+    ----------
+    residual_rpm
+        Recording minus model, shape (n,), rpm.
+
+    Returns
+    -------
+    Shape (p, p), in the order of :func:`jacobian_columns`.
+    """
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    exponent = complex(-symbols[DECAY], symbols[FREQUENCY])
+    rotation = symbols[ROTATION]
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    first = symbols[START] + symbols[WINDOW_START]
+    reach = window + period_s
+    names = (DECAY, FREQUENCY, START, SEPARATION, ROTATION)
+    total = np.zeros((5, 5))
+    for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
+        for start in impact_times(origin, rotation, reach, time_s[0], time_s[-1]):
+            inside = slice(*np.searchsorted(time_s, (start, start + reach)))
+            u = time_s[inside] - start
+            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0)
+            weight = sign * symbols[AMPLITUDE] * ramp * residual_rpm[inside]
+            wave = weight * np.exp(exponent * u)
+            # d/dτ is −u, d/dω is iu, d/d(start) is −λ acting on e^{λu}; λ itself moves with both.
+            mixed = wave @ (1.0 + exponent * u)
+            shape = np.array([[1.0, -1.0j], [-1.0j, -1.0]]) * (wave @ u**2)
+            moves = np.array([1.0, -1.0 if sign < 0.0 else 0.0, round((start - origin) / rotation)])
+            total[:2, :2] += shape.imag
+            cross = np.outer(np.array([mixed, -1j * mixed]).imag, moves)
+            total[:2, 2:] += cross
+            total[2:, :2] += cross.T
+            total[2:, 2:] += np.outer(moves, moves) * (exponent**2 * wave.sum()).imag
+    columns = jacobian_columns(model)
+    curvature = np.zeros((len(columns), len(columns)))
+    for i, a in enumerate(names):
+        for j, b in enumerate(names):
+            if a in columns and b in columns:
+                curvature[columns.index(a), columns.index(b)] = total[i, j]
+    return curvature
+
+
 def jacobian_columns(model: DisturbanceModel) -> tuple[str, ...]:
     """Names of the columns: A first (if free), the other free symbols, then the baseline's."""
     baseline = [

@@ -1,0 +1,180 @@
+"""How long the steps from recording to answer take.
+
+    python experiments/benchmark.py
+
+Prints, for an 18 s recording at 1 kHz of the disturbance model on one thread: one evaluation of the
+sum of squares by the kernel and by the formula in plain NumPy, the search, the posterior; then the
+whole ``bayesbl compare`` of the example recordings and ``bayesbl --help``, each in a fresh process.
+Times are the best of several after a warm-up, but for the fresh processes: their median.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from bayesbl.inference.estimator import Estimator
+from bayesbl.inference.optimum import find_optimum
+from bayesbl.inference.posterior import SamplerSettings, sample_posterior
+from bayesbl.physics.noise import NoiseModel
+from bayesbl.signal.objective import Objective
+from bayesbl.signal.parameters import (
+    AMPLITUDE,
+    DECAY,
+    FREQUENCY,
+    MEAN,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+    DisturbanceModel,
+)
+from bayesbl.signal.synthetic import model_speed, synthetic_recording
+
+RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
+POPULATION = 1000
+BATCHES = 7
+TRUTH = {
+    AMPLITUDE: 30.0,
+    START: 1.3,
+    DECAY: 12.0,
+    FREQUENCY: 62.0,
+    MEAN: 2000.0,
+    WINDOW_START: 0.0,
+    WINDOW_END: 0.204,
+    SEPARATION: 1.7,
+    ROTATION: 3.6,
+}
+PARTS = ("numpy", "scipy", "numba", "cma", "emcee", "bayesbl")
+
+
+def main() -> None:
+    print(f"{processor()}, Python {platform.python_version()}, " + versions())
+    print(f"load when started: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
+    for harmonics in (0, 1):
+        kernel, plain = evaluation_seconds(harmonics)
+        baseline = "with baseline" if harmonics else "without baseline"
+        show(f"kernel, one evaluation, {baseline}", 1e6 * kernel, "µs")
+        show(f"plain NumPy, one evaluation, {baseline}", 1e3 * plain, "ms")
+        show("  ratio, at least 1000", plain / kernel, "")
+    search, posterior = fit_seconds()
+    show("search, at most 1 s", search, "s")
+    show("posterior, four ensembles until converged, at most 6 s", posterior, "s")
+    with tempfile.TemporaryDirectory() as folder:
+        show("bayesbl compare, figures included, at most 15 s", compare_seconds(Path(folder)), "s")
+    show("bayesbl --help, below 0.4 s", process_seconds(["--help"], 7), "s")
+
+
+def recording(harmonics: int):  # type: ignore[no-untyped-def]
+    """18 s at 1 kHz with AR(1) noise."""
+    return synthetic_recording(
+        TRUTH,
+        NoiseModel(1.5, (0.6,)),
+        np.random.default_rng(1),
+        baseline_rpm=(5.0, -3.0)[: 2 * harmonics],
+    )
+
+
+def evaluation_seconds(harmonics: int) -> tuple[float, float]:
+    """Seconds of one sum of squares: by the kernel in populations, and by the plain formula.
+
+    The formula takes all nine symbols and the baseline as given; the kernel solves the linear ones.
+    """
+    measured = recording(harmonics)
+    objective = Objective(DisturbanceModel(harmonics), measured.time_s, measured.motor_speed_rpm)
+    centre = np.array([TRUTH[name] for name in objective.searched])
+    points = centre * (1.0 + 1e-3 * np.random.default_rng(2).standard_normal((POPULATION, 5)))
+    kernel = best_seconds(lambda: objective.sum_of_squares(points)) / POPULATION
+
+    def formula() -> float:
+        model = model_speed(measured.time_s, TRUTH, (5.0, -3.0)[: 2 * harmonics])
+        return float(np.sum((measured.motor_speed_rpm - model) ** 2))
+
+    return kernel, best_seconds(formula)
+
+
+def fit_seconds() -> tuple[float, float]:
+    """Seconds of the search and of the sampling of one recording."""
+    measured = recording(1)
+    point = Estimator().estimate(measured, np.random.SeedSequence(1))
+
+    def search() -> object:
+        return find_optimum(point.objective, "guess", np.random.default_rng(1))
+
+    def sample() -> object:
+        return sample_posterior(
+            point.objective,
+            point.optimum,
+            point.spread,
+            SamplerSettings(),
+            np.random.SeedSequence(1),
+        )
+
+    return best_seconds(search, 3), best_seconds(sample, 3)
+
+
+def compare_seconds(folder: Path) -> float:
+    """Seconds of the main job on the example recordings, compiled before."""
+    files = [str(RECORDINGS / f"wear_{name}.csv") for name in ("before", "after")]
+    process_seconds(["compare", *files, "--out", str(folder / "first")], 1)
+    return process_seconds(["compare", *files, "--out", str(folder / "second")], 1)
+
+
+def best_seconds(run: Callable[[], object], batches: int = BATCHES) -> float:
+    """The shortest of several runs after one to warm up."""
+    run()
+    times = []
+    for _ in range(batches):
+        begin = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def process_seconds(arguments: list[str], repeats: int) -> float:
+    """Median wall time of ``bayesbl`` in a fresh process."""
+    program = Path(sys.executable).with_name("bayesbl")
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        subprocess.run([program, *arguments], check=True, capture_output=True)
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def processor() -> str:
+    """Name of the processor, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def versions() -> str:
+    """Versions of what the times depend on."""
+    return ", ".join(f"{name} {version(name)}" for name in PARTS)
+
+
+def show(what: str, value: float, unit: str) -> None:
+    print(f"{what:58s} {value:10.3g} {unit}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
