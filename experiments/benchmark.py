@@ -2,19 +2,14 @@
 
     python experiments/benchmark.py
 
-Prints, for an 18 s recording at 1 kHz of the disturbance model on one thread: one evaluation of the
-sum of squares by the kernel and by the formula in plain NumPy, the search, the posterior; then the
-whole ``bayesbl compare`` of the example recordings and ``bayesbl --help``, each in a fresh process.
+Prints, for an 18 s recording at 1 kHz of the disturbance model: one evaluation of the sum of squares
+by the kernel and by the formula in plain NumPy, the search, the posterior; then the whole ``bayesbl compare`` of the example recordings and ``bayesbl --help``, each in a fresh process.
 Times are the best of several after a warm-up, but for the fresh processes: their median.
 """
 
 from __future__ import annotations
 
 import os
-
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
-
 import platform
 import statistics
 import subprocess
@@ -31,6 +26,7 @@ from bayesbl.inference.estimator import Estimator
 from bayesbl.inference.optimum import find_optimum
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.physics.noise import NoiseModel
+from bayesbl.recording.types import Recording
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
     AMPLITUDE,
@@ -80,7 +76,7 @@ def main() -> None:
     show("bayesbl --help, below 0.4 s", process_seconds(["--help"], 7), "s")
 
 
-def recording(harmonics: int):  # type: ignore[no-untyped-def]
+def recording(harmonics: int) -> Recording:
     """18 s at 1 kHz with AR(1) noise."""
     return synthetic_recording(
         TRUTH,
