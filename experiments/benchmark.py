@@ -2,9 +2,10 @@
 
     python experiments/benchmark.py
 
-Prints, for an 18 s recording at 1 kHz of the disturbance model: one evaluation of the sum of squares
-by the kernel and by the formula in plain NumPy, the search, the posterior; then the whole ``bayesbl compare`` of the example recordings and ``bayesbl --help``, each in a fresh process.
-Times are the best of several after a warm-up, but for the fresh processes: their median.
+Prints, for 18 s of the disturbance model at 1 kHz: one evaluation of the sum of squares by the
+kernel and by the formula in plain NumPy, the search, the posterior; then the whole
+``bayesbl compare`` of the example recordings and ``bayesbl --help``, each in a fresh process. Times
+are the best of several after a warm-up, but for fresh processes: the median.
 """
 
 from __future__ import annotations
