@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple
+from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import Gap, MeasuredRinging, gaps
 from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE
@@ -141,14 +142,15 @@ def _fit(
         start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
         seed=generator,
     )
+    choose = partial(likeliest_branch, _curve(row.curve), Estimator())
     if row.posterior == "normal":
-        point = Estimator().estimate(recording, seed)
+        point = choose(Estimator().estimate(recording, seed))
         centre, covariance = point.ringing
         draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 1000))
         return MeasuredRinging(draws, centre, covariance)
     # Two ensembles of 500 steps: enough draws for a rank, at a third of the default's time.
     settings = SamplerSettings(ensembles=2, max_steps=500)
-    fit = Estimator(sampler=settings).fit(recording, seed)
+    fit = Estimator(sampler=settings).fit(recording, seed, choose=choose)
     return MeasuredRinging(fit.posterior.draws[AMPLITUDE], *fit.point.ringing)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.config.schema import SweepConfig
 from bayesbl.errors import CurveError, UserError
 from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
+from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import GapCurve
 from bayesbl.gap.regression import regress
@@ -174,6 +176,34 @@ def test_the_curvature_of_the_misfit_is_the_derivative_of_the_gradient() -> None
             np.testing.assert_allclose(curvature[i, column], numeric[i], rtol=1e-5, atol=1e-6)
 
 
+def test_pulses_exchanged_by_noise_are_told_by_how_the_bench_rings(curve: GapCurve) -> None:
+    estimator, noise = Estimator(), NoiseModel(4.0, (0.6,))
+    rng = np.random.default_rng(3)
+    clean = 12.33  # least-squares amplitude of this gap without noise
+    exchanged = 0
+    for case in range(9):
+        recording = reference_bench().simulate(2e-4, start_angle_rad=rng.uniform(0.0, 6.28))
+        speed = recording.motor_speed_rpm + noise.draw(recording.samples, rng)
+        noisy = dataclasses.replace(recording, channels={"motor_speed_rpm": speed})
+        plain = point(noisy, case)
+        chosen = likeliest_branch(curve, estimator, plain)
+        amplitude = chosen.optimum.symbols["amplitude_rpm"]
+        assert abs(amplitude - clean) < 3.5 * chosen.spread.standard_deviations["amplitude_rpm"]
+        if chosen is not plain:
+            exchanged += 1
+            wrong = plain.optimum.symbols["amplitude_rpm"]
+            assert abs(wrong - clean) > 2.5 * plain.spread.standard_deviations["amplitude_rpm"]
+            assert chosen.optimum.rivals[0].symbols["amplitude_rpm"] == wrong
+            assert "in its place" in chosen.notes[-1]
+    assert exchanged >= 1
+
+
+def test_strong_pulses_are_left_as_they_are(curve: GapCurve) -> None:
+    recording = reference_bench().simulate(1e-3, start_angle_rad=2.0, seed=np.random.default_rng(1))
+    found = point(recording)
+    assert likeliest_branch(curve, Estimator(), found) is found
+
+
 def test_a_cubic_describes_the_bench_where_lower_degrees_do_not(nominal: SweepRow) -> None:
     reports = {report.degree: report for report in degree_reports(nominal)}
     assert reports[1].rms_departure > 0.1
@@ -224,8 +254,6 @@ def test_a_curve_is_the_same_after_a_round_trip_through_netcdf(
 
 
 def test_an_amplitude_that_does_not_grow_with_the_gap_is_refused(nominal: SweepRow) -> None:
-    import dataclasses
-
     amplitude = nominal.amplitude_rpm.copy()
     amplitude[6] = amplitude[4]
     broken = dataclasses.replace(nominal, amplitude_rpm=amplitude)

@@ -31,7 +31,8 @@ class Ringing:
     log_frequency, log_decay
         ln ω (rad/s) and ln τ (1/s) at the curve's knots, shape (g,).
     frequency_draws, decay_draws
-        Departures from these for each draw of the curve's ``bench`` source, shape (m, g).
+        Departures from these for each draw of the curve's ``bench`` source, shape (m, g); one row
+        of zeros where the bench is taken for exact.
     scatter
         Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (g, 3, 3).
     """

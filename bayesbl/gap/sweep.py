@@ -14,15 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.inference.optimum import find_optimum
+from bayesbl.inference.optimum import exchanged, find_optimum
 from bayesbl.inference.refine import refine
 from bayesbl.physics.bench import Bench
 from bayesbl.recording.types import FloatArray
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
-    FREQUENCY,
-    ROTATION,
-    SEPARATION,
     START,
     DisturbanceModel,
 )
@@ -126,7 +123,7 @@ def sweep_nominal(
         if g < settings.count - 1:
             point = _turned(model, point, angles[g, 0] - angles[g + 1, 0], bench)
             last = point
-        starts = [point + trend, *_exchanged(model, point + trend)]
+        starts = [point + trend, *exchanged(model, point + trend)]
         ends = np.array([refine(first, start) for start in starts])
         best = int(np.argmin(first.sum_of_squares(ends)))
         point = ends[best]
@@ -205,23 +202,6 @@ def _objectives(
     time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
     flat = [Objective(model, time_s, speed) for speed in speeds]
     return [flat[i : i + width] for i in range(0, len(flat), width)]
-
-
-def _exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
-    """The point with its pulses exchanged and half a ringing earlier or later."""
-    names = model.searched
-    if not {START, SEPARATION} <= set(names):
-        return []
-    value = dict(zip(names, point, strict=True)) | dict(model.fixed)
-    half = math.pi / value[FREQUENCY]
-    moved = []
-    for shift in (-half, half):
-        new = value | {
-            START: value[START] - value[SEPARATION] + shift,
-            SEPARATION: -value[SEPARATION] % value[ROTATION],
-        }
-        moved.append(np.array([new[name] for name in names]))
-    return moved
 
 
 def _turned(

@@ -65,10 +65,12 @@ def swept_curve(
     coefficients = relative_fit(mean, nominal.gap_rad, degree)
     sources = {"regression": by_coefficients, "lack_of_fit": by_lack_of_fit}
     values = _log_values(nominal, model)
-    ringing = None
+    departures = np.zeros((1, *values.shape[:1], 3))
     if draws is not None:
         departures = virtual_departures(draws, np.random.default_rng(bench_seed))
-        sources["bench"], ringing = _bench_source(nominal, values, departures, knots)
+    by_bench, ringing = _bench_source(nominal, values, departures, knots)
+    if draws is not None:
+        sources["bench"] = by_bench
     curve = GapCurve(
         name=name,
         coefficients=coefficients,

@@ -8,6 +8,7 @@ searched and what the noise is taken for decide nothing about its meaning and st
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,6 +34,8 @@ class PointEstimate:
     ----------
     residual_rpm
         Recording minus optimum, shape (n,), rpm.
+    notes
+        What the reader should know of how the optimum was come by.
     """
 
     recording: Recording
@@ -41,6 +44,7 @@ class PointEstimate:
     noise: Noise
     spread: Covariance
     residual_rpm: FloatArray
+    notes: tuple[str, ...] = ()
 
     @property
     def misfit(self) -> RepeatingMisfit:
@@ -158,10 +162,19 @@ class Estimator:
         seed: np.random.SeedSequence,
         gear_ratio: float | None = None,
         progress: Progress | None = None,
+        choose: Callable[[PointEstimate], PointEstimate] | None = None,
     ) -> Fit:
-        """Optimum and posterior; one child seed for each."""
+        """Optimum and posterior; one child seed for each.
+
+        Parameters
+        ----------
+        choose
+            Picks among the optimum and its rivals; the optimum itself by default.
+        """
         search_seed, sample_seed = seed.spawn(2)
         point = self.estimate(recording, search_seed, gear_ratio)
+        if choose is not None:
+            point = choose(point)
         posterior = sample_posterior(
             point.objective, point.optimum, point.spread, self.sampler, sample_seed, progress
         )

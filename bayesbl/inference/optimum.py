@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.inference.guess import guesses, search_window
+from bayesbl.inference.refine import refine
 from bayesbl.recording.types import FloatArray
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
@@ -173,6 +174,41 @@ def find_optimum(
     )
 
 
+def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
+    """The point with its pulses exchanged and half a ringing earlier or later.
+
+    Half a ringing off, a pulse resembles its own negative: these are the local optima that come
+    closest to the global one. Shapes (d,).
+    """
+    names = model.searched
+    if not {START, SEPARATION} <= set(names):
+        return []
+    value = dict(zip(names, point, strict=True)) | dict(model.fixed)
+    half = math.pi / value[FREQUENCY]
+    moved = []
+    for shift in (-half, half):
+        new = value | {
+            START: value[START] - value[SEPARATION] + shift,
+            SEPARATION: -value[SEPARATION] % value[ROTATION],
+        }
+        moved.append(np.array([new[name] for name in names]))
+    return moved
+
+
+def promoted(objective: Objective, optimum: Optimum, rival: Rival) -> Optimum:
+    """The optimum with a rival in its place, and itself among the rivals."""
+    point = np.array([[rival.symbols[name] for name in objective.searched]])
+    solution = objective.solve(point)
+    others = tuple(other for other in optimum.rivals if other is not rival)
+    return replace(
+        optimum,
+        symbols=rival.symbols,
+        baseline_rpm=solution.coefficients[0, 1:-1],
+        sum_of_squares=float(solution.sum_of_squares[0]),
+        rivals=(Rival(optimum.symbols, optimum.sum_of_squares), *others),
+    )
+
+
 def local_search(
     objective: Objective, start: FloatArray, generator: np.random.Generator, run: int = 0
 ) -> tuple[FloatArray, SearchHistory]:
@@ -263,7 +299,10 @@ def _guess_search(
         )
     )
     evaluations = sum(int(h.evaluations[-1]) for _, h in runs)
-    return np.array([end for end, _ in runs]), history, evaluations
+    ends = [end for end, _ in runs]
+    best = ends[int(np.argmin(objective.sum_of_squares(np.array(ends))))]
+    ends += [refine(objective, start) for start in exchanged(objective.model, best)]
+    return np.array(ends), history, evaluations
 
 
 def _paper_search(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import xarray as xr
 from bayesbl.config.loading import dump_config
 from bayesbl.config.schema import SnapshotConfig
 from bayesbl.errors import ConfigError, CurveError
+from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
@@ -68,6 +70,7 @@ def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr
             seed,
             config.joint.gear_ratio,
             None if progress is None else _named(progress, recording.name),
+            partial(likeliest_branch, curve, estimator),
         )
         for recording, seed in zip(recordings, seeds.recordings, strict=True)
     ]
@@ -183,8 +186,11 @@ def _tree(
 def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
     """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld."""
     diagnostics = fit.posterior.diagnostics
-    reasons = list(diagnostics.reasons)
+    notes = (*fit.point.notes, *gap.notes)
+    reasons = [*diagnostics.reasons, *notes]
     outcome = diagnostics.outcome
+    if notes and outcome == "converged":
+        outcome = "usable"
     if gap.reason:
         outcome = "withheld"
         reasons.insert(0, gap.reason)
