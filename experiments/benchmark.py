@@ -74,6 +74,14 @@ def main() -> None:
     show("posterior, four ensembles until converged, at most 6 s", posterior, "s")
     with tempfile.TemporaryDirectory() as folder:
         show("bayesbl compare, figures included, at most 15 s", compare_seconds(Path(folder)), "s")
+    with tempfile.TemporaryDirectory() as folder:
+        for name, told in (
+            ("sweep", "of 40 gaps, at most 10 s"),
+            ("sweep_tolerances", "with 50 bench draws, at most 300 s"),
+        ):
+            config = str(RECORDINGS.parent / f"{name}.toml")
+            taken = process_seconds(["sweep", config, "--out", str(Path(folder) / name)], 1)
+            show(f"bayesbl sweep {told}", taken, "s")
     show("bayesbl --help, below 0.4 s", process_seconds(["--help"], 7), "s")
 
 
