@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -118,6 +119,10 @@ Level = Annotated[
 
 def main() -> None:
     """The installed command."""
+    # The matrices are small: threads of linear algebra cost more than they bring, and round
+    # differently on other numbers of cores.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     sys.exit(status())
 
 
@@ -419,7 +424,6 @@ def _draw(tree: xr.DataTree, folder: Path) -> list[Path]:
 
 def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:
     """Draw beside and move: an interrupted command leaves the figures that were there."""
-    import os
     import tempfile
 
     with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
