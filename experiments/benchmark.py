@@ -28,6 +28,7 @@ from bayesbl.inference.optimum import find_optimum
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import Recording
+from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
     AMPLITUDE,
@@ -41,7 +42,7 @@ from bayesbl.signal.parameters import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.signal.synthetic import model_speed, synthetic_recording
+from bayesbl.signal.synthetic import synthetic_recording
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
 POPULATION = 1000

@@ -32,6 +32,7 @@ from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.inference.refine import refine
 from bayesbl.physics.noise import NO_NOISE, NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
     AMPLITUDE,
@@ -46,7 +47,7 @@ from bayesbl.signal.parameters import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.signal.synthetic import draw_symbols, model_speed, synthetic_recording
+from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
 from bayesbl.signal.waveform import pulse_train
 
 TRUTH = {

@@ -18,6 +18,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.inference.guess import guesses, search_window
 from bayesbl.inference.refine import refine
 from bayesbl.recording.types import FloatArray
+from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
     AMPLITUDE,
@@ -33,7 +34,6 @@ from bayesbl.signal.parameters import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.signal.waveform import baseline_columns, pulse_train
 
 SearchMethod = Literal["guess", "paper"]
 
@@ -116,20 +116,7 @@ class Optimum:
 
     def predict(self, time_s: FloatArray) -> FloatArray:
         """The model h(t) of eq. 6 with its baseline, shape (n,), rpm."""
-        s = self.symbols
-        harmonics = baseline_columns(time_s, s[ROTATION], self.model.baseline_harmonics)[:, 1:]
-        period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
-        pulses = pulse_train(
-            time_s,
-            s[START] + s[WINDOW_START],
-            s[DECAY],
-            s[FREQUENCY],
-            s[WINDOW_END] - s[WINDOW_START],
-            s[SEPARATION],
-            s[ROTATION],
-            period_s,
-        )
-        return np.asarray(s[MEAN] + harmonics @ self.baseline_rpm + s[AMPLITUDE] * pulses)
+        return model_speed(time_s, self.symbols, self.baseline_rpm.tolist())
 
 
 def find_optimum(

@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bayesbl.physics.noise import NoiseModel
-from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.signal.model import model_speed
 from bayesbl.signal.parameters import (
     AMPLITUDE,
     DECAY,
@@ -24,34 +25,6 @@ from bayesbl.signal.parameters import (
     WINDOW_END,
     WINDOW_START,
 )
-from bayesbl.signal.waveform import baseline_columns, pulse_train
-
-
-def model_speed(
-    time_s: FloatArray, symbols: Mapping[str, float], baseline_rpm: Sequence[float] = ()
-) -> FloatArray:
-    """The model h(t) of eq. 6 with its baseline, shape (n,), rpm.
-
-    Parameters
-    ----------
-    symbols
-        All nine by name.
-    baseline_rpm
-        cos and sin of each load-angle harmonic, shape (2k,).
-    """
-    harmonics = baseline_columns(time_s, symbols[ROTATION], len(baseline_rpm) // 2)[:, 1:]
-    pulses = pulse_train(
-        time_s,
-        symbols[START] + symbols[WINDOW_START],
-        symbols[DECAY],
-        symbols[FREQUENCY],
-        symbols[WINDOW_END] - symbols[WINDOW_START],
-        symbols[SEPARATION],
-        symbols[ROTATION],
-        float(time_s[-1] - time_s[0]) / (time_s.size - 1),
-    )
-    waveform = symbols[AMPLITUDE] * pulses + harmonics @ np.asarray(baseline_rpm, dtype=float)
-    return np.asarray(symbols[MEAN] + waveform)
 
 
 def draw_symbols(generator: np.random.Generator, amplitude_rpm: float) -> dict[str, float]:
