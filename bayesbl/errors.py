@@ -45,10 +45,14 @@ class UserError(Exception):
         place = ", ".join(part for part in (self.file, self.where) if part)
         text = f"{place}: {self.problem}" if place else self.problem
         if self.found is not None:
-            text += f" Found: {self.found}."
+            text += f" Found: {_ended(self.found)}"
         if self.expected is not None:
-            text += f" Expected: {self.expected}."
+            text += f" Expected: {_ended(self.expected)}"
         return text
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith((".", "?", "!")) else f"{text}."
 
 
 def _rebuild(

@@ -137,7 +137,7 @@ def require_rotations(
         recording,
         "The recording holds too few rotations of the load.",
         found=f"{rotations:.2f} rotations in {recording.duration_s:.4g} s",
-        expected=f"at least 2{needed}; is the gear ratio right?",
+        expected=f"at least 2{needed}, and the right gear ratio if one is given",
     )
 
 
