@@ -57,7 +57,7 @@ def swept_curve(
     mean = nominal.amplitude_rpm.mean(axis=1)
     _require_growing(name, nominal.gap_rad, mean)
     knots = np.geomspace(mean[0], mean[-1], KNOTS)
-    sd = smooth_scatter(nominal.amplitude_rpm)
+    sd = start_angle_scatter(nominal.amplitude_rpm)
     regression = _regression(nominal, sd, knots, degree)
     by_coefficients, by_lack_of_fit = regression.draws(
         REGRESSION_DRAWS, np.random.default_rng(regression_seed)
@@ -88,7 +88,7 @@ def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
     """Polynomials of other degrees beside the cubic, so that its fit is a result."""
     mean = nominal.amplitude_rpm.mean(axis=1)
     knots = np.geomspace(mean[0], mean[-1], KNOTS)
-    sd = smooth_scatter(nominal.amplitude_rpm)
+    sd = start_angle_scatter(nominal.amplitude_rpm)
     reports = []
     for degree in DEGREES:
         if nominal.gap_rad.size < degree + 3:
@@ -107,18 +107,15 @@ def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
     return reports
 
 
-def smooth_scatter(values: FloatArray) -> FloatArray:
-    """Standard deviation over start angles at each gap, (g, s) to (g,), smooth along the gaps.
+def start_angle_scatter(values: FloatArray) -> FloatArray:
+    """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
 
-    Variances are averaged with those of the neighbouring gaps, weights 1 : 2 : 1, and no farther:
-    where the window's end falls on the ringing decides the scatter, and that changes within a
-    tenth of the gap.
+    Not smoothed along the gaps: where the window's end falls on the ringing decides the scatter,
+    and that changes by a factor of two within a tenth of the gap, more than eight angles leave open.
     """
     if values.shape[1] < 2:
         return np.zeros(len(values))
-    variance = values.var(axis=1, ddof=1)
-    padded = np.concatenate([variance[:1], variance, variance[-1:]])
-    return np.asarray(np.sqrt(np.convolve(padded, [0.25, 0.5, 0.25], mode="valid") + 1e-18))
+    return np.asarray(np.sqrt(values.var(axis=1, ddof=1) + 1e-18))
 
 
 def _regression(
@@ -202,10 +199,10 @@ def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatA
 def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:
     """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3).
 
-    Correlations are pooled over the gaps, standard deviations are smooth along them.
+    Correlations are pooled over the gaps, standard deviations are those of each.
     """
     columns = np.stack([nominal.amplitude_rpm, values[:, :, 1], values[:, :, 2]], axis=-1)
-    sds = np.stack([smooth_scatter(columns[:, :, k]) for k in range(3)], axis=-1)
+    sds = np.stack([start_angle_scatter(columns[:, :, k]) for k in range(3)], axis=-1)
     mean = nominal.amplitude_rpm.mean(axis=1)
     at_knots = np.stack([np.interp(knots_rpm, mean, sds[:, k]) for k in range(3)], axis=-1)
     if values.shape[1] < 2:
