@@ -111,7 +111,7 @@ def start_angle_scatter(values: FloatArray) -> FloatArray:
     """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
 
     Not smoothed along the gaps: where the window's end falls on the ringing decides the scatter,
-    and that changes by a factor of two within a tenth of the gap, more than eight angles leave open.
+    and that changes by a factor of two within a tenth of the gap.
     """
     if values.shape[1] < 2:
         return np.zeros(len(values))
