@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import ConfigError
-from bayesbl.signal.jacobian import jacobian, jacobian_columns
+from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
+from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import SYMBOLS, DisturbanceModel
 from bayesbl.signal.waveform import baseline_columns, impact, pulse_train
@@ -202,11 +203,77 @@ def test_the_sum_of_squares_is_continuous_where_a_sample_crosses_the_window_end(
 def test_a_pulse_starts_at_zero_decays_and_ends_with_its_window() -> None:
     time_s = np.arange(-0.1, 0.5, 1e-4)
     pulse = impact(time_s, 12.0, 60.0, 0.204, 1e-3)
-    assert np.all(pulse[time_s < 0.0] == 0.0)
+    assert np.all(pulse[time_s < -0.001] == 0.0)
     assert np.all(pulse[time_s > 0.2046] == 0.0)
-    inside = (time_s >= 0.0) & (time_s <= 0.203)
+    inside = (time_s >= 0.001) & (time_s <= 0.203)
     expected = np.exp(-12.0 * time_s[inside]) * np.sin(60.0 * time_s[inside])
     np.testing.assert_allclose(pulse[inside], expected, rtol=1e-12, atol=1e-15)
+
+
+def test_a_pulse_meets_a_smooth_signal_alike_wherever_it_falls_between_samples() -> None:
+    """Σ_n q(t_n − s) c(t_n) over a cubic c on the corner does not depend on s within a sample."""
+    period = 1e-3
+    shifts = np.linspace(0.0, 1.0, 41) * period
+    time_s = np.arange(-20, 400) * period
+
+    def met(shift: float, corner: bool) -> float:
+        pulse = impact(time_s - shift, 12.0, 70.0, 0.2035, period)
+        if not corner:
+            pulse[np.abs(time_s - shift) < period] = 0.0
+            u = time_s - shift
+            near = (u >= 0.0) & (u < period)
+            pulse[near] = np.exp(-12.0 * u[near]) * np.sin(70.0 * u[near])
+        u = (time_s - shift) / period
+        smooth = np.where(u < 30.0, (1.0 - u / 30.0) ** 3, 0.0)
+        return float(pulse @ smooth)
+
+    with_corner = np.ptp([met(s, True) for s in shifts])
+    without = np.ptp([met(s, False) for s in shifts])
+    assert with_corner < 0.02 * without
+
+
+def test_the_curvature_of_the_misfit_is_its_second_derivative() -> None:
+    # The ringing is over at the window's end, which the curvature takes for still, and no impact
+    # falls on a sample, where the second derivative jumps.
+    symbols = {
+        "amplitude_rpm": 30.0,
+        "start_time_s": 0.4003,
+        "decay_rate_per_s": 70.0,
+        "angular_frequency_rad_per_s": 71.0,
+        "mean_speed_rpm": 2000.0,
+        "window_start_s": 0.0,
+        "window_end_s": 0.204,
+        "pulse_separation_s": 0.90048,
+        "rotation_period_s": 1.80013,
+    }
+    model = DisturbanceModel(0)
+    time_s = np.arange(8000) * 1e-3
+    residual = 3.0 * np.cos(5.0 * time_s) + np.sin(40.0 * time_s)
+
+    def met(values: dict[str, float]) -> float:
+        return float(residual @ model_speed(time_s, values))
+
+    names = jacobian_columns(model)
+    curvature = misfit_curvature(model, time_s, symbols, residual)
+    steps = {
+        "start_time_s": 1e-5,
+        "decay_rate_per_s": 0.03,
+        "angular_frequency_rad_per_s": 0.03,
+        "pulse_separation_s": 1e-5,
+        "rotation_period_s": 1e-6,
+    }
+    scale = np.array([1.0 / steps.get(name, np.inf) for name in names])
+    largest = np.abs(curvature / np.outer(scale, scale).clip(1e-300)).max()
+    for a, da in steps.items():
+        for b, db in steps.items():
+            numeric = 0.0
+            for sign_a, sign_b in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+                moved = dict(symbols)
+                moved[a] += sign_a * da
+                moved[b] += sign_b * db
+                numeric += 0.25 * sign_a * sign_b * met(moved)
+            analytic = curvature[names.index(a), names.index(b)] * da * db
+            assert abs(numeric - analytic) < 2e-3 * largest, (a, b)
 
 
 def test_the_jacobian_is_the_derivative_of_the_model() -> None:

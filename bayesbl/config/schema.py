@@ -321,7 +321,7 @@ class Sweep(Section):
     """``[sweep]``: which recordings are simulated, and the polynomial through them."""
 
     gap_rad: GapRange = Field(default_factory=GapRange)
-    start_angles: int = Field(default=8, ge=2, le=100)
+    start_angles: int = Field(default=4, ge=2, le=100)
     rotations: float = Field(default=5.0, ge=2.0, le=100.0)
     sampling_hz: float = Field(default=1000.0, ge=100.0)
     bench_draws: int = Field(default=0, ge=0, le=10_000)

@@ -43,7 +43,7 @@ class SweepSettings:
     high_rad: float = 4e-3
     count: int = 40
     spacing: Literal["log", "linear"] = "log"
-    start_angles: int = 8
+    start_angles: int = 4
     rotations: float = 5.0
     sampling_hz: float = 1000.0
 

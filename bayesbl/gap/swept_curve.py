@@ -110,12 +110,13 @@ def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
 def start_angle_scatter(values: FloatArray) -> FloatArray:
     """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
 
-    Not smoothed along the gaps: where the window's end falls on the ringing decides the scatter,
-    and that changes by a factor of two within a tenth of the gap.
+    Variances are averaged over five neighbouring gaps: a few start angles alone tell a standard
+    deviation badly.
     """
     if values.shape[1] < 2:
         return np.zeros(len(values))
-    return np.asarray(np.sqrt(values.var(axis=1, ddof=1) + 1e-18))
+    variance = np.pad(values.var(axis=1, ddof=1), 2, mode="edge")
+    return np.asarray(np.sqrt(np.convolve(variance, np.full(5, 0.2), "valid") + 1e-18))
 
 
 def _regression(
@@ -199,7 +200,7 @@ def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatA
 def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:
     """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3).
 
-    Correlations are pooled over the gaps, standard deviations are those of each.
+    Correlations are pooled over all gaps, standard deviations over neighbouring ones.
     """
     columns = np.stack([nominal.amplitude_rpm, values[:, :, 1], values[:, :, 2]], axis=-1)
     sds = np.stack([start_angle_scatter(columns[:, :, k]) for k in range(3)], axis=-1)

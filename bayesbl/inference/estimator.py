@@ -116,6 +116,7 @@ class Estimator:
         """What decides the meaning of A in this recording, as readable JSON."""
         speed = abs(float(recording.motor_speed_rpm.mean()))
         meaning: dict[str, Any] = {
+            "waveform": "eq. 3, edges resolved to the sampling",
             "baseline_harmonics": self.model.baseline_harmonics,
             "fixed": dict(sorted(self.model.fixed.items())),
             "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),

@@ -57,16 +57,21 @@ def jacobian(
         for name in (AMPLITUDE, START, DECAY, FREQUENCY, SEPARATION, ROTATION, WINDOW_END)
     }
     for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
-        for start in impact_times(origin, rotation, reach, time_s[0], time_s[-1]):
-            inside = slice(*np.searchsorted(time_s, (start, start + reach)))
+        for start in impact_times(origin, rotation, window, period_s, time_s[0], time_s[-1]):
+            inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
             u = time_s[inside] - start
-            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0)
+            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
             envelope = sign * ramp * np.exp(-decay * u)
             sine, cosine = np.sin(frequency * u), np.cos(frequency * u)
-            later = -amplitude * envelope * (frequency * cosine - decay * sine)  # ∂/∂start
-            by[AMPLITUDE][inside] += envelope * sine
+            near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
+            corner = sign * period_s * near**3 / 6.0
+            later = -amplitude * (
+                envelope * (frequency * cosine - decay * sine)
+                - 0.5 * sign * frequency * np.copysign(near**2, u)
+            )  # ∂/∂start
+            by[AMPLITUDE][inside] += envelope * sine + frequency * corner
             by[DECAY][inside] -= amplitude * envelope * sine * u
-            by[FREQUENCY][inside] += amplitude * envelope * cosine * u
+            by[FREQUENCY][inside] += amplitude * (envelope * cosine * u + corner)
             by[START][inside] += later
             by[ROTATION][inside] += later * np.round((start - origin) / rotation)
             if sign < 0.0:
@@ -98,7 +103,7 @@ def misfit_curvature(
     """Σ_n r_n ∂²h_n/∂θ∂θ: what a residual that is not small adds to the curvature.
 
     Half the second derivative of the sum of squares is JᵀJ less this matrix. Analytic, the window's
-    edges held still as in :func:`jacobian`. Rows of A and v_t vanish at an optimum and are zero
+    end held still as in :func:`jacobian`. Rows of A and v_t vanish at an optimum and are zero
     here, those of a free window and of the baseline are left out: the residual is orthogonal to
     the one and the other carries no ringing.
 
@@ -120,21 +125,24 @@ def misfit_curvature(
     names = (DECAY, FREQUENCY, START, SEPARATION, ROTATION)
     total = np.zeros((5, 5))
     for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
-        for start in impact_times(origin, rotation, reach, time_s[0], time_s[-1]):
-            inside = slice(*np.searchsorted(time_s, (start, start + reach)))
+        for start in impact_times(origin, rotation, window, period_s, time_s[0], time_s[-1]):
+            inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
             u = time_s[inside] - start
-            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0)
-            weight = sign * symbols[AMPLITUDE] * ramp * residual_rpm[inside]
-            wave = weight * np.exp(exponent * u)
+            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+            weight = sign * symbols[AMPLITUDE] * residual_rpm[inside]
+            near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
+            bend = symbols[FREQUENCY] / period_s * (weight @ near)
+            turn = 0.5 * (weight @ np.copysign(near**2, u))
+            wave = weight * ramp * np.exp(exponent * u)
             # d/dτ is −u, d/dω is iu, d/d(start) is −λ acting on e^{λu}; λ itself moves with both.
             mixed = wave @ (1.0 + exponent * u)
             shape = np.array([[1.0, -1.0j], [-1.0j, -1.0]]) * (wave @ u**2)
             moves = np.array([1.0, -1.0 if sign < 0.0 else 0.0, round((start - origin) / rotation)])
             total[:2, :2] += shape.imag
-            cross = np.outer(np.array([mixed, -1j * mixed]).imag, moves)
+            cross = np.outer([mixed.imag, turn - mixed.real], moves)
             total[:2, 2:] += cross
             total[2:, :2] += cross.T
-            total[2:, 2:] += np.outer(moves, moves) * (exponent**2 * wave.sum()).imag
+            total[2:, 2:] += np.outer(moves, moves) * ((exponent**2 * wave.sum()).imag + bend)
     columns = jacobian_columns(model)
     curvature = np.zeros((len(columns), len(columns)))
     for i, a in enumerate(names):

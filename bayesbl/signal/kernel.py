@@ -119,8 +119,12 @@ def _interpolate(table: FloatArray, position: float) -> complex:
 
 
 @njit(cache=True)
-def _overlap(a, b, n0, w, begin, end, edge, edge_weight, edge_value, z, cosine, sine):  # type: ignore[no-untyped-def]
-    """Inner product of two unit pulses that share samples."""
+def _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine):  # type: ignore[no-untyped-def]
+    """Inner product of two unit pulses that share samples.
+
+    Each is a run of whole samples and three single ones: the two at its corner and the one on the
+    ramp at its end.
+    """
     product = 0.0
     low, high = max(begin[a], begin[b]), min(end[a], end[b])
     if low < high:
@@ -133,12 +137,14 @@ def _overlap(a, b, n0, w, begin, end, edge, edge_weight, edge_value, z, cosine, 
         product += 0.5 * (w[a] * za * (w[b] * zb).conjugate()).real * even
         product -= 0.5 * (w[a] * za * w[b] * zb * odd).real
     for p, q in ((a, b), (b, a)):
-        if edge_weight[p] > 0.0 and begin[q] <= edge[p] < end[q]:
-            j = edge[p] - n0[q]
-            inside = w[q].real * sine[j] + w[q].imag * cosine[j]
-            product += edge_weight[p] * edge_value[p] * inside
-    if edge[a] == edge[b]:
-        product += edge_weight[a] * edge_value[a] * edge_weight[b] * edge_value[b]
+        for i in range(3):
+            if begin[q] <= extra_at[p, i] < end[q]:
+                j = extra_at[p, i] - n0[q]
+                product += extra[p, i] * (w[q].real * sine[j] + w[q].imag * cosine[j])
+    for i in range(3):
+        for j in range(3):
+            if extra_at[a, i] == extra_at[b, j]:
+                product += extra[a, i] * extra[b, j]
     return product
 
 
@@ -192,13 +198,9 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     room = int(min(longest, n)) + 4
     most = 2 * (int((n + room) / shortest) + 4)
     cosine, sine = np.empty(room), np.empty(room)
-    n0, begin, end, edge = (
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
-    )
-    sign, edge_weight, edge_value = np.empty(most), np.empty(most), np.empty(most)
+    n0, begin, end = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
+    extra_at, extra = np.empty((most, 3), np.int64), np.empty((most, 3))
+    sign = np.empty(most)
     w = np.empty(most, np.complex128)
     gram, rhs, solution = np.zeros((c, c)), np.zeros(c), np.zeros(c)
     factor = np.zeros((c, c))
@@ -241,6 +243,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
         q_one = 0.0
         q_q = 0.0
         q_harmonic[:] = 0.0
+        corner = p[FREQUENCY] * period_s / 6.0
         square = z.real * z.real + z.imag * z.imag
         series = 1.0 / (1.0 - z)
         series_square = 1.0 / (1.0 - z * z)
@@ -254,7 +257,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             current = np.exp(exponent * (index - x))
             turn = np.exp(1j * kappa * (index - centre))
             number = 0
-            while index < n:
+            while index <= n:
                 u = index - (x + number * rotation)
                 run = int(math.floor(window - 0.5 - u)) + 1
                 run = max(run, 0)
@@ -262,7 +265,9 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                 weight = window + 0.5 - u - run
                 if not (0 <= index + run < n and weight > 0.0):
                     weight = 0.0
-                if j1 > j0 or weight > 0.0:
+                before = corner * u * u * u if index >= 1 else 0.0
+                after = corner * (1.0 - u) ** 3 if 0 <= index < n else 0.0
+                if j1 > j0 or weight > 0.0 or index >= 0:
                     j1 = max(j1, j0)
                     if j1 > j0:
                         dot_c, dot_s = _dots(y[index + j0 : index + j1], cosine[j0:j1], sine[j0:j1])
@@ -279,6 +284,14 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                         q_y += pulse_sign * weight * value * y[index + run]
                         q_one += pulse_sign * weight * value
                         q_q += (weight * value) ** 2
+                    if before > 0.0:
+                        q_y += pulse_sign * before * y[index - 1]
+                        q_q += before * before
+                    if after > 0.0:
+                        first = current.imag if run > 0 else weight * value
+                        q_y += pulse_sign * after * y[index]
+                        q_q += after * (after + 2.0 * first)
+                    q_one += pulse_sign * (before + after)
                     if harmonics > 0:
                         rho_0 = 1.0 + 0.0j if j0 == 0 else np.exp(1j * kappa * j0)
                         if j1 == shortest_run:
@@ -290,7 +303,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                         rho_e = rho_1
                         if weight > 0.0 and j1 != run:
                             rho_e = np.exp(1j * kappa * run)
-                        r0, r1, re, turn_k = rho_0, rho_1, rho_e, turn
+                        r0, r1, re, turn_k, rc = rho_0, rho_1, rho_e, turn, rho[1].conjugate()
                         z0, z1 = complex(cosine[j0], sine[j0]), complex(cosine[j1], sine[j1])
                         for k in range(1, harmonics + 1):
                             up = current * (z0 * r0 - z1 * r1) / (1.0 - z * rho[k])
@@ -300,10 +313,14 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                                 / (1.0 - z.conjugate() * rho[k])
                             )
                             total = -0.5j * (up - down) + weight * value * re
+                            total += after + before * rc
                             q_harmonic[k] += pulse_sign * turn_k * total
                             r0, r1, re, turn_k = r0 * rho_0, r1 * rho_1, re * rho_e, turn_k * turn
+                            rc *= rho[1].conjugate()
                     n0[count], begin[count], end[count] = index, index + j0, index + j1
-                    edge[count], edge_weight[count], edge_value[count] = index + run, weight, value
+                    extra_at[count, 0], extra[count, 0] = index - 1, before
+                    extra_at[count, 1], extra[count, 1] = index, after
+                    extra_at[count, 2], extra[count, 2] = index + run, weight * value
                     sign[count], w[count] = pulse_sign, current
                     count += 1
                 number += 1
@@ -321,19 +338,12 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                 index = following
 
         nearest = p[SEPARATION] / period_s - math.floor(p[SEPARATION] / p[ROTATION]) * rotation
-        if min(nearest, rotation - nearest) < window + 2.0 or rotation < window + 2.0:
+        if min(nearest, rotation - nearest) < window + 3.0 or rotation < window + 3.0:
             for a in range(count):
                 for b in range(a):
-                    if begin[a] <= edge[b] and begin[b] <= edge[a]:
-                        q_q += (
-                            2.0
-                            * sign[a]
-                            * sign[b]
-                            * _overlap(
-                                a, b, n0, w, begin, end, edge, edge_weight, edge_value,
-                                z, cosine, sine,
-                            )
-                        )  # fmt: skip
+                    if extra_at[a, 0] <= extra_at[b, 2] and extra_at[b, 0] <= extra_at[a, 2]:
+                        shared = _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine)
+                        q_q += 2.0 * sign[a] * sign[b] * shared
 
         dirichlet[0] = n
         for k in range(1, 2 * harmonics + 1):

@@ -27,14 +27,17 @@ from bayesbl.signal.normal_equations import solve
 @njit(cache=True)
 def _add_pulses(train, t, start, sign, decay, frequency, window, rotation, period_s):  # type: ignore[no-untyped-def]
     """Add the impacts start + i·rotation of one sign to the unit pulse train."""
-    reach = window + 0.5 * period_s
+    reach = max(window + 0.5 * period_s, period_s)
     start += math.ceil((t[0] - reach - start) / rotation) * rotation
-    while start <= t[-1]:
-        i = np.searchsorted(t, start)
+    while start <= t[-1] + period_s:
+        i = np.searchsorted(t, start - period_s)
         while i < t.size and t[i] < start + reach:
             u = t[i] - start
-            ramp = min(1.0, (window - u) / period_s + 0.5)
-            train[i] += sign * ramp * math.exp(-decay * u) * math.sin(frequency * u)
+            if u > 0.0:
+                ramp = max(0.0, min(1.0, (window - u) / period_s + 0.5))
+                train[i] += sign * ramp * math.exp(-decay * u) * math.sin(frequency * u)
+            near = max(0.0, 1.0 - abs(u) / period_s)
+            train[i] += sign * frequency * period_s * near**3 / 6.0
             i += 1
         start += rotation
 

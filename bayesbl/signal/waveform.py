@@ -3,10 +3,15 @@
 This is the reference that the fast kernel is held against, and the path for recordings whose
 samples are not evenly spaced.
 
-One thing differs from eq. 3, in one sample per pulse: the hard end of the window is resolved to
-the sampling by a ramp one sample wide, centred on t2. A hard edge makes the sum of squares jump
-whenever t0, T or T_w moves a pulse's last sample across it, and then neither a least-squares
-amplitude nor a likelihood is continuous.
+Two things differ from eq. 3, in three samples per pulse: its edges are resolved to the sampling.
+
+* The hard end of the window is a ramp one sample wide, centred on t2. A hard edge makes the sum of
+  squares jump whenever t0, T or T_w moves a pulse's last sample across it, and then neither a
+  least-squares amplitude nor a likelihood is continuous.
+* The corner at the impact is averaged over a triangle that reaches one sample to either side (the
+  band-limited corner of Esqueda, Välimäki and Bilbao 2016). A sharp corner meets the misfit there,
+  several rpm on a virtual bench, with a weight that depends on where between two samples the
+  impact falls: at 1 kHz and δ = 3.3e-3 rad that scatters A by 0.1 rpm.
 """
 
 from __future__ import annotations
@@ -32,7 +37,7 @@ def impact(
     window_length_s
         t2 − t1 in s.
     sampling_period_s
-        Width of the ramp at the window's end, s.
+        Δt in s, which the edges are resolved to.
 
     Returns
     -------
@@ -40,17 +45,24 @@ def impact(
     """
     u = np.maximum(since_start_s, 0.0)
     ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
-    return np.asarray(
-        ramp * np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
-    )
+    ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
+    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
+    corner = angular_frequency_rad_per_s * sampling_period_s * near**3 / 6.0
+    return np.asarray(ramp * ringing + corner)
 
 
 def impact_times(
-    first_s: float, rotation_period_s: float, window_length_s: float, begin_s: float, end_s: float
+    first_s: float,
+    rotation_period_s: float,
+    window_length_s: float,
+    sampling_period_s: float,
+    begin_s: float,
+    end_s: float,
 ) -> FloatArray:
-    """Starts first_s + i·T_w, i any integer, of all windows that touch [begin_s, end_s]."""
-    low = np.ceil((begin_s - window_length_s - first_s) / rotation_period_s)
-    high = np.floor((end_s - first_s) / rotation_period_s)
+    """Starts first_s + i·T_w, i any integer, of all pulses with samples in [begin_s, end_s]."""
+    edge = sampling_period_s
+    low = np.ceil((begin_s - window_length_s - edge - first_s) / rotation_period_s)
+    high = np.floor((end_s + edge - first_s) / rotation_period_s)
     return np.asarray(first_s + rotation_period_s * np.arange(low, high + 1.0))
 
 
@@ -80,10 +92,12 @@ def pulse_train(
     -------
     Shape (n,), dimensionless.
     """
-    reach = window_length_s + sampling_period_s
     train = np.zeros_like(time_s)
+    ends = time_s[0], time_s[-1]
     for sign, first in ((1.0, first_impact_s), (-1.0, first_impact_s - pulse_separation_s)):
-        for start in impact_times(first, rotation_period_s, reach, time_s[0], time_s[-1]):
+        for start in impact_times(
+            first, rotation_period_s, window_length_s, sampling_period_s, *ends
+        ):
             train += sign * impact(
                 time_s - start,
                 decay_rate_per_s,
