@@ -90,7 +90,7 @@ def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
     coefficients, covariance = fits[int(np.argmin(bic))]
     return ChannelNoise(
         coefficients,
-        np.linalg.cholesky(0.5 * covariance),
+        np.asarray(np.linalg.cholesky(0.5 * covariance), dtype=np.float64),
         np.sqrt(0.5 * np.mean(d**2, axis=1)),
         count,
     )

@@ -49,7 +49,7 @@ class SimulatedFit:
         """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,)."""
         norms = np.linalg.norm(self.jacobian, axis=0)
         scaled = self.jacobian / norms
-        return np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms
+        return np.asarray(np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms)
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""
@@ -111,7 +111,7 @@ def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
         if gained < CONVERGED:
             break
     jacobian, _ = _jacobian(model, point, residual, steps)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + precision)
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return SimulatedFit(model, point, residual, jacobian, covariance)
 
 
@@ -119,7 +119,8 @@ def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, as after a new noise."""
     residual = model.whitened(fit.point)[0]
     jacobian, _ = _jacobian(model, fit.point, residual, _first_steps(model, fit.point))
-    covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(model.prior_precision()))
+    precision = np.diag(model.prior_precision())
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)
 
 
