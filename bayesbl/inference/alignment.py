@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -58,36 +58,47 @@ def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
     ]
 
 
-def aligned_starts(model: SimulatedSignals) -> list[FloatArray]:
+def aligned_starts(
+    model: SimulatedSignals, grids: Mapping[int, FloatArray] | None = None
+) -> list[FloatArray]:
     """Points to fit from, best first: gaps by scan, start angles by correlation.
 
-    Other unknowns begin at their prior's centre, or the middle of their range.
+    Parameters
+    ----------
+    grids
+        Coordinates to scan besides the gap, by place in a point; all combinations are tried.
+        Other unknowns begin at their prior's centre, or the middle of their range.
     """
     names = [(u.name, u.recording) for u in model.unknowns]
+    scanned = dict(grids or {})
+    if (GAP, None) in names:
+        place = names.index((GAP, None))
+        scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
+    meshes = np.meshgrid(*scanned.values(), indexing="ij")
     start = np.array([_middle(u) for u in model.unknowns])
-    place = names.index((GAP, None)) if (GAP, None) in names else None
-    coordinates = (
-        np.linspace(model.low[place], model.high[place], GAPS_TRIED)
-        if place is not None
-        else np.zeros(1)
-    )
-    points = np.repeat(start[None], len(coordinates), axis=0)
-    if place is not None:
-        points[:, place] = coordinates
+    points = np.repeat(start[None], meshes[0].size if meshes else 1, axis=0)
+    for place, mesh in zip(scanned, meshes, strict=True):
+        points[:, place] = mesh.ravel()
     cost = np.zeros(len(points))
     for i, seen in enumerate(model.recordings):
         angles, left = _align(model, points, i)
         cost += left
         if (START_ANGLE, seen.name) in names:
             points[:, names.index((START_ANGLE, seen.name))] = angles
-    order = np.argsort(cost, kind="stable")
+    order = [int(k) for k in np.argsort(cost, kind="stable")]
+    shape = meshes[0].shape if meshes else (1,)
     chosen: list[int] = []
     for k in order:
-        if all(abs(int(k) - other) > 1 for other in chosen):
-            chosen.append(int(k))
+        if all(_far(np.unravel_index(k, shape), np.unravel_index(c, shape)) for c in chosen):
+            chosen.append(k)
         if len(chosen) == STARTS_FITTED:
             break
     return [points[k] for k in chosen]
+
+
+def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:
+    """Whether two places of a grid are no neighbours."""
+    return any(abs(int(i) - int(j)) > 1 for i, j in zip(a, b, strict=True))
 
 
 def _middle(unknown: Unknown) -> float:

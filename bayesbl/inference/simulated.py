@@ -16,7 +16,7 @@ import numpy as np
 from bayesbl.errors import RecordingError
 from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.physics.bench import Bench
-from bayesbl.physics.kernel import CURRENT, SPEED
+from bayesbl.physics.kernel import CURRENT, SPEED, Slot
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 
@@ -223,12 +223,16 @@ class SimulatedSignals:
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
-        size = seen.samples, seen.sampling_hz
+        # A steady rotation whose samples fall alike in every turn is simulated once.
+        samples = seen.lag if _repeats(matrix, seen) else seen.samples
+        size = samples, seen.sampling_hz
         rest = {"accuracy_rpm": accuracy, "workers": self.workers, "failures": "nan"}
         if len(seen.signals) == 1:
-            return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
-        everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
-        return everything[:, [SPEED, CURRENT]]
+            turn = simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+        else:
+            everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
+            turn = everything[:, [SPEED, CURRENT]]
+        return turn if samples == seen.samples else turn[:, :, np.arange(seen.samples) % samples]
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
@@ -250,3 +254,22 @@ class SimulatedSignals:
     def prior_precision(self) -> FloatArray:
         """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
         return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+
+
+def _repeats(matrix: FloatArray, seen: Observed) -> bool:
+    """Whether simulation and sampling are both periodic in the load rotation."""
+    turn = seen.rotation_period_s * seen.sampling_hz
+    if abs(turn - round(turn)) > 1e-6 or seen.lag >= seen.samples:
+        return False
+    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
+        return False
+    on = [
+        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
+        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
+        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
+    ]
+    for amplitude, order in on:
+        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
+        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
+            return False
+    return True
