@@ -14,7 +14,8 @@ STEP_CHANGE = 4.0
 """Change of the whitened signals, in standard deviations, that derivatives are taken over."""
 MOST_ROUNDS = 30
 CONVERGED = 0.01
-"""Rounds end when a step would lower χ² by less than this."""
+CONVERGED_SHARE = 1e-4
+"""Rounds end when one lowers χ² by less than this, or by this share of what noise leaves open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
             if np.all(np.abs(move) < 1e-3 * np.sqrt(1.0 / np.diag(curvature).clip(1e-300))):
                 break
             damping *= 10.0
-        if gained < CONVERGED:
+        if gained < max(CONVERGED, CONVERGED_SHARE * (value - residual.size)):
             break
     jacobian, _ = _jacobian(model, point, residual, steps)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.discrepancy.candidates import Candidate
-from bayesbl.discrepancy.explain import (
+from bayesbl.discrepancy.forward.candidates import Candidate
+from bayesbl.discrepancy.forward.explain import (
     Explanation,
     distance,
     explain,

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.discrepancy.motor_orders import OrderPeak
+from bayesbl.discrepancy.forward.motor_orders import OrderPeak
 from bayesbl.inference.simulated import Observed, Unknown
 from bayesbl.physics.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.physics.effects import EFFECTS, Effect, EffectParameter

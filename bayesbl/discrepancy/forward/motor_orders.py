@@ -11,6 +11,8 @@ from bayesbl.recording.types import FloatArray
 
 LOWEST_ORDER = 0.45
 PADDING = 4
+SIDEBANDS = 2.5
+"""Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ def order_peaks(fit: SimulatedFit, count: int = 3, false_alarm: float = 1e-3) ->
         k = int(np.argmax(excess))
         order = float(grid[k])
         nearest = round(order)
-        if nearest and abs(order - nearest) < 2.0 * PADDING * step:
+        if nearest and abs(order - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
             order = float(nearest)
         found.append(OrderPeak(order, float(power[k])))
         excess[np.abs(grid - grid[k]) < 0.05] = 0.0

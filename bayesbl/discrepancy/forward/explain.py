@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from bayesbl.discrepancy.candidates import Candidate, is_periodic, quadrant_phases, wrapped
+from bayesbl.discrepancy.forward.candidates import Candidate, is_periodic, quadrant_phases, wrapped
 from bayesbl.errors import BenchError
 from bayesbl.inference.alignment import aligned_starts
 from bayesbl.inference.simulated import GAP, SimulatedSignals, Unknown
