@@ -125,7 +125,11 @@ def _align(
         if u.recording in (None, seen.name) and u.name != START_ANGLE
     }
     matrix = model.bench.vector(
-        **({"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0} | settings)
+        **(
+            {"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0}
+            | model.settings
+            | settings
+        )
     )
     if len(matrix) < len(points):
         matrix = np.repeat(matrix, len(points), axis=0)

@@ -8,7 +8,7 @@ effects; a point is an array of their coordinates, ln δ for the gap and the val
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,6 +179,8 @@ class SimulatedSignals:
         Of each recording: makes residuals independent and standard normal.
     workers
         Threads; the numbers do not depend on it.
+    settings
+        What is known beside the bench, by name, as ``gap_rad``.
     """
 
     def __init__(
@@ -188,7 +190,9 @@ class SimulatedSignals:
         unknowns: Sequence[Unknown],
         noise: Sequence[ChannelNoise],
         workers: int = 1,
+        settings: Mapping[str, float] | None = None,
     ) -> None:
+        self.settings = dict(settings or {})
         self.bench = bench
         self.recordings = tuple(recordings)
         self.unknowns = tuple(unknowns)
@@ -219,7 +223,8 @@ class SimulatedSignals:
             for i, unknown in enumerate(self.unknowns)
             if unknown.recording in (None, seen.name)
         }
-        matrix = self.bench.vector(**({"reference_speed_rpm": seen.reference_speed_rpm} | settings))
+        known = {"reference_speed_rpm": seen.reference_speed_rpm} | self.settings
+        matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))

@@ -125,6 +125,7 @@ def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
         (*model.unknowns, *candidate.unknowns),
         model.noise,
         model.workers,
+        model.settings,
     )
 
 

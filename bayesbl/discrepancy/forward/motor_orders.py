@@ -50,11 +50,10 @@ def order_peaks(fit: SimulatedFit, count: int = 3, false_alarm: float = 1e-3) ->
     excess = np.where(power > limit, power, 0.0)
     while len(found) < count and excess.max() > 0.0:
         k = int(np.argmax(excess))
-        order = float(grid[k])
-        nearest = round(order)
-        if nearest and abs(order - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
-            order = float(nearest)
-        found.append(OrderPeak(order, float(power[k])))
+        peak, nearest = float(grid[k]), round(float(grid[k]))
+        if nearest and abs(peak - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
+            peak = float(nearest)
+        found.append(OrderPeak(peak, float(power[k])))
         excess[np.abs(grid - grid[k]) < 0.05] = 0.0
     return found
 
@@ -75,4 +74,4 @@ def _spectrum(fit: SimulatedFit, recording: int) -> tuple[FloatArray, FloatArray
     spectrum = np.abs(np.fft.rfft(rows * window, PADDING * n, axis=1)) ** 2
     frequency = np.fft.rfftfreq(PADDING * n, 1.0 / seen.sampling_hz)
     order = frequency / (abs(seen.reference_speed_rpm) / 60.0)
-    return order, spectrum.sum(axis=0), len(seen.signals)
+    return np.asarray(order), np.asarray(spectrum.sum(axis=0)), len(seen.signals)
