@@ -45,7 +45,7 @@ def fit_aligned(
     for _ in range(NOISE_ROUNDS):
         noise = remaining_noise(best)
         model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
-        best = fit_simulated(model, best.point)
+        best = fit_simulated(model, best.point, best.steps)
     return with_model(best, model)
 
 

@@ -32,6 +32,8 @@ class SimulatedFit:
         Derivative of the whitened signals by the coordinates, shape (N, d).
     covariance
         (JᵀJ + P)⁻¹ with P the prior's precision, shape (d, d).
+    steps
+        That the derivatives were taken over, shape (d,).
     """
 
     model: SimulatedSignals
@@ -39,6 +41,7 @@ class SimulatedFit:
     residual: FloatArray
     jacobian: FloatArray
     covariance: FloatArray
+    steps: FloatArray
 
     @property
     def chi_square(self) -> float:
@@ -63,13 +66,17 @@ class SimulatedFit:
         return float(np.sqrt(self.covariance[i, i]))
 
 
-def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
+def fit_simulated(
+    model: SimulatedSignals, start: FloatArray, steps: FloatArray | None = None
+) -> SimulatedFit:
     """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
 
     Parameters
     ----------
     start
         Shape (d,); moved into the ranges if outside.
+    steps
+        For derivatives by the first unknowns, from a fit without the others.
 
     Raises
     ------
@@ -77,7 +84,8 @@ def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
         If the bench cannot be simulated at the start.
     """
     point = np.clip(start, model.low, model.high)
-    steps = _first_steps(model, point)
+    rough = _first_steps(model, point)
+    steps = rough if steps is None else np.concatenate([steps, rough[len(steps) :]])
     residual = model.whitened(point)[0]
     if not np.all(np.isfinite(residual)):
         raise BenchError(
@@ -111,15 +119,15 @@ def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
             damping *= 10.0
         if gained < max(CONVERGED, CONVERGED_SHARE * (value - residual.size)):
             break
-    jacobian, _ = _jacobian(model, point, residual, steps)
+    jacobian, steps = _jacobian(model, point, residual, steps)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
-    return SimulatedFit(model, point, residual, jacobian, covariance)
+    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
 
 
 def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, as after a new noise."""
     residual = model.whitened(fit.point)[0]
-    jacobian, _ = _jacobian(model, fit.point, residual, _first_steps(model, fit.point))
+    jacobian, _ = _jacobian(model, fit.point, residual, fit.steps)
     precision = np.diag(model.prior_precision())
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)

@@ -94,7 +94,7 @@ def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanati
     best: SimulatedFit | None = None
     for start in starts:
         try:
-            fit = fit_simulated(model, start)
+            fit = fit_simulated(model, start, base.fit.steps)
         except BenchError:
             continue
         if best is None or fit.chi_square < best.chi_square:
