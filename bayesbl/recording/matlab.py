@@ -1,0 +1,126 @@
+"""MATLAB files as a table: v5 (and v4) by scipy, v7.3, which is HDF5, by h5py.
+
+Vectors of either orientation become columns. Fields of a structure are named as MATLAB names them,
+``rec.speed``, columns of a matrix ``data(:,2)``; if the file holds nothing but one structure, its
+name is left off.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.array_table import AnyArray, ArrayTable, missing_library, readable
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HDF5_PLACES = (0, 512)
+_MOST_COLUMNS = 64
+_DEEPEST = 5
+_NUMERIC = frozenset(
+    {"double", "single", "logical", *(f"{s}int{b}" for s in ("", "u") for b in (8, 16, 32, 64))}
+)
+_HINT = "tables and timetables: save their columns as plain vectors"
+
+
+def read_matlab(file: Path, data: bytes) -> ArrayTable:
+    """Numeric vectors, columns of matrices and fields of structures.
+
+    Raises
+    ------
+    RecordingError
+        If it is no MATLAB file, holds no vector, or is v7.3 and h5py is not installed.
+    """
+    with readable(file, "MATLAB", _HINT):
+        if any(data[place : place + len(_HDF5)] == _HDF5 for place in _HDF5_PLACES):
+            variables = _hdf5_variables(file, data)
+        else:
+            variables = _mat5_variables(data)
+        if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
+            variables = only
+        arrays = dict(_columns(variables))
+    if not arrays:
+        raise RecordingError(
+            "The file holds no vector of numbers.",
+            file=file,
+            found=", ".join(f'"{name}"' for name in variables) or "nothing",
+            expected=f"a vector for each channel; {_HINT}",
+        )
+    return ArrayTable(str(file), arrays)
+
+
+def _columns(
+    variables: Mapping[str, Any], prefix: str = "", depth: int = 0
+) -> Iterator[tuple[str, AnyArray]]:
+    for name, value in variables.items():
+        if isinstance(value, dict):
+            if depth < _DEEPEST:
+                yield from _columns(value, f"{prefix}{name}.", depth + 1)
+        elif value.ndim <= 2 and value.size == max(value.shape, default=0):
+            yield prefix + name, value.ravel()
+        elif value.ndim == 2 and value.shape[1] <= _MOST_COLUMNS:
+            for column in range(value.shape[1]):
+                yield f"{prefix}{name}(:,{column + 1})", value[:, column]
+
+
+def _mat5_variables(data: bytes) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
+    return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
+
+
+def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
+    """Structures as dictionaries, arrays of numbers and text as they are, all else left out."""
+    plain: dict[str, Any] = {}
+    for name, value in values.items():
+        if not isinstance(value, np.ndarray) or type(value).__name__ == "MatlabOpaque":
+            continue
+        if value.dtype.names is not None:
+            if value.size == 1 and depth < _DEEPEST:
+                record = value.flat[0]
+                plain[name] = _plain({n: record[n] for n in value.dtype.names}, depth + 1)
+        elif value.dtype.kind in "biufc":
+            plain[name] = value
+        elif value.dtype.kind == "O" and all(_is_text(cell) for cell in value.flat):
+            # A cell array of text: time stamps, perhaps.
+            plain[name] = np.array([str(c.flat[0]) if c.size else "" for c in value.flat])
+        elif value.dtype.kind == "U":
+            plain[name] = value
+    return plain
+
+
+def _is_text(cell: object) -> bool:
+    return isinstance(cell, np.ndarray) and cell.dtype.kind == "U" and cell.size <= 1
+
+
+def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
+    try:
+        import h5py
+    except ImportError:
+        raise missing_library(file, "MATLAB v7.3", "h5py") from None
+
+    def variables(group: Any, depth: int) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name in group:
+            item = group.get(name)
+            if name.startswith("#") or item is None:
+                continue
+            if isinstance(item, h5py.Group):
+                if depth < _DEEPEST:
+                    found[name] = variables(item, depth + 1)
+                continue
+            kind = item.attrs.get("MATLAB_class", b"double")
+            kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+            empty = bool(item.attrs.get("MATLAB_empty", 0))
+            if kind in _NUMERIC and item.dtype.kind in "biuf" and not empty:
+                # MATLAB stores by columns, HDF5 by rows.
+                found[name] = np.asarray(item[()]).T
+        return found
+
+    with h5py.File(io.BytesIO(data), "r") as stored:
+        return variables(stored, 0)
