@@ -13,7 +13,7 @@ RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
 
 # dimension -> unit -> factor to the first unit of that dimension
 _FACTORS: dict[str, dict[str, float]] = {
-    # "datenum" is MATLAB's count of days; "datetime", dates as text or calendar arrays, is read to s.
+    # "datenum" is MATLAB's count of days; "datetime" are dates, which the readers turn into s.
     "time": {
         "s": 1.0,
         "ms": 1e-3,

@@ -21,7 +21,7 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     import xarray as xr
 
     with readable(file, "NetCDF"), netCDF4.Dataset("recording", memory=data) as stored:
-        store = xr.backends.NetCDF4DataStore(stored)
+        store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
         with xr.open_dataset(store, decode_timedelta=False) as dataset:
             chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}
             arrays = {name: np.asarray(variable.values) for name, variable in chosen.items()}

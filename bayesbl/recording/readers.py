@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.channels import TIME, ColumnSpec
+from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.csv_table import read_csv
 from bayesbl.recording.gaps import bridge
@@ -28,7 +28,7 @@ MINIMUM_SAMPLES = 16
 """Fewer samples than this are no recording, whatever the task."""
 
 LATEST_START_S = 1e6
-"""Time that begins later is counted from its first stamp: seconds since 1970, a date as a number."""
+"""Time that begins later, as seconds since 1970 do, is counted from its first stamp."""
 
 
 _FORMATS: Mapping[str, Callable[[Path, bytes], Table]] = MappingProxyType(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.signal import kernel, uneven
 from bayesbl.signal.parameters import (
     AMPLITUDE,
@@ -64,6 +64,8 @@ class Objective:
         Shape (n,). Even sampling takes the fast kernel, uneven sampling an exact slower one.
     shortest_rotation_s
         No rotation period below this is evaluated (the sum of squares is infinite there).
+    excluded
+        Shape (n,): samples that count for nothing, whatever stands there; none by default.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Objective:
         time_s: FloatArray,
         speed_rpm: FloatArray,
         shortest_rotation_s: float = 0.2,
+        excluded: BoolArray | None = None,
     ) -> None:
         self.model = model
         self.time_s = np.ascontiguousarray(time_s, dtype=np.float64)
@@ -79,10 +82,13 @@ class Objective:
         n = self.time_s.size
         self.period_s = float(self.time_s[-1] - self.time_s[0]) / (n - 1)
         self.shortest_rotation_s = shortest_rotation_s
-        self.offset_rpm = float(self.speed_rpm.mean())
+        self.used = np.ones(n, dtype=bool) if excluded is None else ~excluded
+        self._left_out = np.flatnonzero(~self.used)
+        self.offset_rpm = float(self.speed_rpm[self.used].mean())
         self._y = self.speed_rpm - self.offset_rpm
         # The kernel takes Σ y for zero, and one subtraction leaves the rounding of n large numbers.
-        self._y -= self._y.mean()
+        self._y -= self._y[self.used].mean()
+        self._y[self._left_out] = 0.0
         self._y_square = float(self._y @ self._y)
         grid = self.time_s[0] + self.period_s * np.arange(n)
         self.is_even = bool(np.max(np.abs(self.time_s - grid)) <= EVEN_TOLERANCE * self.period_s)
@@ -93,11 +99,15 @@ class Objective:
             highest = max(model.baseline_harmonics, 1) / shortest_rotation_s
             rows = math.ceil(highest * self.period_s * length) + 2
             self._table = kernel.harmonic_table(self._y, min(rows, length // 2))
+            self._left_out_table = np.empty((0, 2))
+            if self._left_out.size:
+                there = (~self.used).astype(np.float64)
+                self._left_out_table = kernel.harmonic_table(there, min(2 * rows, length // 2))
             self._table_length = length
 
     @property
     def samples(self) -> int:
-        """Number of samples n."""
+        """Number of samples n, those excluded among them."""
         return int(self.time_s.size)
 
     @property
@@ -210,6 +220,8 @@ class Objective:
                 self.model.baseline_harmonics,
                 self._table,
                 self._table_length,
+                self._left_out,
+                self._left_out_table,
                 *solve,
                 *output,
             )
@@ -221,6 +233,7 @@ class Objective:
                 self._y_square,
                 self.period_s,
                 self.model.baseline_harmonics,
+                self._left_out,
                 *solve,
                 *output,
             )
