@@ -8,6 +8,8 @@ name is left off.
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from bayesbl.recording.array_table import AnyArray, ArrayTable, missing_library,
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_PLACES = (0, 512)
+_MATRIX, _COMPRESSED = 14, 15
+_ELEMENTS = frozenset({*range(1, 8), 9, *range(12, 19)})
 _MOST_COLUMNS = 64
 _DEEPEST = 5
 _NUMERIC = frozenset(
@@ -70,8 +74,44 @@ def _columns(
 def _mat5_variables(data: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    _require_sound_tags(data)
     stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
     return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
+
+
+def _require_sound_tags(data: bytes) -> None:
+    """Every element of a v5 file has a known type and ends within its parent.
+
+    scipy's compiled reader looks types up in a table without asking, and a damaged one ends the
+    whole process.
+    """
+    if len(data) < 128 or 0 in data[:4]:
+        return  # v4, which has neither this header nor these tags
+    orders = {b"IM": "<", b"MI": ">"}
+    if data[126:128] not in orders:
+        raise ValueError("neither a MATLAB header nor HDF5")
+    _walk(data, 128, len(data), orders[data[126:128]])
+
+
+def _walk(data: bytes, begin: int, end: int, order: str, depth: int = 0) -> None:
+    while begin < end:
+        kind, size = struct.unpack_from(order + "II", data, begin)
+        start, step = begin + 8, -(-size // 8) * 8
+        if kind >> 16:
+            # A small element: type and size share the first word, four bytes of content follow.
+            kind, size, start, step = kind & 0xFFFF, kind >> 16, begin + 4, 4
+        elif kind == _COMPRESSED:
+            step = size
+        if kind not in _ELEMENTS or start + size > end or (start == begin + 4 and size > 4):
+            raise ValueError(f"a damaged element at byte {begin}")
+        if kind == _COMPRESSED and depth == 0:
+            inner = zlib.decompress(data[start : start + size])
+            _walk(inner, 0, len(inner), order, 1)
+        elif kind == _MATRIX and depth < 4 * _DEEPEST:
+            _walk(data, start, start + size, order, depth + 1)
+        elif kind in (_MATRIX, _COMPRESSED):
+            raise ValueError(f"elements nested too deeply at byte {begin}")
+        begin = start + step
 
 
 def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:

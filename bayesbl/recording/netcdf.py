@@ -20,7 +20,8 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     import netCDF4
     import xarray as xr
 
-    with readable(file, "NetCDF"), netCDF4.Dataset("recording", memory=data) as stored:
+    with readable(file, "NetCDF"):
+        stored = netCDF4.Dataset("recording", memory=data)
         store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
         with xr.open_dataset(store, decode_timedelta=False) as dataset:
             chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}

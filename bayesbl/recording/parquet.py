@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 from bayesbl.recording.array_table import ArrayTable, missing_library, readable
@@ -11,21 +10,22 @@ from bayesbl.recording.array_table import ArrayTable, missing_library, readable
 def read_parquet(file: Path, data: bytes) -> ArrayTable:
     """All columns, the index that pandas may have stored among them.
 
+    By pyarrow, not the lighter fastparquet, which a damaged file can crash.
+
     Raises
     ------
     RecordingError
-        If it is no Parquet file, or fastparquet is not installed.
+        If it is no Parquet file, or pyarrow is not installed.
     """
     try:
-        import fastparquet
+        import pyarrow
+        import pyarrow.parquet
     except ImportError:
-        raise missing_library(file, "Parquet", "fastparquet") from None
+        raise missing_library(file, "Parquet", "pyarrow") from None
     with readable(file, "Parquet"):
-        frame = fastparquet.ParquetFile(io.BytesIO(data)).to_pandas(index=False)
-        arrays = {}
-        for name in frame.columns:
-            column = frame[name]
-            if getattr(column.dtype, "tz", None) is not None:
-                column = column.dt.tz_convert("UTC").dt.tz_localize(None)
-            arrays[str(name)] = column.to_numpy()
+        table = pyarrow.parquet.read_table(pyarrow.BufferReader(data))
+        arrays = {
+            name: column.to_numpy()
+            for name, column in zip(table.column_names, table.columns, strict=True)
+        }
     return ArrayTable(str(file), arrays)

@@ -34,7 +34,7 @@ it moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz.
 """
 
 HARMLESS_JITTER_S = 5e-4
-"""RMS distance σ from the grid up to which time stamps are taken for even, however large in periods.
+"""RMS distance σ from the grid up to which time stamps count as even, whatever it is in periods.
 
 It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
 """
