@@ -181,7 +181,9 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     }
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(
+    max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
 @given(
     kind=st.sampled_from([kind for kind in WRITERS if kind != "CSV"]),
     place=st.floats(0.0, 1.0),

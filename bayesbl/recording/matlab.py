@@ -8,6 +8,7 @@ name is left off.
 from __future__ import annotations
 
 import io
+import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,7 @@ from bayesbl.recording.array_table import AnyArray, ArrayTable, missing_library,
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_PLACES = (0, 512)
 _MATRIX, _COMPRESSED = 14, 15
+_CELL, _STRUCT, _SPARSE = 1, 2, 5
 _ELEMENTS = frozenset({*range(1, 8), 9, *range(12, 19)})
 _MOST_COLUMNS = 64
 _DEEPEST = 5
@@ -94,6 +96,8 @@ def _require_sound_tags(data: bytes) -> None:
 
 
 def _walk(data: bytes, begin: int, end: int, order: str, depth: int = 0) -> None:
+    children: list[tuple[int, int]] = []
+    first = begin
     while begin < end:
         kind, size = struct.unpack_from(order + "II", data, begin)
         start, step = begin + 8, -(-size // 8) * 8
@@ -108,10 +112,31 @@ def _walk(data: bytes, begin: int, end: int, order: str, depth: int = 0) -> None
             inner = zlib.decompress(data[start : start + size])
             _walk(inner, 0, len(inner), order, 1)
         elif kind == _MATRIX and depth < 4 * _DEEPEST:
-            _walk(data, start, start + size, order, depth + 1)
+            _walk(data, start, start + size, order, depth + 2)
         elif kind in (_MATRIX, _COMPRESSED):
             raise ValueError(f"elements nested too deeply at byte {begin}")
+        children.append((start, size))
         begin = start + step
+    if depth > 1 and children and len(children) < _parts(data, children, order):
+        raise ValueError(f"a matrix that lacks a part at byte {first}")
+
+
+def _parts(data: bytes, children: list[tuple[int, int]], order: str) -> int:
+    """How many elements a matrix must have, by its flags, dimensions and field names."""
+    if len(children) < 3 or children[0][1] < 8:
+        return 3 + len(children)
+    (flags,) = struct.unpack_from(order + "I", data, children[0][0])
+    start, size = children[1]
+    cells = math.prod(struct.unpack_from(f"{order}{size // 4}i", data, start))
+    kind, is_complex = flags & 0xFF, bool(flags & 0x800)
+    if kind == _CELL:
+        return 3 + cells
+    if kind == _STRUCT and len(children) > 4:
+        (length,) = struct.unpack_from(order + "i", data, children[3][0])
+        return 5 + cells * (children[4][1] // max(length, 1))
+    if kind == _SPARSE:
+        return 6 + is_complex
+    return 4 + is_complex
 
 
 def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
