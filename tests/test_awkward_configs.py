@@ -20,7 +20,7 @@ CONFIGS = Path(__file__).parents[1] / "configs"
 BENCH = (CONFIGS / "bench.toml").read_text()
 SWEEP = 'schema = 1\nkind = "sweep"\nbench = "bench.toml"\n[sweep]\n'
 SIMULATE = 'schema = 1\nkind = "simulate"\nbench = "bench.toml"\n[[recordings]]\n'
-ENTRY = 'name = "a"\nfile = "a.csv"\n'
+ENTRY = 'name = "a"\nfile = "a.csv"\nreference_speed_rpm = 2000\n'
 FIT = 'schema = 1\nkind = "fit"\n[[recordings]]\nfile = "bench.toml"\n'
 
 # The text, where it is wrong, and what the message must say.
@@ -34,7 +34,11 @@ REFUSED = {
     "an open bracket": ("schema = 1\n[run\n", "line 2", "not valid TOML"),
     "a decimal comma": (FIT + "[interval]\nlevel = 0,9\n", "line 6", "not valid TOML"),
     "another schema": (FIT.replace("1", "2"), "line 1", "Found: 2"),
-    "a folder for a recording": (FIT.replace("bench.toml", "."), "[[recordings]] 1", "a folder"),
+    "a folder for a recording": (
+        FIT.replace("bench.toml", ".") + 'name = "a"\n',
+        "[[recordings]] 1",
+        "a folder",
+    ),
     "a recording that is not there": (
         FIT.replace("bench.toml", "no.csv"),
         "line 4, [[recordings]] 1 file",

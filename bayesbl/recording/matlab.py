@@ -127,13 +127,13 @@ def _parts(data: bytes, children: list[tuple[int, int]], order: str) -> int:
         return 3 + len(children)
     (flags,) = struct.unpack_from(order + "I", data, children[0][0])
     start, size = children[1]
-    cells = math.prod(struct.unpack_from(f"{order}{size // 4}i", data, start))
+    cells = int(math.prod(struct.unpack_from(f"{order}{size // 4}i", data, start)))
     kind, is_complex = flags & 0xFF, bool(flags & 0x800)
     if kind == _CELL:
         return 3 + cells
     if kind == _STRUCT and len(children) > 4:
         (length,) = struct.unpack_from(order + "i", data, children[3][0])
-        return 5 + cells * (children[4][1] // max(length, 1))
+        return 5 + cells * int(children[4][1] // max(length, 1))
     if kind == _SPARSE:
         return 6 + is_complex
     return 4 + is_complex
