@@ -63,9 +63,7 @@ def load_lines(
     power = np.abs(harmonics) ** 2
     power[0] = 0.0
     lines = []
-    for order in np.flatnonzero(probability <= threshold):
-        if order == 0:
-            continue
+    for order in (int(found) for found in np.flatnonzero(probability <= threshold) if found):
         around = power[max(1, order - NEIGHBOURS) : order + NEIGHBOURS + 1].copy()
         around[min(order - 1, NEIGHBOURS)] = 0.0
         stands_out = bool(power[order] > STANDS_OUT * around.max())

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from bayesbl.discrepancy.line_search import (
@@ -19,6 +20,8 @@ from bayesbl.discrepancy.line_search import (
 from bayesbl.discrepancy.skew import Skew, time_skew
 from bayesbl.discrepancy.spectrum import NoiseFloor, comb, noise_floor, repeating_part
 from bayesbl.recording.types import FloatArray
+
+ComplexArray = NDArray[np.complex128]
 
 BANDS = (8, 32, 128, 512)
 """Highest load order of each band that is tested as a whole: slow or fast, weak but everywhere."""
@@ -100,7 +103,7 @@ class LeftOver:
 
     offset: float
     offset_error: float
-    repeating: FloatArray
+    repeating: ComplexArray
     drift_per_s: float
     drift_error_per_s: float
     motor_waves: tuple[Wave, ...]
@@ -143,10 +146,11 @@ def take_apart(
     )
     values, motor_waves = _taken_off(difference, in_comb, scale)
 
+    rest = values - repeating_part(values, rotations)
     ramp = (scale.time - scale.time.mean())[:, None]
     columns = [ramp]
     basis = orthonormal(without_repeating(ramp, rotations), [])
-    noise = _less(values - repeating_part(values, rotations), basis)
+    noise = _less(rest, basis)
     lines: list[FoundLine] = []
     lines_at = at_comb.copy()
     tests = 2 * int(np.count_nonzero(~at_comb[rotations:]))  # on both scales
@@ -165,7 +169,7 @@ def take_apart(
 
     design = np.concatenate(columns, axis=1)
     reduced = without_repeating(design, rotations)
-    coefficients = np.linalg.lstsq(reduced, values - repeating_part(values, rotations))[0]
+    coefficients = np.asarray(np.linalg.lstsq(reduced, rest)[0], dtype=float)
     repeating = np.fft.rfft(values - design @ coefficients)
     repeating[~at_comb] = 0.0
     slope_error = math.sqrt(floor.at_zero) / float(np.linalg.norm(reduced[:, 0]))
@@ -196,7 +200,7 @@ def _taken_off(
     if not lines:
         return values, ()
     design = np.concatenate([line.waves(scale) for line in lines], axis=1)
-    coefficients = np.linalg.lstsq(design, values - values.mean())[0]
+    coefficients = np.asarray(np.linalg.lstsq(design, values - values.mean())[0], dtype=float)
     return values - design @ coefficients, _waves(lines, coefficients)
 
 
@@ -236,7 +240,7 @@ def band_probability(left: LeftOver, rotations: int) -> tuple[float, int]:
     return min(1.0, len(BANDS) * probability), highest
 
 
-def against_load_angle(harmonics: FloatArray, whole: WholeRotations) -> FloatArray:
+def against_load_angle(harmonics: ComplexArray, whole: WholeRotations) -> FloatArray:
     """Harmonics 0, 1, 2, … of the rotation, counted from the first sample, as a function of angle.
 
     Shape (720,), at load angles 2π j/720; orders of 360 and more are left out.

@@ -2,8 +2,8 @@
 
 The motor does not turn evenly. Gravity and the speed loop swing its angle about that of even
 rotation by up to half a radian, so what repeats with the motor angle has side bands in time, and
-what repeats in time has them in angle: a line belongs to where it is sharp. A *scale* here is what a
-line counts its cycles along, in samples: time itself, or the motor angle divided by its mean rate.
+what repeats in time has them in angle: a line belongs to where it is sharp. A scale here is what
+a line counts its cycles along, in samples: time itself, or the motor angle over its mean rate.
 """
 
 from __future__ import annotations

@@ -68,4 +68,4 @@ def time_skew(
 
 
 def _centred(values: FloatArray) -> FloatArray:
-    return values - values.mean()
+    return np.asarray(values - values.mean())

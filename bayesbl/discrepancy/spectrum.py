@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import lfilter
 
@@ -59,7 +60,7 @@ class NoiseFloor:
         return np.asarray(filtered / math.sqrt(self.innovation_variance))
 
 
-def noise_floor(values: FloatArray, lines_at: FloatArray) -> NoiseFloor:
+def noise_floor(values: FloatArray, lines_at: NDArray[np.bool_]) -> NoiseFloor:
     """Floor of noise among lines.
 
     The periodogram, clipped where lines stand out and filled in where ``lines_at`` says that they
@@ -106,7 +107,7 @@ def _autoregression(autocovariance: FloatArray, n: int) -> NoiseFloor:
     return best
 
 
-def comb(n: int, rotations: int) -> np.ndarray:
+def comb(n: int, rotations: int) -> NDArray[np.bool_]:
     """Bins of whole load orders, the constant included, shape (n // 2 + 1,), bool."""
     return np.asarray(np.arange(n // 2 + 1) % rotations == 0)
 
