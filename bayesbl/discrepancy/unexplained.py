@@ -157,7 +157,8 @@ def _lines(name: str, unit: str, seen: Sequence[Found]) -> list[Unexplained]:
         in_time = first.dependence == "time"
         order = math.nan if in_time else first.motor_order
         hertz = math.nan if first.dependence == "motor angle" else first.frequency_hz
-        shown = tuple(dict.fromkeys(recording for recording, _ in group))
+        names = {recording for recording, _ in group}
+        shown = tuple(r.name for r, _ in seen if r.name in names)
         entries.append(
             Unexplained(name, first.dependence, first.amplitude, unit, order, order, hertz, shown)
         )

@@ -24,6 +24,8 @@ from bayesbl.units import unit_of
 _NOISE = "#000000"
 _ROW_IN = 2.0
 _BINS = 250
+_EXCEEDED = 0.01
+"""Probability that noise alone shows any bin beyond the limit drawn."""
 _TURN = 2.0 * np.pi
 _LABELLED = 3
 _MARKS = {"load angle": "o", "motor angle": "^", "time": "s", "angle or time": "D"}
@@ -118,7 +120,8 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
         )
         _mark(panel, stage, channel, style.colour)
         if index == len(stages) - 1:
-            panel.plot(order[shown], noise[shown], color=_NOISE, linewidth=0.8)
+            limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
+            panel.plot(order[shown], limit, color=_NOISE, linewidth=0.8)
     panel.set_xscale("log")
     panel.set_yscale("log")
     low, high = panel.get_ylim()
@@ -165,9 +168,9 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
         panel.annotate(
             text,
             (order[i], amplitude[i]),
-            xytext=(-3.0, 3.0),
+            xytext=(3.5, 0.0),
             textcoords="offset points",
-            ha="right",
+            va="center",
             fontsize=5.5,
         )
 
@@ -185,7 +188,15 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
     for index, name in enumerate(names):
         style = look(index)
         handles += panel.plot([], [], color=style.colour, linestyle=style.dashes, label=name)
-    handles.append(Line2D([], [], color=_NOISE, linewidth=0.8, label="noise alone (RMS)"))
+    handles.append(
+        Line2D(
+            [],
+            [],
+            color=_NOISE,
+            linewidth=0.8,
+            label=f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)",
+        )
+    )
     found = {
         str(name)
         for stage in stages
