@@ -140,6 +140,19 @@ def test_an_evenly_turning_motor_cannot_tell_time_from_angle_but_two_speeds_can(
             assert only_line(part.channels[0]).dependence == dependence
 
 
+def test_a_frequency_that_is_a_load_order_by_chance_is_unmasked_by_the_other_speed():
+    def in_time(t, m, a):  # load order 12 at 2000 rpm, 20 at 1200 rpm
+        return in_channel(0, 1.5 * np.cos(2.0 * np.pi * 10.0 * t))
+
+    one = recording(5, planted=in_time)
+    two = recording(6, speed=1200.0, planted=in_time, name="slow")
+    assert only_line(located(one).recordings[0].channels[0]).dependence == "load angle"
+    found = located(one, two)
+    for part in found.recordings:
+        assert only_line(part.channels[0]).dependence == "time"
+    assert [entry.dependence for entry in describe_unexplained(found)] == ["time"]
+
+
 def test_mean_squares_add_up_to_that_of_the_difference():
     def much(t, m, a):
         wave = 2.0 * np.cos(3.0 * m) + 3.0 * np.cos(5.0 * a) + np.sin(2.0 * np.pi * 7.3 * t)

@@ -144,9 +144,11 @@ def motor_orders_in_comb(
     """Whole and half motor orders that are whole load orders too and stand out of these.
 
     With a whole gear ratio everything periodic in the motor angle repeats with the load: only its
-    standing alone, on the scale of the motor angle, tells. ``rate`` is the false-alarm rate.
+    standing alone tells, on the scale of the motor angle and no less sharp there than in time.
+    ``rate`` is the false-alarm rate.
     """
     n = values.size
+    in_time = np.abs(np.fft.rfft(values)[::rotations]) ** 2 / n
     power = np.abs(np.fft.rfft(scale.on_motor_angle(values - values.mean()))[::rotations]) ** 2 / n
     at_orders = floor.at_bins(n)[::rotations]
     orders = [
@@ -159,6 +161,8 @@ def motor_orders_in_comb(
         around = power[max(1, order - NEIGHBOURS) : order + NEIGHBOURS + 1].copy()
         around[min(order - 1, NEIGHBOURS)] = 0.0
         probability = math.exp(-power[order] / at_orders[order])
+        if in_time[order] - power[order] > CLEARLY * at_orders[order]:
+            continue
         if probability * len(orders) <= rate and power[order] > STANDS_OUT * around.max():
             found.append(FoundLine(float(order * rotations), "motor angle", probability, True))
     return found

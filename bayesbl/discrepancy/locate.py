@@ -322,9 +322,32 @@ def _attributed(located: Sequence[RecordingLeft]) -> tuple[RecordingLeft, ...]:
                 if j != i and c < len(other.channels)
             ]
             lines = tuple(over_speeds(line, recording.whole, others) for line in channel.lines)
-            channels.append(dataclasses.replace(channel, lines=lines))
+            channels.append(_without_reattributed(channel, lines))
         result.append(dataclasses.replace(recording, channels=tuple(channels)))
     return tuple(result)
+
+
+def _without_reattributed(channel: ChannelLeft, lines: tuple[Line, ...]) -> ChannelLeft:
+    """The channel with its lines anew; whole load orders that belong to time repeat no more."""
+    moved = [
+        old
+        for old, new in zip(channel.lines, lines, strict=True)
+        if old.dependence == "load angle" != new.dependence
+    ]
+    if not moved:
+        return dataclasses.replace(channel, lines=lines)
+    kept = [line for line in lines if line.dependence == "load angle"]
+    power = np.zeros(1 + int(max((line.load_order for line in kept), default=0.0)))
+    for line in kept:
+        power[round(line.load_order)] = line.amplitude**2
+    left = channel.repeating_rms**2 - 0.5 * sum(line.amplitude**2 for line in moved)
+    return dataclasses.replace(
+        channel,
+        lines=lines,
+        repeating_rms=math.sqrt(max(left, 0.0)),
+        repeating_probability=channel.repeating_probability if kept else 1.0,
+        main_orders=_main_orders(power),
+    )
 
 
 def _offsets(located: Sequence[RecordingLeft]) -> tuple[OffsetDependence, ...]:
