@@ -28,6 +28,8 @@ _EXCEEDED = 0.01
 """Probability that noise alone shows any bin beyond the limit drawn."""
 _TURN = 2.0 * np.pi
 _LABELLED = 3
+_RIGHT_HALF = 400.0
+"""Load order beyond which a label has no room on its right."""
 _MARKS = {"load angle": "o", "motor angle": "^", "time": "s", "angle or time": "D"}
 _NAMES = {
     "load angle": "load order",
@@ -168,8 +170,9 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
         panel.annotate(
             text,
             (order[i], amplitude[i]),
-            xytext=(3.5, 0.0),
+            xytext=(-3.5 if order[i] > _RIGHT_HALF else 3.5, 0.0),
             textcoords="offset points",
+            ha="right" if order[i] > _RIGHT_HALF else "left",
             va="center",
             fontsize=5.5,
         )
