@@ -111,7 +111,7 @@ def estimate_noise(
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
     sd = math.sqrt(float(d @ d) / (2.0 * d.size))
-    fits = _burg(d, HIGHEST_ORDER)
+    fits = burg(d, HIGHEST_ORDER)
     variances = np.array([variance for variance, _ in fits])
     orders = np.arange(HIGHEST_ORDER + 1)
     bic = d.size * np.log(np.maximum(variances, 1e-300)) + orders * math.log(d.size)
@@ -121,13 +121,13 @@ def estimate_noise(
     elif kind == "ar":
         best = order if order is not None else 1 + int(np.argmin(bic[1:]))
         if best > HIGHEST_ORDER:
-            fits = _burg(d, best)
+            fits = burg(d, best)
     else:
         best = int(np.argmin(bic))
     return Noise(sd, fits[best][1], bic, d.size, kind == "auto")
 
 
-def _burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
+def burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
     """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975)."""
     forward, backward = x[1:], x[:-1]
     variance = float(x @ x) / x.size
