@@ -70,7 +70,10 @@ class FreeMotionComparison:
         shared = self._shared(effects, start)
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
         names = [*shared, *(f"{key}@{i}" for i in used for key in ("angle", "speed"))]
-        first = [*(value for value, _, _ in shared.values()), *np.concatenate([self.starts[i] for i in used])]
+        first = [
+            *(value for value, _, _ in shared.values()),
+            *np.concatenate([self.starts[i] for i in used]),
+        ]
         low = [*(bound for _, bound, _ in shared.values()), *[-np.inf] * (2 * len(used))]
         high = [*(bound for _, _, bound in shared.values()), *[np.inf] * (2 * len(used))]
         scale = np.maximum(np.abs(first), 1e-3 * np.abs(first).max())
@@ -207,4 +210,3 @@ class FreeMotionComparison:
         if piece.channel == SPEED_CHANNEL:
             return np.asarray(states[MOTOR_SPEED] * RPM_PER_RAD_PER_S)
         return np.asarray(states[MOTOR_ANGLE] - zero)
-

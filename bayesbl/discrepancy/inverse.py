@@ -20,7 +20,7 @@ from scipy.optimize import minimize_scalar
 from bayesbl.discrepancy.comparison import Candidate, Fit, Piece
 from bayesbl.discrepancy.motion import Motion
 from bayesbl.discrepancy.order_scan import best_order
-from bayesbl.discrepancy.terms import ORDER, PHASE, SKEW, Term, rigid_torque
+from bayesbl.discrepancy.terms import ORDER, PHASE, SKEW, Term, required_torque
 from bayesbl.physics.bench import Bench
 from bayesbl.recording.types import FloatArray
 
@@ -74,8 +74,7 @@ class InverseComparison:
         for name in effects:
             if start is not None and name in start.effects:
                 shapes |= {
-                    f"{name}.{shape}": start.effects[name][shape]
-                    for shape in self._scanned(name)
+                    f"{name}.{shape}": start.effects[name][shape] for shape in self._scanned(name)
                 }
                 trials[name] = start.trials.get(name, 1.0)
         for name in fresh:
@@ -186,7 +185,7 @@ class InverseComparison:
         bench = self.bench
         if not self.load_angle_known:
             bench = bench.with_parameters(gravity_torque_nm=0.0)
-        return np.asarray((rigid_torque(motion, bench) + self.known[i]) / self.unit)
+        return np.asarray((required_torque(motion, bench) + self.known[i]) / self.unit)
 
     def _nuisances(self, i: int, motion: Motion) -> Iterator[tuple[str, FloatArray]]:
         ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
@@ -343,5 +342,3 @@ def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     scale = np.sqrt((matrix**2).sum(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
     return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-10)[0] / scale)
-
-

@@ -151,12 +151,21 @@ def _select(
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
-    """The trial that leaves least; of those it cannot be told from, the one of fewest parameters."""
+    """The trial that leaves least, or a simpler one that it cannot be told from.
+
+    Simpler: fewer parameters, then earlier in the catalogue.
+    """
     best = min(good, key=lambda trial: trial.squares)
     noises = [ResidualNoise.of(part) for part in residuals(comparison, best.fit, "used")]
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
-    return min(alike, key=lambda t: (len(t.fit.effects[t.candidate.name]), t.squares))
+    order = [candidate.name for candidate in comparison.candidates]
+
+    def simplicity(trial: _Trial) -> tuple[int, int]:
+        name = trial.candidate.name
+        return len(trial.fit.effects[name]), order.index(name)
+
+    return min(alike, key=simplicity)
 
 
 def _used(comparison: Comparison, fit: Fit) -> list[FloatArray]:
@@ -199,9 +208,7 @@ def _wald(comparison: Comparison, fit: Fit, candidate: Candidate) -> tuple[float
     trials = math.log(fit.trials.get(candidate.name, 1.0))
     log_p = min(0.0, float(chi2.logsf(z**2, freedom)) + trials)
     sizes = [part.size for part in residuals(comparison, fit, "used")]
-    n = sum(
-        noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True)
-    )
+    n = sum(noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True))
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
@@ -257,8 +264,8 @@ def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
             continue
         fit = comparison.fit((*others, rival.name), without)
         amplitude = fit.effects[rival.name][rival.amplitude]
-        if rival.not_negative and amplitude < 0.0:
-            continue
+        if rival.name in fit.at_edge or (rival.not_negative and amplitude < 0.0):
+            continue  # at the end of its range it is only the named effect in disguise
         if distance(used, _used(comparison, fit), noises) < ALIKE:
             found += [rival.name, *rival.same_as]
     return found

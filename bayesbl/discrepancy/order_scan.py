@@ -110,7 +110,11 @@ def remaining_orders(
         best = int(np.argmax(left))
         order = float(orders[best])
         size = sum(
-            abs(_transform(comparison.motions[i].angle, _rest(comparison, fit, i), orders[[best] * 2])[0])
+            abs(
+                _transform(
+                    comparison.motions[i].angle, _rest(comparison, fit, i), orders[[best] * 2]
+                )[0]
+            )
             for i in used
         )
         count = sum(comparison.pieces[i].measured.size for i in used)

@@ -69,7 +69,9 @@ def sandwich(fit: Fit, noises: list[ResidualNoise]) -> FloatArray:
     return np.asarray(inverse @ middle @ inverse / np.outer(scale, scale))
 
 
-def distance(first: list[FloatArray], other: list[FloatArray], noises: list[ResidualNoise]) -> float:
+def distance(
+    first: list[FloatArray], other: list[FloatArray], noises: list[ResidualNoise]
+) -> float:
     """|z| between two predictions: ‖d‖² / √(dᵀΣd), what least squares could tell them apart by."""
     differences = [a - b for a, b in zip(first, other, strict=True)]
     size = sum(float(d @ d) for d in differences)

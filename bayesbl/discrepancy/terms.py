@@ -19,7 +19,8 @@ import numpy as np
 from bayesbl.discrepancy.comparison import Candidate
 from bayesbl.discrepancy.motion import Motion
 from bayesbl.physics.bench import Bench
-from bayesbl.physics.kernel import MOTOR_SIGN_WIDTH
+from bayesbl.physics.effects import effect_named
+from bayesbl.physics.kernel import LOAD_SIGN_WIDTH, MOTOR_SIGN_WIDTH
 from bayesbl.recording.types import FloatArray
 
 PHASE = "phase_rad"
@@ -72,6 +73,24 @@ def transmitted(motion: Motion, bench: Bench) -> FloatArray:
     return np.asarray((inertia * motion.acceleration + gravity) / ratio)
 
 
+def required_torque(motion: Motion, bench: Bench) -> FloatArray:
+    """Torque that this motion asks of the motor, effects of the bench included, N m.
+
+    What a rigid drive or a torque cannot show (shaft, loop lags, encoder) is left out; a skew is
+    the comparison's business.
+    """
+    torque = rigid_torque(motion, bench)
+    ratio = bench.value("gear_ratio")
+    for effect in bench.effects:
+        given = {key: item.value for key, item in effect.parameters.items()}
+        given = {p.name: given.get(p.name, p.neutral) for p in effect_named(effect.name).parameters}
+        if effect.name in _LOAD_LAWS:
+            torque = torque + _LOAD_LAWS[effect.name](motion.speed / ratio, given) / ratio
+        elif effect.name in TORQUE_TERMS and effect.name != "encoder_eccentricity":
+            torque = torque + TORQUE_TERMS[effect.name].signal(motion, bench, given)
+    return np.asarray(torque)
+
+
 def _stribeck(m: Motion, _: Bench, p: Parameters) -> FloatArray:
     fading = np.exp(-((m.speed / p["speed_rad_per_s"]) ** 2))
     return np.asarray(p["torque_nm"] * fading * direction(m))
@@ -96,8 +115,7 @@ def _eccentricity_torque(m: Motion, b: Bench, p: Parameters) -> FloatArray:
 
 def _backlash(m: Motion, b: Bench, p: Parameters) -> FloatArray:
     """A load that friction holds lies half the clearance behind, and waits at reversals."""
-    lag = play(m.angle / b.value("gear_ratio"), p["gap_rad"])
-    return lag
+    return play(m.angle / b.value("gear_ratio"), p["gap_rad"])
 
 
 def _hysteresis(m: Motion, b: Bench, p: Parameters) -> FloatArray:
@@ -138,6 +156,15 @@ def dahl(angle: FloatArray, reach: float) -> FloatArray:
     return out
 
 
+_LOAD_LAWS: Mapping[str, Callable[[FloatArray, Parameters], FloatArray]] = MappingProxyType(
+    {
+        "load_coulomb_friction": lambda w, p: p["torque_nm"] * np.tanh(w / LOAD_SIGN_WIDTH),
+        "load_viscous_friction": lambda w, p: p["coefficient_nm_s_per_rad"] * w,
+        "load_torque_offset": lambda w, p: p["torque_nm"] * np.ones_like(w),
+    }
+)
+"""Effects at the load by its speed, N m at the load; a fit names them for the motor."""
+
 _SPEEDS = tuple(np.geomspace(1.0, 500.0, 25))
 _REACHES = tuple(np.geomspace(1e-5, 1e-2, 13))
 _COEFFICIENT = "coefficient_nm_s_per_rad"
@@ -162,7 +189,7 @@ _TORQUE = (
         lambda m, b, p: p[_COEFFICIENT] * m.speed,
     ),
     Term(
-        Candidate("motor_stribeck_friction", "torque_nm"),
+        Candidate("motor_stribeck_friction", "torque_nm", not_negative=True),
         _stribeck,
         shape="speed_rad_per_s",
         grid=_SPEEDS,
@@ -236,4 +263,3 @@ TORQUE_TERMS: Mapping[str, Term] = MappingProxyType({t.candidate.name: t for t i
 
 POSITION_TERMS: Mapping[str, Term] = MappingProxyType({t.candidate.name: t for t in _POSITION})
 """Effects in the load's position for a given motor position."""
-
