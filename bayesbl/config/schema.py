@@ -1,7 +1,8 @@
 """What a configuration may say: one frozen model per section, one per kind of run.
 
 Defaults stand here and nowhere else. Paths are resolved against the folder that the validation
-context names, and must exist. A new kind is one class in ``kinds.KINDS``. Only pydantic is imported, so that ``bayesbl check`` answers at once.
+context names, and must exist. A new kind is one class in ``kinds.KINDS``. Only pydantic is
+imported, so that ``bayesbl check`` answers at once.
 """
 
 from __future__ import annotations

@@ -91,13 +91,13 @@ def _inverse(
     if gravity and not compared.load_angle_known:
         left_out.add("gear_mesh_friction")
     terms: dict[str, Term] = {name: term for name, term in every.items() if name not in left_out}
-    wanted = wanted(config, bench, [term.candidate for term in terms.values()])
+    chosen = wanted(config, bench, [term.candidate for term in terms.values()])
     comparison = InverseComparison(
         pieces,
         motions,
         known,
         bench,
-        {candidate.name: terms[candidate.name] for candidate in wanted},
+        {candidate.name: terms[candidate.name] for candidate in chosen},
         unknown,
         unit,
         load,
@@ -213,12 +213,12 @@ def _require_position(config: DiagnoseConfig, motions: tuple[Motion, ...], load:
     if all(motion.source == "position" for motion in motions):
         return
     compared = config.comparison
-    for name, wanted in (
+    for name, claimed in (
         ("load_angle_known", compared.load_angle_known),
         ("motor_angle_known", compared.motor_angle_known),
         ("channels", load),
     ):
-        if wanted:
+        if claimed:
             raise refused(
                 "Without the motor's position no angle is known.",
                 f"[comparison] {name}",
