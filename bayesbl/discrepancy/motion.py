@@ -7,9 +7,13 @@ uneven time stamps are first brought to an even grid of the same mean period by 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 
@@ -17,7 +21,12 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
 
+ComplexArray = NDArray[np.complex128]
+
 FILTER_ORDER = 4
+END_PERIODS = 2.0
+"""Of the cut-off frequency: how far the ends of a recording disturb what is filtered."""
+
 UNEVEN = 1e-3
 """Departure of a time stamp from the even grid, in periods, up to which it is even."""
 
@@ -46,6 +55,7 @@ class LowPass:
 class Motion:
     """Motion of the motor, each of shape (n,), SI.
 
+    ``sway`` is d²/dt² exp(i θ_m), differentiated as the rest: what an eccentric encoder adds.
     ``source``: ``position`` or ``speed``, whichever the derivatives come from; from speed alone the
     angle is its integral, known but for where it starts.
     """
@@ -54,17 +64,21 @@ class Motion:
     angle: FloatArray
     speed: FloatArray
     acceleration: FloatArray
-    low_pass: LowPass
+    sway: ComplexArray
     source: str
 
     def shifted(self, time_s: float) -> Motion:
         """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording."""
         when = np.clip(self.time_s - time_s, self.time_s[0], self.time_s[-1])
-        angle, speed, acceleration = (
-            np.interp(when, self.time_s, values)
-            for values in (self.angle, self.speed, self.acceleration)
-        )
-        return replace(self, angle=angle, speed=speed, acceleration=acceleration)
+        return self._each(lambda values: np.interp(when, self.time_s, values))
+
+    def part(self, rows: slice) -> Motion:
+        """Some of the samples."""
+        return replace(self._each(lambda values: values[rows]), time_s=self.time_s[rows])
+
+    def _each(self, change: Callable[[Any], Any]) -> Motion:
+        names = ("angle", "speed", "acceleration", "sway")
+        return replace(self, **{name: change(getattr(self, name)) for name in names})
 
 
 def even(recording: Recording) -> Recording:
@@ -101,14 +115,10 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     low_pass = LowPass(cutoff_hz, period)
     position = recording.channels.get(MOTOR_POSITION)
     if position is not None:
-        return Motion(
-            recording.time_s,
-            low_pass(position),
-            low_pass.derivative(position),
-            low_pass.derivative(position, 2),
-            low_pass,
-            "position",
-        )
+        angle, speed = low_pass(position), low_pass.derivative(position)
+        acceleration = low_pass.derivative(position, 2)
+        sway = _sway(angle, low_pass)
+        return Motion(recording.time_s, angle, speed, acceleration, sway, "position")
     measured = recording.channels.get(MOTOR_SPEED)
     if measured is None:
         raise _error(
@@ -121,7 +131,19 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     smooth = low_pass(speed)
     steps = 0.5 * (smooth[1:] + smooth[:-1]) * period
     angle = np.concatenate(([0.0], np.cumsum(steps)))
-    return Motion(recording.time_s, angle, smooth, low_pass.derivative(speed), low_pass, "speed")
+    acceleration = low_pass.derivative(speed)
+    return Motion(recording.time_s, angle, smooth, acceleration, _sway(angle, low_pass), "speed")
+
+
+def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
+    sine, cosine = (low_pass.derivative(wave(angle), 2) for wave in (np.sin, np.cos))
+    return cosine + 1j * sine
+
+
+def settled(recording: Recording, cutoff_hz: float) -> slice:
+    """Samples that the filter's ends do not reach: all but :data:`END_PERIODS` of the cut-off."""
+    ends = math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
+    return slice(ends, recording.samples - ends)
 
 
 def _error(

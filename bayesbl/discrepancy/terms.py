@@ -18,7 +18,7 @@ import numpy as np
 
 from bayesbl.discrepancy.comparison import Candidate
 from bayesbl.discrepancy.motion import Motion
-from bayesbl.physics.bench import Bench
+from bayesbl.physics.bench import Bench, BenchEffect
 from bayesbl.physics.effects import effect_named
 from bayesbl.physics.kernel import LOAD_SIGN_WIDTH, MOTOR_SIGN_WIDTH
 from bayesbl.recording.types import FloatArray
@@ -26,6 +26,7 @@ from bayesbl.recording.types import FloatArray
 PHASE = "phase_rad"
 ORDER = "order"
 SKEW = "channel_time_skew"
+_COEFFICIENT = "coefficient_nm_s_per_rad"
 
 Parameters = Mapping[str, float]
 Signal = Callable[[Motion, Bench, Parameters], FloatArray]
@@ -60,35 +61,35 @@ def direction(motion: Motion) -> FloatArray:
     return np.tanh(motion.speed / MOTOR_SIGN_WIDTH)
 
 
-def rigid_torque(motion: Motion, bench: Bench) -> FloatArray:
-    """(J_m + J_l/N²) dω_m/dt + (m g l/N) sin(θ_m/N), N m at the motor."""
-    return bench.value("motor_inertia_kg_m2") * motion.acceleration + transmitted(motion, bench)
-
-
 def transmitted(motion: Motion, bench: Bench) -> FloatArray:
-    """Torque that the gear passes on, at the motor: load inertia and gravity, N m."""
+    """Torque that the gear passes on, at the motor: load inertia, gravity, losses there; N m."""
     ratio = bench.value("gear_ratio")
-    gravity = bench.value("gravity_torque_nm") * np.sin(motion.angle / ratio)
-    inertia = bench.value("load_inertia_kg_m2") / ratio
-    return np.asarray((inertia * motion.acceleration + gravity) / ratio)
+    torque = bench.value("load_inertia_kg_m2") / ratio * motion.acceleration
+    torque = torque + bench.value("gravity_torque_nm") * np.sin(motion.angle / ratio)
+    for effect in bench.effects:
+        if effect.name in _LOAD_LAWS:
+            torque = torque + _LOAD_LAWS[effect.name](motion, ratio, _complete(effect))
+    return np.asarray(torque / ratio)
 
 
 def required_torque(motion: Motion, bench: Bench) -> FloatArray:
     """Torque that this motion asks of the motor, effects of the bench included, N m.
 
-    What a rigid drive or a torque cannot show (shaft, loop lags, encoder) is left out; a skew is
-    the comparison's business.
+    (J_m + J_l/N²) dω_m/dt + (m g l/N) sin(θ_m/N) and the losses. What a rigid drive cannot show
+    (shaft, loop lags) is left out; a skew is the comparison's business.
     """
-    torque = rigid_torque(motion, bench)
-    ratio = bench.value("gear_ratio")
+    torque = bench.value("motor_inertia_kg_m2") * motion.acceleration + transmitted(motion, bench)
     for effect in bench.effects:
-        given = {key: item.value for key, item in effect.parameters.items()}
-        given = {p.name: given.get(p.name, p.neutral) for p in effect_named(effect.name).parameters}
-        if effect.name in _LOAD_LAWS:
-            torque = torque + _LOAD_LAWS[effect.name](motion.speed / ratio, given) / ratio
-        elif effect.name in TORQUE_TERMS and effect.name != "encoder_eccentricity":
-            torque = torque + TORQUE_TERMS[effect.name].signal(motion, bench, given)
+        if effect.name in TORQUE_TERMS and effect.name not in _LOAD_LAWS:
+            signal = TORQUE_TERMS[effect.name].signal
+            torque = torque + signal(motion, bench, _complete(effect))
     return np.asarray(torque)
+
+
+def _complete(effect: BenchEffect) -> dict[str, float]:
+    """All parameters of an effect, those not given at their neutral value."""
+    given = {key: item.value for key, item in effect.parameters.items()}
+    return {p.name: given.get(p.name, p.neutral) for p in effect_named(effect.name).parameters}
 
 
 def _stribeck(m: Motion, _: Bench, p: Parameters) -> FloatArray:
@@ -109,7 +110,7 @@ def _eccentricity_torque(m: Motion, b: Bench, p: Parameters) -> FloatArray:
     """What is taken for acceleration and is not: the encoder's sway, differentiated as the rest."""
     ratio = b.value("gear_ratio")
     inertia = b.value("motor_inertia_kg_m2") + b.value("load_inertia_kg_m2") / ratio**2
-    sway = m.low_pass.derivative(np.sin(m.angle + p[PHASE]), 2)
+    sway = (m.sway * np.exp(1j * p[PHASE])).imag
     return np.asarray(-inertia * p["angle_rad"] * sway)
 
 
@@ -156,18 +157,20 @@ def dahl(angle: FloatArray, reach: float) -> FloatArray:
     return out
 
 
-_LOAD_LAWS: Mapping[str, Callable[[FloatArray, Parameters], FloatArray]] = MappingProxyType(
+_LOAD_LAWS: Mapping[str, Callable[[Motion, float, Parameters], FloatArray]] = MappingProxyType(
     {
-        "load_coulomb_friction": lambda w, p: p["torque_nm"] * np.tanh(w / LOAD_SIGN_WIDTH),
-        "load_viscous_friction": lambda w, p: p["coefficient_nm_s_per_rad"] * w,
-        "load_torque_offset": lambda w, p: p["torque_nm"] * np.ones_like(w),
+        "load_coulomb_friction": lambda m, ratio, p: (
+            p["torque_nm"] * np.tanh(m.speed / ratio / LOAD_SIGN_WIDTH)
+        ),
+        "load_viscous_friction": lambda m, ratio, p: p[_COEFFICIENT] * m.speed / ratio,
+        "load_torque_offset": lambda m, ratio, p: p["torque_nm"] * np.ones_like(m.speed),
+        "gravity_phase": lambda m, ratio, p: p["torque_nm"] * np.cos(m.angle / ratio),
     }
 )
-"""Effects at the load by its speed, N m at the load; a fit names them for the motor."""
+"""Effects of a bench at its load, N m there, by motion and gear ratio."""
 
 _SPEEDS = tuple(np.geomspace(1.0, 500.0, 25))
 _REACHES = tuple(np.geomspace(1e-5, 1e-2, 13))
-_COEFFICIENT = "coefficient_nm_s_per_rad"
 
 _TORQUE = (
     Term(
@@ -205,7 +208,7 @@ _TORQUE = (
     Term(
         Candidate("gravity_phase", "torque_nm"),
         lambda m, b, p: (
-            p["torque_nm"] / b.value("gear_ratio") * np.cos(m.angle / b.value("gear_ratio"))
+            _LOAD_LAWS["gravity_phase"](m, b.value("gear_ratio"), p) / b.value("gear_ratio")
         ),
     ),
     Term(

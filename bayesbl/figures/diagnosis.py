@@ -34,7 +34,7 @@ def diagnosis_of(tree: xr.DataTree, recording: str) -> Figure:
     upper = figure.add_subplot(spec[0, 0])
     lower = figure.add_subplot(spec[1, 0], sharex=upper)
     for row in rows:
-        _draw(upper, lower, signals.isel(piece=row), row == rows[0])
+        _draw(upper, lower, signals.isel(piece=row), row == rows[0], len(rows) > 1)
     unit = signals["measured"].attrs["units"]
     name = CHANNELS.get(str(tree.attrs["channel"]), str(tree.attrs["channel"]))
     upper.set_ylabel(f"{name.capitalize()} ({unit})")
@@ -56,7 +56,7 @@ def diagnosed(tree: xr.DataTree) -> dict[str, Figure]:
     return {name: diagnosis_of(tree, name) for name in names}
 
 
-def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool) -> None:
+def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bool) -> None:
     time = piece["time_s"].values
     there = np.isfinite(time)
     time = time[there]
@@ -72,6 +72,6 @@ def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool) -> None:
     upper.plot(time, after, color=MODEL, linewidth=0.8, label=label("after"))
     lower.plot(time, measured - before, color=BEFORE, linewidth=0.6, linestyle="--")
     lower.plot(time, measured - after, color=MODEL, linewidth=0.6)
-    if str(piece["use"].values) == "held_out":
+    if str(piece["use"].values) == "held_out" and split:
         for axes in (upper, lower):
             axes.axvspan(time[0], time[-1], color="#f5edc0", linewidth=0.0, zorder=0.0)

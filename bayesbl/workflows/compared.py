@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from bayesbl.config.diagnose import DiagnoseConfig, DiagnosedRecording
+from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.discrepancy.comparison import Candidate, Comparison, Fit, Piece, Use
 from bayesbl.discrepancy.report import Remaining
 from bayesbl.errors import ConfigError
@@ -23,34 +23,27 @@ class Problem:
     notes: tuple[str, ...]
 
 
-def pieces_of(
-    config: DiagnoseConfig, recordings: list[Recording], channel: str
-) -> tuple[tuple[Piece, ...], list[Recording]]:
-    """Recordings and halves of them as they are compared, and as recordings beside."""
-    pairs = [
-        (use, part)
-        for entry, recording in zip(config.recordings, recordings, strict=True)
-        for use, part in _parts(entry, recording)
-    ]
-    pieces = tuple(
-        Piece(part.name, channel, use, part.time_s, part.channels[channel]) for use, part in pairs
-    )
-    return pieces, [part for _, part in pairs]
+def cuts(config: DiagnoseConfig, recordings: list[Recording]) -> list[tuple[int, Use, slice]]:
+    """Number of the recording, use and samples of every piece; a split one is cut in the middle."""
+    found: list[tuple[int, Use, slice]] = []
+    for i, (entry, recording) in enumerate(zip(config.recordings, recordings, strict=True)):
+        if entry.use == "split":
+            half = recording.samples // 2
+            found += [(i, "used", slice(None, half)), (i, "held_out", slice(half, None))]
+        else:
+            found.append((i, "used" if entry.use == "fit" else "held_out", slice(None)))
+    return found
 
 
-def _parts(entry: DiagnosedRecording, recording: Recording) -> Iterator[tuple[Use, Recording]]:
-    """The recording with its use; a split one as its first and its second half."""
-    if entry.use != "split":
-        yield "used" if entry.use == "fit" else "held_out", recording
-        return
-    half = recording.samples // 2
-    uses: tuple[tuple[Use, slice], ...] = (
-        ("used", slice(None, half)),
-        ("held_out", slice(half, None)),
-    )
-    for use, rows in uses:
-        channels = {name: values[rows] for name, values in recording.channels.items()}
-        yield use, replace(recording, time_s=recording.time_s[rows], channels=channels)
+def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
+    """A recording, or some samples of it, as it is compared."""
+    return Piece(recording.name, channel, use, recording.time_s, recording.channels[channel])
+
+
+def rows_of(recording: Recording, rows: slice) -> Recording:
+    """Some samples of a recording."""
+    channels = {name: values[rows] for name, values in recording.channels.items()}
+    return replace(recording, time_s=recording.time_s[rows], channels=channels)
 
 
 def wanted(config: DiagnoseConfig, bench: Bench, every: Iterable[Candidate]) -> list[Candidate]:

@@ -11,7 +11,7 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.discrepancy.comparison import Piece
 from bayesbl.discrepancy.free_motion import FreeMotionComparison, free_motion_candidates
 from bayesbl.discrepancy.inverse import InverseComparison
-from bayesbl.discrepancy.motion import Motion, motion_of
+from bayesbl.discrepancy.motion import Motion, motion_of, settled
 from bayesbl.discrepancy.order_scan import remaining_orders
 from bayesbl.discrepancy.terms import POSITION_TERMS, TORQUE_TERMS, Term
 from bayesbl.errors import ConfigError, RecordingError
@@ -27,7 +27,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
-from bayesbl.workflows.compared import Problem, pieces_of, refused, wanted
+from bayesbl.workflows.compared import Problem, cuts, piece_of, refused, rows_of, wanted
 
 INVERSE_CHANNELS = (MOTOR_TORQUE, MOTOR_CURRENT, LOAD_POSITION)
 FREE_CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
@@ -66,8 +66,7 @@ def _inverse(
     config: DiagnoseConfig, bench: Bench, recordings: list[Recording], channel: str
 ) -> Problem:
     compared, load = config.comparison, channel == LOAD_POSITION
-    pieces, parts = pieces_of(config, recordings, channel)
-    motions = tuple(motion_of(part, compared.cutoff_hz) for part in parts)
+    pieces, parts, motions = _moved(config, recordings, channel)
     _require_position(config, motions, load)
     unknown = _unknown(config, bench, load)
     if channel == MOTOR_CURRENT and "torque_constant_nm_per_a" in bench.assumed:
@@ -126,6 +125,25 @@ def _inverse(
     )
 
 
+def _moved(
+    config: DiagnoseConfig, recordings: list[Recording], channel: str
+) -> tuple[tuple[Piece, ...], list[Recording], tuple[Motion, ...]]:
+    """Pieces with their motion, without the ends that the filter disturbs.
+
+    The motion is that of the whole recording: both halves of a split one have one angle.
+    """
+    cutoff = config.comparison.cutoff_hz
+    inside = [settled(recording, cutoff) for recording in recordings]
+    whole = [motion_of(r, cutoff).part(rows) for r, rows in zip(recordings, inside, strict=True)]
+    kept = [rows_of(r, rows) for r, rows in zip(recordings, inside, strict=True)]
+    found = cuts(config, kept)
+    parts = [rows_of(kept[i], rows) for i, _, rows in found]
+    pieces = tuple(
+        piece_of(part, channel, use) for part, (_, use, _) in zip(parts, found, strict=True)
+    )
+    return pieces, parts, tuple(whole[i].part(rows) for i, _, rows in found)
+
+
 def _free_motion(
     config: DiagnoseConfig, bench: Bench, recordings: list[Recording], channel: str
 ) -> Problem:
@@ -148,7 +166,11 @@ def _free_motion(
         )
     if GRAVITY not in unknown:
         _unknown(config, bench, load=False)
-    pieces, parts = pieces_of(config, recordings, channel)
+    found = cuts(config, recordings)
+    parts = [rows_of(recordings[i], rows) for i, _, rows in found]
+    pieces = tuple(
+        piece_of(part, channel, use) for part, (_, use, _) in zip(parts, found, strict=True)
+    )
     comparison = FreeMotionComparison(
         pieces,
         tuple(_start(part, channel) for part in parts),
