@@ -15,7 +15,6 @@ from bayesbl.discrepancy.free_motion import FreeMotionComparison, free_motion_ca
 from bayesbl.discrepancy.inverse import InverseComparison
 from bayesbl.discrepancy.motion import Motion, even, motion_of, settled
 from bayesbl.discrepancy.naming import Settings, diagnose
-from bayesbl.discrepancy.order_scan import remaining_orders
 from bayesbl.discrepancy.report import Diagnosis
 from bayesbl.discrepancy.residual_noise import ResidualNoise, sandwich
 from bayesbl.discrepancy.terms import POSITION_TERMS, TORQUE_TERMS, dahl, play, required_torque
@@ -75,7 +74,7 @@ def answer(comparison: InverseComparison, most: int = 3) -> Diagnosis:
         comparison,
         comparison.bench,
         Settings(most),
-        lambda fit: remaining_orders(comparison, fit, 0.01),
+        lambda fit: comparison.scan_orders(fit).remaining(MOTOR_TORQUE, 0.01),
     )
 
 

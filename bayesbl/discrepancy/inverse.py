@@ -19,9 +19,10 @@ from scipy.optimize import minimize_scalar
 
 from bayesbl.discrepancy.comparison import Candidate, Fit, Piece
 from bayesbl.discrepancy.motion import Motion
-from bayesbl.discrepancy.order_scan import best_order
+from bayesbl.discrepancy.order_scan import OrderScan, scan_orders
 from bayesbl.discrepancy.terms import ORDER, PHASE, SKEW, Term, required_torque
 from bayesbl.physics.bench import Bench
+from bayesbl.physics.effects import effect_named
 from bayesbl.recording.types import FloatArray
 
 Values = dict[str, float]
@@ -102,6 +103,15 @@ class InverseComparison:
         value = values[f"{name}.{scanned[0]}"]
         return not grid[0] + near < value < grid[-1] - near
 
+    def scan_orders(self, fit: Fit) -> OrderScan:
+        """What is left of a fit on the used pieces, order by order of the motor's turning."""
+        name = "gear_transmission_error" if self.load else "motor_torque_ripple"
+        order = next(p for p in effect_named(name).parameters if p.name == ORDER)
+        used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+        angles = [self.motions[i].angle for i in used]
+        rests = [self.pieces[i].measured - fit.predictions[i] for i in used]
+        return scan_orders(angles, rests, self.phases_shared, order.low, order.high)
+
     def _scanned(self, name: str) -> list[str]:
         """Parameters of an effect that the linear solution does not give."""
         term = self.terms[name]
@@ -120,7 +130,7 @@ class InverseComparison:
         trials = 1.0
         if scanned[0] == ORDER:
             without = start or self.fit(tuple(e for e in effects if e != name), None)
-            order, step, trials = best_order(self, without)
+            order, step, trials = self.scan_orders(without).best()
             grid: Sequence[float] = (order - step, order, order + step)
         elif name == SKEW:
             grid = SKEW_GRID_S

@@ -139,10 +139,10 @@ def _gap(parts: list[tuple[FloatArray, FloatArray, ResidualNoise]]) -> Gap:
     before = sum(float(a @ a) for a, _, _ in parts) / count
     after = sum(float(b @ b) for _, b, _ in parts) / count
     floor = sum(b.size * noise.innovation**2 for _, b, noise in parts) / count
-    independent = sum(ResidualNoise.of(a).effective_samples(a.size) for a, _, _ in parts)
-    excess, error = before - floor, before * math.sqrt(2.0 / independent)
-    # The excess is sure against the error that noise of the floor's size would make.
-    error = min(error, floor * math.sqrt(2.0 / independent))
+    independent = sum(noise.effective_samples(b.size) for _, b, noise in parts)
+    excess = before - floor
+    # Of a mean square of noise, and of its product with the misfit.
+    error = math.sqrt((2.0 * floor**2 + 4.0 * max(excess, 0.0) * floor) / independent)
     sure = excess > SURE_EXCESS * error
     closed = 1.0 - (after - floor) / excess if sure else None
     return Gap(math.sqrt(before), math.sqrt(after), math.sqrt(floor), closed)

@@ -12,7 +12,6 @@ from bayesbl.discrepancy.comparison import Piece
 from bayesbl.discrepancy.free_motion import FreeMotionComparison, free_motion_candidates
 from bayesbl.discrepancy.inverse import InverseComparison
 from bayesbl.discrepancy.motion import Motion, motion_of, settled
-from bayesbl.discrepancy.order_scan import remaining_orders
 from bayesbl.discrepancy.terms import POSITION_TERMS, TORQUE_TERMS, Term
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.physics.bench import Bench
@@ -121,7 +120,10 @@ def _inverse(
         notes.append(f"Not tried, as {why}: {names}.")
     alarm = config.candidates.false_alarm
     return Problem(
-        comparison, bench, lambda fit: remaining_orders(comparison, fit, alarm), tuple(notes)
+        comparison,
+        bench,
+        lambda fit: comparison.scan_orders(fit).remaining(channel, alarm),
+        tuple(notes),
     )
 
 
