@@ -48,8 +48,15 @@ class OrderScan:
         """The order of the highest score, the scan's step, and the number of trials."""
         if not self.orders.size:
             return 1.0, 0.1, 1.0
-        step = float(self.orders[1] - self.orders[0])
-        return float(self.orders[np.argmax(self.scores)]), step, self.independent
+        step, k = float(self.orders[1] - self.orders[0]), int(np.argmax(self.scores))
+        return float(self.orders[k]), step, self.trials(float(self.scores[k]))
+
+    def trials(self, score: float) -> float:
+        """How much likelier a score is somewhere than at one order (Baluev 2008).
+
+        W √(χ²/2), W the independent orders: between them the score can rise a little further.
+        """
+        return self.independent * math.sqrt(max(1.0, 0.5 * score))
 
     def remaining(self, channel: str, false_alarm: float) -> tuple[Remaining, ...]:
         """Orders that stand out, strongest first, at most :data:`MOST_REMAINING`.
@@ -59,13 +66,14 @@ class OrderScan:
         found = list[Remaining]()
         if not self.orders.size:
             return ()
-        threshold = float(chi2.isf(false_alarm / self.independent, self.freedom))
         width = 2.0 * _STEPS_PER_CYCLE * float(self.orders[1] - self.orders[0])
         left = self.scores.copy()
-        while len(found) < MOST_REMAINING and left.max() > threshold:
+        while len(found) < MOST_REMAINING:
             k = int(np.argmax(left))
-            order, size = float(self.orders[k]), float(self.amplitudes[k])
-            found.append(Remaining(channel, order, size, float(left[k])))
+            score, order = float(left[k]), float(self.orders[k])
+            if self.trials(score) * chi2.sf(score, self.freedom) > false_alarm:
+                break
+            found.append(Remaining(channel, order, float(self.amplitudes[k]), score))
             left[np.abs(self.orders - order) <= width] = 0.0
         return tuple(found)
 
