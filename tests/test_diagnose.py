@@ -144,6 +144,7 @@ def test_current_says_as_much_as_torque_and_speed_as_much_as_position(folder: Pa
         ('method = "inverse"\n', "", "comes later"),
         ('use = "split"', "", "nothing held out"),
         ('use = "split"', 'use = "splat"', "one of"),
+        ('file = "a.csv"', 'file = "absent.csv"', "There is no such file"),
         ("max_effects = 2", 'effects = ["motor_coulomb"]', 'Did you mean "motor_coulomb_friction"'),
         ("max_effects = 2", 'effects = ["backlash"]', "does not show in this comparison"),
         ('["load_inertia_kg_m2"]', '["load_inertia"]', 'Did you mean "load_inertia_kg_m2"'),

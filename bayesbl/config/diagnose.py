@@ -109,9 +109,7 @@ class DiagnoseConfig(RecordedConfig):
     bench: InputPath
     comparison: Compared = Field(default_factory=Compared)
     unknowns: Unknowns = Field(default_factory=Unknowns)
-    recordings: Annotated[
-        tuple[DiagnosedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)
-    ]
+    recordings: Annotated[tuple[DiagnosedRecording, ...], BeforeValidator(as_tuple)]
     candidates: Candidates = Field(default_factory=Candidates)
     interval: Interval = Field(default_factory=Interval)
 
@@ -133,7 +131,8 @@ class DiagnoseConfig(RecordedConfig):
             refuse(
                 f"There is nothing {missing}: an effect is named only if it also predicts what it "
                 "was not fitted on.",
-                found=", ".join(f'{r.name}: use = "{r.use}"' for r in self.recordings),
+                found=", ".join(f'{r.name}: use = "{r.use}"' for r in self.recordings)
+                or "no recordings",
                 expected='use = "hold_out" for one recording, or "split"',
             )
         return self
