@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +36,8 @@ class Observed:
         Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
     reference_speed_rpm
         Of the motor, negative for reverse.
+    known
+        What else is known of this recording, named as :meth:`Bench.vector` takes it.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Observed:
     sampling_hz: float
     reference_speed_rpm: float
     rotation_period_s: float
+    known: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def samples(self) -> int:
@@ -223,7 +226,7 @@ class SimulatedSignals:
             for i, unknown in enumerate(self.unknowns)
             if unknown.recording in (None, seen.name)
         }
-        known = {"reference_speed_rpm": seen.reference_speed_rpm} | self.settings
+        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known} | self.settings
         matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)

@@ -20,6 +20,7 @@ from bayesbl.config.schema import (
 )
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.results.folder import (
+    AUGMENTED_BENCH,
     CONFIG_FILE,
     FIGURES,
     RESULT_FILE,
@@ -126,6 +127,8 @@ def write_result(
         write_tree(tree, folder / RESULT_FILE)
         write_json(summary, folder / SUMMARY_FILE)
         write_text(dump_config(config), folder / CONFIG_FILE)
+        if tree.attrs.get("augmented_bench"):
+            write_text(tree.attrs["augmented_bench"], folder / AUGMENTED_BENCH)
         draw(tree, folder / FIGURES)
     return summary
 
@@ -193,11 +196,9 @@ def _check_bench(plan: Plan, path: Path) -> None:
 
 
 def _check_diagnosis(config: DiagnoseConfig) -> str:
-    from bayesbl.workflows.diagnose import problem_of
+    from bayesbl.workflows.diagnose import describe_problem
 
-    comparison = problem_of(config).comparison
-    names = ", ".join(candidate.name for candidate in comparison.candidates)
-    return f"{config.comparison.method}, {comparison.pieces[0].channel}; candidates {names}"
+    return describe_problem(config)
 
 
 def _check_simulation(plan: Plan, path: Path) -> None:
