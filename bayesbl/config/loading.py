@@ -53,7 +53,6 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 _PATH_OPTIONS = frozenset({"curve", "bench", "out"})
 
 _COMES_LATER: tuple[tuple[Location, str], ...] = (
-    (("comparison", "method"), "forward"),
     (("estimator", "noise", "kind"), "student_t"),
     (("estimator", "route"), "direct"),
 )

@@ -6,10 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.discrepancy.unexplained import Unexplained
-from bayesbl.recording.types import CHANNELS
 from bayesbl.report import words
-from bayesbl.report.located import unexplained_phrase
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
 
@@ -80,7 +77,7 @@ def remaining(summary: Summary) -> Iterator[str]:
     unit = summary["gap"]["unit"]
     for line in summary["remaining"]:
         if "dependence" in line:
-            yield f"Still there: {unexplained_phrase(_entry(line))}."
+            yield f"Still there: {_phrase(line)}."
             continue
         yield (
             f"What is left repeats {line['order']:.2f} times per turn of the motor, with "
@@ -121,10 +118,14 @@ def suggestion(summary: Summary) -> Iterator[str]:
     )
 
 
-def _entry(line: dict[str, Any]) -> Unexplained:
-    """As it was before JSON, which knows no NaN and no tuples."""
+def _phrase(line: dict[str, Any]) -> str:
+    """As it was before JSON, which knows no NaN and no tuples, in words."""
+    # Imported here: they stand on the compiled simulator, which takes a second.
+    from bayesbl.discrepancy.unexplained import Unexplained
+    from bayesbl.report.located import unexplained_phrase
+
     values = {key: math.nan if value is None else value for key, value in line.items()}
-    return Unexplained(**values | {"recordings": tuple(line["recordings"])})
+    return unexplained_phrase(Unexplained(**values | {"recordings": tuple(line["recordings"])}))
 
 
 def _value(interval: dict[str, Any]) -> str:
@@ -134,6 +135,8 @@ def _value(interval: dict[str, Any]) -> str:
 
 
 def _gap_table(summary: Summary) -> Table:
+    from bayesbl.recording.types import CHANNELS  # numpy is behind it
+
     unit = summary["gap"]["unit"]
     table = new_table(
         ("Recording", "left"),
