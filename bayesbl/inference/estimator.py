@@ -22,6 +22,7 @@ from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
 from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.inference.second_opinion import SamplerCheck, check_sampler
 from bayesbl.inference.warm import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.recording.checks import ready_for_fit, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
@@ -84,10 +85,11 @@ class PointEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A point estimate with its posterior."""
+    """A point estimate with its posterior, and what a second sampler says of that, if asked."""
 
     point: PointEstimate
     posterior: Posterior
+    check: SamplerCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +217,7 @@ class Estimator:
         *,
         earlier: EarlierOptimum | None = None,
         memory: Memory | None = None,
+        check: bool = False,
     ) -> Fit:
         """Optimum and posterior; one child seed for each.
 
@@ -226,6 +229,8 @@ class Estimator:
             Optimum to start from.
         memory
             Keeps what is finished; what it recalls is not computed again.
+        check
+            Whether a nested sampler samples the posterior too.
 
         Raises
         ------
@@ -235,7 +240,7 @@ class Estimator:
             If ``memory`` recalls an optimum that does not agree with the recording.
         """
         memory = Forgetful() if memory is None else memory
-        search_seed, sample_seed = seed.spawn(2)
+        search_seed, sample_seed, check_seed = seed.spawn(3)
         point = self._recalled(recording, gear_ratio, memory)
         if point is None:
             point = self.estimate(recording, search_seed, gear_ratio, earlier)
@@ -254,7 +259,12 @@ class Estimator:
             contenders=point.contenders,
             memory=memory,
         )
-        return Fit(point, posterior)
+        if not check:
+            return Fit(point, posterior)
+        second = check_sampler(
+            point.objective, point.optimum, point.spread, posterior, check_seed, memory
+        )
+        return Fit(point, posterior, second)
 
     def _recalled(
         self, recording: Recording, gear_ratio: float | None, memory: Memory

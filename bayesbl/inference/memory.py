@@ -98,7 +98,7 @@ def unpack_optimum(
         baseline_rpm=arrays["baseline_rpm"],
         sum_of_squares=stored,
         samples=objective.samples,
-        speed_sd_rpm=float(objective.speed_rpm.std()),
+        speed_sd_rpm=float(objective.speed_rpm[objective.used].std()),
         history=SearchHistory(arrays["run"], arrays["run_evaluations"], arrays["run_rmse_rpm"]),
         rivals=tuple(
             Rival(_named(row), float(sse))
