@@ -120,7 +120,9 @@ def inputs_of(config: SnapshotConfig) -> dict[str, str]:
 
 def problem_of_run(config: SnapshotConfig) -> Problem:
     """What decides the numbers of a run: configuration, inputs, versions."""
-    settings = config.model_dump(mode="json", by_alias=True, exclude={"run": {"workers", "output"}})
+    settings = config.model_dump(
+        mode="json", by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
+    )
     return problem_of(settings, inputs_of(config))
 
 
