@@ -1,8 +1,8 @@
 """A second, independent sampler on the same posterior: nested sampling by dynesty.
 
-emcee starts at the optimum and sees what its walkers reach. Nested sampling starts from the whole
-box, here everything around the optimum that is not the same solution again, and closes in on
-whatever modes the box holds. Where both agree, neither is likely to be wrong.
+emcee starts at the optimum and sees what its walkers reach. Nested sampling closes in from a wide
+box around the optimum, and from one around every rival optimum that may count; its evidence tells
+how much of the posterior each holds. Where both agree, neither is likely to be wrong.
 """
 
 from __future__ import annotations
@@ -17,16 +17,24 @@ from bayesbl.errors import ConfigError
 from bayesbl.inference.covariance import Covariance
 from bayesbl.inference.memory import Memory
 from bayesbl.inference.optimum import Optimum
-from bayesbl.inference.posterior import LogPosterior, Posterior, complete
+from bayesbl.inference.posterior import (
+    LogPosterior,
+    Posterior,
+    complete,
+    weighed_by_likelihood,
+)
+from bayesbl.inference.refine import scatter_root
 from bayesbl.recording.types import FloatArray
 from bayesbl.signal.objective import Objective
-from bayesbl.signal.parameters import ROTATION, SEPARATION, START
+from bayesbl.signal.parameters import FREQUENCY, SEPARATION, START
 
 LIVE_POINTS = 400
 LAST_EVIDENCE = 0.1
 """ln of the share of the evidence that may be left unsampled."""
-ROTATION_HALF_WIDTH = 0.01
-"""Of the box in T_w, as a share of it: other periods are far worse than any posterior reaches."""
+HALF_WIDTH_SD = 12.0
+"""Of a box, in standard deviations of the symbols there."""
+FAINTEST_LOG_ODDS = -7.0
+"""Rivals below this against the optimum hold less than a thousandth of the posterior."""
 
 LARGEST_DIFFERENCE_SD = 0.25
 LARGEST_WIDTH_RATIO = 1.25
@@ -101,7 +109,7 @@ def check_sampler(
     target = LogPosterior(objective, optimum, spread.scale)
     stored = memory.recall("nested")
     if stored is None:
-        points, evaluations = _nested(target, *_box(objective, optimum, target), nested_seed)
+        points, evaluations = _nested_over_modes(objective, optimum, target, spread, nested_seed)
         stored = {"points": points, "evaluations": np.array(evaluations)}
         memory.remember("nested", stored)
     generator = np.random.default_rng(linear_seed)
@@ -114,41 +122,81 @@ def check_sampler(
     return SamplerCheck(difference, ratio, int(stored["evaluations"]))
 
 
-def _box(
-    objective: Objective, optimum: Optimum, target: LogPosterior
-) -> tuple[FloatArray, FloatArray]:
-    """The prior's box without the copies of the optimum that are the same solution.
+def _nested_over_modes(
+    objective: Objective,
+    optimum: Optimum,
+    target: LogPosterior,
+    spread: Covariance,
+    seed: np.random.SeedSequence,
+) -> tuple[FloatArray, int]:
+    """Equally weighted points over all modes, shape (n, d), and the number of evaluations."""
+    weighed = zip(weighed_by_likelihood(target, optimum), optimum.rivals, strict=True)
+    rivals = [rival for contender, rival in weighed if contender.log_odds > FAINTEST_LOG_ODDS]
+    centres = [
+        np.array([symbols[name] for name in objective.searched])
+        for symbols in (optimum.symbols, *(rival.symbols for rival in rivals))
+    ]
+    *seeds, mix_seed = seed.spawn(len(centres) + 1)
+    runs = [
+        _nested(target, *_box(objective, target, centre, spread.scale), s)
+        for centre, s in zip(centres, seeds, strict=True)
+    ]
+    evidence = np.array([run.log_evidence for run in runs])
+    shares = np.exp(evidence - evidence.max())
+    count = len(runs[0].points)
+    generator = np.random.default_rng(mix_seed)
+    picked = generator.multinomial(count, shares / shares.sum())
+    points = [
+        generator.choice(run.points, n, replace=n > len(run.points))
+        for run, n in zip(runs, picked, strict=True)
+    ]
+    return np.concatenate(points), sum(run.evaluations for run in runs)
 
-    Those stand whole rotations away in t0 and T, and, with A negated, where the pulses change
-    places: T away in t0.
+
+def _box(
+    objective: Objective, target: LogPosterior, centre: FloatArray, scale: float
+) -> tuple[FloatArray, FloatArray]:
+    """A box around a mode that no other mode's box overlaps.
+
+    Modes are a quarter of a ringing apart in t0 or T, at least.
     """
-    value = optimum.symbols
-    rotation, separation = value[ROTATION], value[SEPARATION] % value[ROTATION]
-    half_turn = 0.5 * min(separation, rotation - separation)
-    reach = {START: half_turn, SEPARATION: half_turn, ROTATION: ROTATION_HALF_WIDTH * rotation}
-    low, high = target.low.copy(), target.high.copy()
+    sd = np.sqrt(scale) * np.linalg.norm(scatter_root(objective, centre), axis=1)
+    half = HALF_WIDTH_SD * sd
+    frequency = {**objective.model.fixed, **dict(zip(objective.searched, centre, strict=True))}[
+        FREQUENCY
+    ]
     for i, name in enumerate(objective.searched):
-        if name in reach:
-            low[i] = max(low[i], value[name] - reach[name])
-            high[i] = min(high[i], value[name] + reach[name])
-    return low, high
+        if name in (START, SEPARATION):
+            half[i] = min(half[i], 0.25 * np.pi / frequency)
+    return np.maximum(target.low, centre - half), np.minimum(target.high, centre + half)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Equally weighted points, shape (n, d), and what they weigh against other runs."""
+
+    points: FloatArray
+    log_evidence: float
+    evaluations: int
 
 
 def _nested(
     target: LogPosterior, low: FloatArray, high: FloatArray, seed: np.random.SeedSequence
-) -> tuple[FloatArray, int]:
-    """Equally weighted points, shape (n, d), and the number of evaluations."""
+) -> _Run:
+    """Nested sampling of a box; the evidence is under a flat prior of density one."""
     from dynesty import NestedSampler
 
     run_seed, weight_seed = seed.spawn(2)
     sampler = NestedSampler(
-        lambda x: max(float(target(x[None])[0]), -1e300),
+        lambda x: float(target(x[None])[0]),
         lambda u: low + u * (high - low),
         low.size,
         nlive=LIVE_POINTS,
-        sample="rwalk",
+        sample="unif",
         rstate=np.random.default_rng(run_seed),
     )
     sampler.run_nested(dlogz=LAST_EVIDENCE, print_progress=False)
-    points = sampler.results.samples_equal(rstate=np.random.default_rng(weight_seed))
-    return np.asarray(points), int(np.sum(sampler.results.ncall))
+    results = sampler.results
+    points = np.asarray(results.samples_equal(rstate=np.random.default_rng(weight_seed)))
+    volume = float(np.sum(np.log(high - low)))
+    return _Run(points, float(results.logz[-1]) + volume, int(np.sum(results.ncall)))
