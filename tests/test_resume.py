@@ -121,9 +121,9 @@ def test_a_run_killed_at_any_moment_ends_with_the_same_draws(
             assert not output.exists()
             resumed += bool(measured(folder, output))
             assert draws(output) == whole
-        assert not unfinished(output).exists() or is_finished(output)
-        assert not list(tmp_path.glob(".*.staging")) or is_finished(output)
-    assert resumed >= KILLS // 2
+            assert not unfinished(output).exists()
+            assert not list(tmp_path.glob(f".{output.name}.*"))
+    assert resumed  # how many kills met a finished stage is the machine's to say
 
 
 def test_what_was_finished_is_not_done_again(
