@@ -20,7 +20,7 @@ DEPENDENCIES = (
     "scipy",
     "cma",
     "emcee",
-    "arviz-stats",
+    "arviz",
     "xarray",
     "netCDF4",
     "numba",
