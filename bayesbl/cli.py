@@ -82,14 +82,29 @@ Workers = Annotated[
         "--workers",
         parser=_whole_number,
         metavar="N",
-        help="Processes; the numbers do not depend on them.",
+        help="Most processes at a time, where there is work for them; the numbers do not "
+        "depend on it. [default: all cores]",
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace a finished result.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
 Curve = Annotated[
     str | None,
     typer.Option("--curve", metavar="published|FILE", help="Gap curve. [default: published]"),
+]
+StartFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--start-from",
+        metavar="RESULT",
+        help="Earlier result of this joint, from whose optimum the search starts.",
+    ),
+]
+CheckSampler = Annotated[
+    bool,
+    typer.Option(
+        "--check-sampler", help="Sample again by a nested sampler, and tell where both differ."
+    ),
 ]
 LimitRad = Annotated[
     float | None,
@@ -219,10 +234,13 @@ def fit_command(
     gear_ratio: GearRatio = None,
     level: Level = None,
     workers: Workers = None,
+    start_from: StartFrom = None,
+    check_sampler: CheckSampler = False,
 ) -> None:
     """Measure the gap in one recording."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("fit", [recording], config, options, force, json)
 
 
@@ -242,10 +260,13 @@ def compare_command(
     gear_ratio: GearRatio = None,
     level: Level = None,
     workers: Workers = None,
+    start_from: StartFrom = None,
+    check_sampler: CheckSampler = False,
 ) -> None:
     """Measure each gap, and the change from first to last."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("compare", [first, *later], config, options, force, json)
 
 
