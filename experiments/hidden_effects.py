@@ -1,0 +1,418 @@
+"""Is what is missing in a bench named, and nothing else?
+
+    bayesbl run configs/hidden_effects_core.toml       # or hidden_effects.toml
+    python experiments/hidden_effects.py results/hidden_effects_core/result.nc confusion.csv
+
+A case hides something in the simulator of ``independent_bench.py``, which shares only the equations
+with the package: recordings at 2000, −2000 and 1200 rpm and one at 1600 rpm that is held out, a
+random gap, random start angles, coloured noise. The diagnosis gets the reference bench and the
+recordings; the truth is looked at afterwards. The second command writes what was answered to what.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+
+sys.path.append(str(Path(__file__).parent))
+
+from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
+
+from bayesbl.config.bench import reference_bench
+from bayesbl.discrepancy.forward.candidates import BENCH_PARAMETERS, candidates
+from bayesbl.discrepancy.forward.diagnosis import (
+    ForwardDiagnosis,
+    ForwardSettings,
+    diagnose_forward,
+)
+from bayesbl.discrepancy.forward.explain import Explanation, distance, explain
+from bayesbl.discrepancy.forward.motor_orders import OrderPeak
+from bayesbl.inference.simulated import START_ANGLE, Unknown, gap_unknown, observed
+from bayesbl.inference.simulated import start_angle_unknown as start_angle
+from bayesbl.physics.effects import EFFECTS
+from bayesbl.physics.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
+
+HELD_OUT_RPM = 1600.0
+GAP_RANGE_RAD = (1e-4, 4e-3)
+KNOWN_ANGLE_SD_RAD = 1e-3
+LEVEL_SD = 1.6449
+"""Half-width of a 90 % interval in standard deviations."""
+
+EFFECT_NAMES = tuple(effect.name for effect in EFFECTS)
+NAMES = (*EFFECT_NAMES, *BENCH_PARAMETERS)
+"""Place of a name is its bit in ``set_1`` and so on."""
+VERDICTS = ("nothing_missing", "named", "parameter_error", "unexplained")
+MOST_NAMED = 3
+
+CLEAR = 10.0
+"""|z| of the signature from which on the right name is asked for."""
+APART = 5.0
+"""|z| from every other candidate's best fit, likewise."""
+
+OUTSIDE: Mapping[str, Mapping[str, float]] = {
+    "time_torque": {"outside__time_torque_nm": 0.1},
+    "belt": {"outside__belt_torque_nm": 0.2},
+    "second_gap": {"outside__second_gap_rad": 5e-4},
+    "dropouts": {"outside__dropouts_per_s": 1.0},
+}
+WRONG: Mapping[str, float] = {
+    "shaft_stiffness_nm_per_rad": 0.9,
+    "gravity_torque_nm": 1.05,
+    "motor_inertia_kg_m2": 1.1,
+    "speed_gain_nm_s_per_rad": 0.9,
+}
+"""True value over the one believed."""
+
+_ONLY_ALONE = ("backlash", "gravity_phase")
+"""Need another set of declared unknowns than the rest."""
+_SAME_IN_THESE = (
+    {"motor_coulomb_friction", "motor_stribeck_friction"},
+    {"motor_viscous_friction", "motor_stribeck_friction"},
+    {"friction_drift", "motor_coulomb_friction"},
+    {"friction_drift", "motor_stribeck_friction"},
+    {"motor_torque_offset", "load_torque_offset"},
+    {"motor_viscous_friction", "load_viscous_friction"},
+    {"current_loop_lag", "speed_sensor_lag"},
+    {"current_loop_lag", "channel_time_skew"},
+    {"speed_sensor_lag", "channel_time_skew"},
+)
+"""Pairs declared indistinguishable beforehand (design.md section 9); a drift holds a constant."""
+PAIRS = tuple(
+    pair
+    for pair in combinations([name for name in EFFECT_NAMES if name not in _ONLY_ALONE], 2)
+    if set(pair) not in _SAME_IN_THESE
+)
+
+
+class Row(BaseModel):
+    """A row: what is hidden, how strong, seen at which speeds.
+
+    ``hide``: ``effect`` goes through the catalogue case by case, ``pair`` draws two of it,
+    ``outside`` and ``parameter`` take the entry ``which``, as does ``effect`` if it is given.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    cases: PositiveInt
+    hide: Literal["effect", "nothing", "pair", "outside", "parameter"]
+    which: str | None = None
+    strength: float = Field(1.0, gt=0.0)
+    speeds_rpm: tuple[float, ...] = SPEEDS_RPM
+
+
+COLUMNS = {
+    "truth": ("1", "bits of the names hidden"),
+    "verdict": ("1", f"place in {', '.join(VERDICTS)}"),
+    **{f"set_{k}": ("1", f"bits of the names in set {k}") for k in range(1, MOST_NAMED + 1)},
+    **{f"first_{k}": ("1", f"place of the first name of set {k}") for k in range(1, 4)},
+    "z": ("1", "signature left after the best refit of all that is declared unknown"),
+    "nearest": ("1", "distance of the truth's best fit to the nearest other candidate's"),
+    "closed_used": ("1", "closed share of the gap to the noise-free truth, fitted recordings"),
+    "closed_held_out": ("1", "the same, held-out recording"),
+    "delta_rad": ("rad", "gap simulated"),
+    "delta_z_before": ("1", "error of ln δ in standard deviations, bench as believed"),
+    "delta_z_after": ("1", "the same with what was named"),
+    "delta_ratio_before": ("1", "fitted gap over the one simulated, bench as believed"),
+    "delta_ratio_after": ("1", "the same with what was named"),
+    "suggested_rpm": ("rpm", "speed of the suggested recording"),
+    "chi_square_before": ("1", "χ² per sample of the nominal fit"),
+    "diagnosis_s": ("s", "time of the diagnosis alone"),
+}
+
+
+class Hidden(NamedTuple):
+    """What only the maker of the recordings knows.
+
+    ``names`` are those that an answer must hold; none for what is in no catalogue.
+    """
+
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    settings: Mapping[str, float]
+
+
+def count(row: Row) -> int:
+    """Number of datasets."""
+    return row.cases
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One dataset, diagnosed and compared with the truth."""
+    generator = np.random.default_rng(seed)
+    hidden = hide(row, index, generator)
+    speeds = (*row.speeds_rpm, HELD_OUT_RPM)
+    made = random_recordings(hidden.values, hidden.settings, generator, speeds_rpm=speeds)
+    begin = time.perf_counter()
+    found = _diagnosed(hidden, made, generator)
+    seconds = time.perf_counter() - begin
+    return {**_answer(found), **_score(found, hidden, made), "diagnosis_s": seconds}
+
+
+def hide(row: Row, index: int, generator: np.random.Generator) -> Hidden:
+    """What a case hides."""
+    values = _believed()
+    if row.hide == "nothing":
+        return Hidden((), values, {})
+    if row.hide == "outside":
+        assert row.which is not None
+        return Hidden((), values, {k: row.strength * v for k, v in OUTSIDE[row.which].items()})
+    if row.hide == "parameter":
+        assert row.which is not None
+        return Hidden((row.which,), values | {row.which: WRONG[row.which] * values[row.which]}, {})
+    if row.hide == "pair":
+        names: Sequence[str] = PAIRS[generator.integers(len(PAIRS))]
+    else:
+        names = (row.which or EFFECT_NAMES[index % len(EFFECT_NAMES)],)
+    settings: dict[str, float] = {}
+    for name in names:
+        settings |= _strong(name, row.strength)
+    return Hidden(tuple(names), values, settings)
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """How often which verdict, the right name, a set that holds it, a false name."""
+    scores = [_judged(cases, k) for k in range(cases.sizes["case"])]
+    line: dict[str, float | str] = {"n": float(len(scores))}
+    verdicts = [VERDICTS[int(v)] for v in cases["verdict"].values]
+    line |= {name: float(verdicts.count(name)) for name in VERDICTS}
+    line["false_name"] = _mean([bool(s.false) for s in scores])
+    if any(s.truth for s in scores):
+        clear = [s for s in scores if s.clear]
+        other = [s for s in scores if not s.clear and s.visible]
+        faint = [s for s in scores if not s.visible]
+        line |= {
+            "all_named": _mean([s.all_first for s in scores]),
+            "all_held": _mean([s.all_held for s in scores]),
+            "clear": float(len(clear)),
+            "clear_named": _mean([s.all_first and not s.false for s in clear]),
+            "close": float(len(other)),
+            "close_held": _mean([s.all_held for s in other]),
+            "faint": float(len(faint)),
+            "faint_false": _mean([bool(s.false) for s in faint]),
+            "set_size": _mean([size for s in scores for size in s.sizes]),
+        }
+    named = np.array([bool(s.sizes) for s in scores])
+    for name, enough in (("closed_used", 0.95), ("closed_held_out", 0.9)):
+        closed = cases[name].values[named]
+        line[f"median_{name}"] = float(np.median(closed)) if closed.size else math.nan
+        line[f"enough_{name}"] = _mean(list(closed >= enough))
+    for stage in ("before", "after"):
+        errors = cases[f"delta_z_{stage}"].values
+        errors = errors[np.isfinite(errors)]
+        line[f"cover_90_{stage}"] = _mean(list(np.abs(errors) < LEVEL_SD))
+        ratios = np.abs(np.log(cases[f"delta_ratio_{stage}"].values))
+        line[f"delta_factor_{stage}"] = float(np.exp(np.nanmedian(ratios)))
+    line["median_s"] = float(np.median(cases["diagnosis_s"].values))
+    return line
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A case beside its truth.
+
+    Attributes
+    ----------
+    false
+        First names of sets that hold nothing of what was hidden.
+    visible, clear
+        Whether |z| is large enough to be seen, and apart from every other candidate besides.
+    """
+
+    truth: tuple[str, ...]
+    verdict: str
+    firsts: tuple[str, ...]
+    false: tuple[str, ...]
+    all_first: bool
+    all_held: bool
+    visible: bool
+    clear: bool
+    sizes: tuple[int, ...] = field(default=())
+
+
+def _judged(cases: xr.Dataset, k: int) -> Judged:
+    case = cases.isel(case=k)
+    truth = _names(float(case["truth"]))
+    sets = [_names(float(case[f"set_{i}"])) for i in range(1, MOST_NAMED + 1)]
+    sets = [names for names in sets if names]
+    firsts = tuple(NAMES[int(case[f"first_{i}"])] for i in range(1, len(sets) + 1))
+    pairs = zip(firsts, sets, strict=True)
+    visible = not float(case["z"]) < CLEAR
+    return Judged(
+        truth,
+        VERDICTS[int(case["verdict"])],
+        firsts,
+        tuple(first for first, names in pairs if not set(names) & set(truth)),
+        set(truth) <= set(firsts),
+        all(any(name in names for names in sets) for name in truth),
+        visible,
+        visible and not float(case["nearest"]) < APART,
+        tuple(len(names) for names in sets),
+    )
+
+
+def write_confusion(groups: Mapping[str, xr.Dataset], file: Path) -> None:
+    """A line for every row and thing hidden, a column for every answer, with how often."""
+    lines: dict[tuple[str, str], Counter[str]] = {}
+    for row, cases in groups.items():
+        for k in range(cases.sizes["case"]):
+            judged = _judged(cases, k)
+            answer = " + ".join(sorted(judged.firsts)) or judged.verdict
+            lines.setdefault((row, " + ".join(judged.truth)), Counter())[answer] += 1
+    answers = sorted({answer for counts in lines.values() for answer in counts})
+    with open(file, "w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["row", "hidden", *answers])
+        for (row, truth), counts in lines.items():
+            writer.writerow([row, truth, *(counts[a] or "" for a in answers)])
+
+
+@cache
+def _believed() -> dict[str, float]:
+    bench = reference_bench()
+    return {info.name: bench.value(info.name) for info in ALL_PARAMETERS}
+
+
+def _strong(name: str, strength: float) -> dict[str, float]:
+    """A typical effect, made stronger; its shape stays."""
+    if name == "backlash":
+        # The gap itself, where the bench is believed to have none.
+        return {"gap_rad": 0.0, "backlash__gap_rad": strength * TYPICAL[name]["gap_rad"]}
+    shape = {
+        p.name for effect in EFFECTS if effect.name == name for p in effect.parameters
+        if p.shape_only
+    }  # fmt: skip
+    return {
+        f"{name}__{key}": value if key in shape else strength * value
+        for key, value in TYPICAL[name].items()
+    }
+
+
+def _diagnosed(
+    hidden: Hidden, made: Sequence[Made], generator: np.random.Generator
+) -> ForwardDiagnosis:
+    bench = reference_bench()
+    seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
+    unknowns = [] if "backlash" in hidden.names else [gap_unknown(*GAP_RANGE_RAD)]
+    angle_known = "gravity_phase" in hidden.names
+    for item in made[:-1]:
+        name, angle = item.recording.name, item.truth.start_angle_rad
+        if angle_known:
+            angle += KNOWN_ANGLE_SD_RAD * generator.standard_normal()
+            sd = KNOWN_ANGLE_SD_RAD
+            unknowns.append(Unknown(START_ANGLE, centre=angle, sd=sd, recording=name))
+        else:
+            unknowns.append(start_angle(name))
+    settings = ForwardSettings(load_angle_known=angle_known)
+    return diagnose_forward(bench, seen[:-1], seen[-1:], unknowns, settings)
+
+
+def _answer(found: ForwardDiagnosis) -> dict[str, float]:
+    answer = {"verdict": float(VERDICTS.index(found.verdict))}
+    effects = found.naming.effects
+    for k in range(MOST_NAMED):
+        there = k < len(effects)
+        answer[f"set_{k + 1}"] = _bits(effects[k].members) if there else 0.0
+        answer[f"first_{k + 1}"] = float(NAMES.index(effects[k].name)) if there else math.nan
+    suggestion = found.suggestion
+    answer["suggested_rpm"] = math.nan if suggestion is None else suggestion.reference_speed_rpm
+    fit = found.naming.nominal.fit
+    answer["chi_square_before"] = fit.chi_square / fit.residual.size
+    return answer
+
+
+def _score(found: ForwardDiagnosis, hidden: Hidden, made: Sequence[Made]) -> dict[str, float]:
+    z, nearest = _signature(found, hidden)
+    score = {"truth": _bits(hidden.names), "z": z, "nearest": nearest}
+    for use in ("used", "held_out"):
+        score[f"closed_{use}"] = _closed(found, made, use)
+    first = made[0].truth
+    gap = first.gap_rad + first.backlash__gap_rad
+    score["delta_rad"] = gap
+    for stage, estimate in (("before", found.delta_before), ("after", found.delta_after)):
+        error = math.nan if estimate is None else estimate.value - math.log(gap)
+        score[f"delta_ratio_{stage}"] = math.exp(error)
+        score[f"delta_z_{stage}"] = math.nan if estimate is None else error / estimate.sd
+    return score
+
+
+def _signature(found: ForwardDiagnosis, hidden: Hidden) -> tuple[float, float]:
+    """√Δχ² of the truth's own fit over the nominal one, and its distance to the nearest other."""
+    if len(hidden.names) != 1:
+        return math.nan, math.nan
+    nominal, own = found.naming.nominal, _own_fit(found, hidden)
+    if own is None:
+        return math.nan, math.nan
+    others = [e for e in found.naming.ranking if e.names != own.names]
+    gain = max(0.0, nominal.fit.chi_square - own.fit.chi_square)
+    return math.sqrt(gain), min((distance(own, other) for other in others), default=math.nan)
+
+
+def _own_fit(found: ForwardDiagnosis, hidden: Hidden) -> Explanation | None:
+    """The truth's fit; made here if the diagnosis saw no order to begin with."""
+    nominal, name = found.naming.nominal, hidden.names[0]
+    for explanation in found.naming.ranking:
+        if explanation.names == (name,):
+            return explanation
+    order = TYPICAL[name].get("order", 1.0)
+    peaks = [OrderPeak(order, 0.0)]
+    known = candidates(nominal.fit.model.bench, nominal.fit.model.recordings, [name], peaks)
+    for candidate in known:
+        if candidate.name == name:
+            return explain(nominal, candidate, scan=False)
+    return None
+
+
+def _closed(found: ForwardDiagnosis, made: Sequence[Made], use: str) -> float:
+    """Share of the mean square distance to the noise-free truth that naming has closed."""
+    clean = {item.recording.name: item.clean[1:] for item in made}
+    before = after = 0.0
+    for pair in found.recordings:
+        if pair.use != use:
+            continue
+        weight = 1.0 / pair.noise.sd[:, None] ** 2
+        truth = clean[pair.seen.name]
+        before += float(np.sum(weight * (truth - pair.before) ** 2))
+        after += float(np.sum(weight * (truth - pair.after) ** 2))
+    return 1.0 - after / before
+
+
+def _bits(names: Sequence[str]) -> float:
+    return float(sum(1 << NAMES.index(name) for name in set(names)))
+
+
+def _names(bits: float) -> tuple[str, ...]:
+    whole = 0 if math.isnan(bits) else int(bits)
+    return tuple(name for k, name in enumerate(NAMES) if whole >> k & 1)
+
+
+def _mean(values: Sequence[float | bool]) -> float:
+    return float(np.mean(values)) if len(values) else math.nan
+
+
+def _main() -> None:
+    result, target = Path(sys.argv[1]), Path(sys.argv[2])
+    with xr.open_datatree(result) as tree:
+        groups = {
+            json.loads(tree[key].attrs["line"])["name"]: tree[key].to_dataset()
+            for key in sorted(tree.children, key=lambda key: int(key.removeprefix("row_")))
+        }
+        write_confusion(groups, target)
+
+
+if __name__ == "__main__":
+    _main()
