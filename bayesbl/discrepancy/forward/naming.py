@@ -31,7 +31,7 @@ ENOUGH_CLOSED = 0.8
 """Share of what repeats that an explanation must remove where something still repeats after it."""
 
 GROSS = 1.05
-"""χ² per sample of the nominal fit from which on starts are sought over the whole ranges."""
+"""χ² per sample of the nominal fit that counts as far off."""
 
 BEAMS = 3
 FITTED_AFTER_SCREENING = 5
@@ -143,10 +143,25 @@ class _Search:
         self._made = 0
 
     def first(self, nominal: Explanation) -> list[Explanation]:
-        """All candidates, one at a time, most probable first."""
+        """All candidates, one at a time, most probable first.
+
+        Where none of them explains a nominal fit that is far off, starts are sought over the whole
+        ranges: the gap may have been drawn to another optimum.
+        """
+        fits = self._alone(nominal, self._candidates, scan=False)
         per_sample = nominal.fit.chi_square / nominal.fit.residual.size
-        scan = per_sample > GROSS
-        fits = [self._fit(nominal, c, scan=scan) for c in self._candidates]
+        if per_sample > GROSS and not any(
+            agrees(disagreements(f.fit), self._false_alarm) for f in fits[:1]
+        ):
+            far = [c for c in self._candidates if c.scanned is not None]
+            near = [f for f in fits if f.candidates[-1].scanned is None]
+            fits = [*near, *self._alone(nominal, far, scan=True)]
+        return sorted(fits, key=lambda e: -e.log_evidence)
+
+    def _alone(
+        self, nominal: Explanation, candidates: Sequence[Candidate], *, scan: bool
+    ) -> list[Explanation]:
+        fits = [self._fit(nominal, c, scan=scan) for c in candidates]
         return sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
 
     def next(self, base: Explanation) -> list[Explanation]:

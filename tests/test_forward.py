@@ -1,0 +1,239 @@
+"""What is missing in a two-mass bench in its closed loop, on data of the independent simulator."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.cli import status
+from bayesbl.config.bench import dump_bench, load_bench, reference_bench
+from bayesbl.discrepancy.forward.diagnosis import (
+    ForwardDiagnosis,
+    ForwardSettings,
+    diagnose_forward,
+    estimates,
+)
+from bayesbl.discrepancy.report import Estimate
+from bayesbl.inference.simulated import gap_unknown, observed, start_angle_unknown
+from bayesbl.physics.parameters import BENCH_PARAMETERS
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
+
+FILE = Path(__file__).parents[1] / "experiments" / "independent_bench.py"
+BENCH = reference_bench()
+BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
+GAP_RAD = 8e-4
+HELD_OUT_RPM = 1600.0
+FRICTION_NM = 15.0
+SURE = 4.0
+"""Standard deviations: one estimate in 16,000 is farther off."""
+
+
+@pytest.fixture(scope="module")
+def independent():
+    spec = importlib.util.spec_from_file_location("independent_bench", FILE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def recorded(independent, speeds_rpm, seed, hidden=None, **truth) -> list[Recording]:
+    """Three rotations at 500 Hz for each speed, start angles at random."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for speed in speeds_rpm:
+        start, motor = rng.uniform(-math.pi, math.pi, 2)
+        run = {
+            "gap_rad": GAP_RAD,
+            "reference_speed_rpm": speed,
+            "start_angle_rad": start,
+            "motor_start_angle_rad": motor,
+        }
+        plant = independent.plant(BELIEVED | truth | run | (hidden or {}))
+        name = f"{speed:g} rpm"
+        made.append(
+            independent.simulate(plant, rng, name=name, rotations=3.0, sampling_hz=500.0).recording
+        )
+    return made
+
+
+def diagnosed(recordings, effects, held_out=()) -> ForwardDiagnosis:
+    used, checked = (
+        [observed(r, BENCH, float(r.name.removesuffix(" rpm"))) for r in some]
+        for some in (recordings, held_out)
+    )
+    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
+    return diagnose_forward(BENCH, used, checked, unknowns, ForwardSettings(effects))
+
+
+def names(found: ForwardDiagnosis) -> list[str]:
+    return [effect.name for effect in found.naming.effects]
+
+
+def near(estimate: Estimate, truth: float) -> bool:
+    return abs(estimate.value - truth) < SURE * estimate.sd
+
+
+@pytest.fixture(scope="module")
+def friction(independent) -> ForwardDiagnosis:
+    hidden = {"load_coulomb_friction__torque_nm": FRICTION_NM}
+    *used, held_out = recorded(independent, (2000.0, -2000.0, HELD_OUT_RPM), 1, hidden)
+    effects = ("motor_coulomb_friction", "load_coulomb_friction", "gear_mesh_friction")
+    return diagnosed(used, effects, [held_out])
+
+
+def test_a_hidden_effect_is_named_with_its_size(friction: ForwardDiagnosis) -> None:
+    assert friction.verdict == "named"
+    assert names(friction) == ["load_coulomb_friction"]
+    assert not friction.naming.effects[0].indistinguishable
+    size = estimates(friction.final, "load_coulomb_friction")["torque_nm"]
+    assert near(size, FRICTION_NM)
+    assert size.sd < 0.1 * FRICTION_NM
+
+
+def test_naming_what_was_missing_rights_the_gap(friction: ForwardDiagnosis) -> None:
+    before, after = friction.delta_before, friction.delta_after
+    assert before is not None
+    assert after is not None
+    assert not near(before, math.log(GAP_RAD))
+    assert near(after, math.log(GAP_RAD))
+
+
+def test_the_gap_closes_on_what_was_not_fitted(friction: ForwardDiagnosis) -> None:
+    closed = {gap.use: gap.closed_fraction for gap in friction.overall}
+    assert closed["used"] > 0.95
+    assert closed["held_out"] > 0.9
+    held_out = [gap for gap in friction.gaps if gap.use == "held_out"]
+    assert {gap.channel for gap in held_out} == {MOTOR_SPEED, MOTOR_CURRENT}
+    assert all(gap.after < gap.before for gap in held_out)
+
+
+def test_the_augmented_bench_is_a_bench_file_that_simulates(
+    friction: ForwardDiagnosis, tmp_path: Path
+) -> None:
+    assert friction.bench is not None
+    file = tmp_path / "bench.toml"
+    file.write_text(dump_bench(friction.bench))
+    bench = load_bench(file)
+    assert [effect.name for effect in bench.effects] == ["load_coulomb_friction"]
+    with_it = bench.simulate_many(GAP_RAD, rotations=1.0)
+    without = BENCH.simulate_many(GAP_RAD, rotations=1.0)
+    assert np.max(np.abs(with_it - without)) > 1.0
+
+
+def test_where_nothing_is_missing_nothing_is_named(independent) -> None:
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 2),
+        ("motor_coulomb_friction", "load_coulomb_friction", "current_loop_lag"),
+    )
+    assert found.verdict == "nothing_missing"
+    assert not found.naming.effects
+    assert not found.remaining
+    assert found.bench is None
+    assert near(found.delta_after, math.log(GAP_RAD))
+
+
+def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
+    true = 0.9 * BELIEVED["shaft_stiffness_nm_per_rad"]
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 3, shaft_stiffness_nm_per_rad=true),
+        ("load_coulomb_friction", "stiffness_hardening", "current_loop_lag"),
+    )
+    assert found.verdict == "parameter_error"
+    assert names(found) == ["shaft_stiffness_nm_per_rad"]
+    fitted = estimates(found.final, "shaft_stiffness_nm_per_rad")
+    assert near(fitted["shaft_stiffness_nm_per_rad"], true)
+    assert found.bench is not None
+    assert found.bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
+
+
+def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None:
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 4, {"outside__belt_torque_nm": 0.2}),
+        ("motor_coulomb_friction", "load_coulomb_friction", "motor_torque_ripple"),
+    )
+    assert found.verdict == "unexplained"
+    assert not found.naming.effects
+    assert found.bench is None
+    orders = [e.order_low for e in found.remaining if e.dependence == "motor angle"]
+    assert any(abs(order - 1.0 / 1.37) < 0.02 for order in orders)
+
+
+def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
+    alike = {"motor_coulomb_friction", "motor_viscous_friction", "motor_torque_offset"}
+    found = diagnosed(
+        recorded(independent, (2000.0,), 5, {"motor_coulomb_friction__torque_nm": 0.2}),
+        (*sorted(alike), "load_coulomb_friction"),
+    )
+    assert found.verdict == "named"
+    assert set(found.naming.effects[0].members) >= alike
+    assert found.suggestion is not None
+    assert found.suggestion.reference_speed_rpm < 0.0
+    assert found.suggestion.distance > 5.0
+
+
+CONFIG = """
+schema = 1
+kind = "diagnose"
+bench = "bench.toml"
+[run]
+output = "out"
+[comparison]
+method = "forward"
+channels = ["motor_speed_rpm", "motor_current_a"]
+[[recordings]]
+name = "forward"
+file = "forward.csv"
+reference_speed_rpm = 2000.0
+use = "split"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, independent) -> Path:
+    (tmp_path / "bench.toml").write_text(dump_bench(BENCH))
+    (tmp_path / "config.toml").write_text(CONFIG)
+    (made,) = recorded(independent, (2000.0,), 6)
+    columns = [made.time_s, *(made.channels[c] for c in (MOTOR_SPEED, MOTOR_CURRENT))]
+    header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+    np.savetxt(
+        tmp_path / "forward.csv",
+        np.column_stack(columns),
+        delimiter=",",
+        header=header,
+        comments="",
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "told"),
+    [
+        ("bench.toml", 'drive = "two_mass"', 'drive = "rigid"', ("two_mass", "inverse")),
+        ("forward.csv", MOTOR_CURRENT, "temperature", (MOTOR_CURRENT, "forward.csv")),
+        ("config.toml", "= 2000.0", "= 1200.0", ("another speed", "2000", "1200")),
+        ("config.toml", 'motor_current_a"]', 'motor_position_rad"]', ("motor_position_rad",)),
+        (
+            "config.toml",
+            "[[recordings]]",
+            '[unknowns]\nbench_parameters = ["load_inertia_kg_m2"]\n[[recordings]]',
+            ("tolerance", "load_inertia_kg_m2"),
+        ),
+    ],
+)
+def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, told) -> None:
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    assert status(["diagnose", str(folder / "config.toml")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Traceback" not in said
+    for word in told:
+        assert word in said
+    assert not (folder / "out").exists()
