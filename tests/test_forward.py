@@ -161,7 +161,7 @@ def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None
     assert found.verdict == "unexplained"
     assert not found.naming.effects
     assert found.bench is None
-    orders = [e.order_low for e in found.remaining if e.dependence == "motor angle"]
+    orders = [e.lowest_order for e in found.remaining if e.dependence == "motor angle"]
     assert any(abs(order - 1.0 / 1.37) < 0.02 for order in orders)
 
 
