@@ -84,7 +84,8 @@ def aligned_starts(
         angles, left = _align(model, points, i)
         cost += left
         if (START_ANGLE, seen.name) in names:
-            points[:, names.index((START_ANGLE, seen.name))] = angles
+            place = names.index((START_ANGLE, seen.name))
+            points[:, place] = _nearest_turn(angles, model.unknowns[place])
     order = [int(k) for k in np.argsort(cost, kind="stable")]
     shape = meshes[0].shape if meshes else (1,)
     chosen: list[int] = []
@@ -94,6 +95,14 @@ def aligned_starts(
         if len(chosen) == STARTS_FITTED:
             break
     return [points[k] for k in chosen]
+
+
+def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
+    """The same angles, within half a turn of where a prior expects them."""
+    if not math.isfinite(unknown.sd):
+        return angles
+    turn = 2.0 * math.pi
+    return np.asarray(angles - turn * np.round((angles - unknown.centre) / turn))
 
 
 def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,8 +46,17 @@ class SimulatedFit:
 
     @property
     def chi_square(self) -> float:
-        """Sum of squared whitened residuals."""
-        return float(self.residual @ self.residual)
+        """Sum of squared whitened residuals and deviations."""
+        return float(self.residual @ self.residual) + float(self.deviations @ self.deviations)
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Centre less coordinate in prior standard deviations, of those with a normal prior.
+
+        Such a prior is a measurement beside the recordings, as of a start angle.
+        """
+        found = zip(self.model.unknowns, self.point, strict=True)
+        return np.array([(u.centre - x) / u.sd for u, x in found if math.isfinite(u.sd)])
 
     @property
     def bound(self) -> FloatArray:

@@ -54,8 +54,7 @@ class Explanation:
             np.linalg.slogdet(fit.covariance)[1]
         )
         width = sum(math.log(_width(u)) for u in fit.model.unknowns)
-        prior = float(fit.model.log_prior(fit.point)[0])
-        return -0.5 * fit.chi_square + prior + volume - width
+        return -0.5 * fit.chi_square + volume - width
 
 
 def nominal_explanation(fit: SimulatedFit) -> Explanation:
@@ -75,7 +74,8 @@ def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Expla
 
 def distance(a: Explanation, b: Explanation) -> float:
     """|z| between the best fits of two explanations: their difference in units of noise."""
-    return float(np.linalg.norm(a.fit.residual - b.fit.residual))
+    apart = np.linalg.norm(a.fit.residual - b.fit.residual)
+    return float(np.hypot(apart, np.linalg.norm(a.fit.deviations - b.fit.deviations)))
 
 
 def gain_threshold(parameters: int, trials: int, false_alarm: float) -> float:
@@ -186,9 +186,15 @@ def _difference(
 def _projected(fit: SimulatedFit, columns: list[FloatArray]) -> float:
     if not columns:
         return 0.0
-    basis, _ = np.linalg.qr(np.column_stack([fit.jacobian, *columns]))
-    own, _ = np.linalg.qr(fit.jacobian)
-    return float(np.sum((basis.T @ fit.residual) ** 2) - np.sum((own.T @ fit.residual) ** 2))
+    known = [i for i, u in enumerate(fit.model.unknowns) if math.isfinite(u.sd)]
+    rows = np.zeros((len(known), fit.point.size))
+    rows[np.arange(len(known)), known] = [1.0 / fit.model.unknowns[i].sd for i in known]
+    jacobian = np.concatenate([fit.jacobian, rows])
+    residual = np.concatenate([fit.residual, fit.deviations])
+    more = np.pad(np.column_stack(columns), ((0, len(known)), (0, 0)))
+    basis, _ = np.linalg.qr(np.column_stack([jacobian, more]))
+    own, _ = np.linalg.qr(jacobian)
+    return float(np.sum((basis.T @ residual) ** 2) - np.sum((own.T @ residual) ** 2))
 
 
 def _phased(model: SimulatedSignals, candidate: Candidate, start: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from bayesbl.discrepancy.forward.explain import (
 )
 from bayesbl.inference.agreement import Disagreement, agrees, disagreements
 from bayesbl.inference.simulated_fit import SimulatedFit
+from bayesbl.recording.types import FloatArray
 
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 Progress = Callable[[int, int], None]
@@ -293,7 +294,11 @@ def _closed(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> fl
 
 
 def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
-    """Mean gain of χ² per rotation over its standard error."""
+    """Mean gain of χ² per rotation over its standard error.
+
+    What a normal prior gains, as of a known start angle, holds in all rotations alike.
+    """
+    known = _squares(base.deviations) - _squares(more.deviations)
     gains: list[float] = []
     begin = 0
     for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
@@ -305,9 +310,13 @@ def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
         rows = change.reshape(len(seen.signals), n).sum(axis=0)
         whole = n // seen.lag
         gains += rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1).tolist()
-    values = np.array(gains)
+    values = np.array(gains) + known / len(gains)
     error = float(values.std(ddof=1)) / math.sqrt(values.size)
     return float(values.mean()) / error if error > 0.0 else math.inf
+
+
+def _squares(values: FloatArray) -> float:
+    return float(values @ values)
 
 
 def _distinct(explanations: Sequence[Explanation]) -> list[Explanation]:
