@@ -32,6 +32,9 @@ BENCH_PARAMETERS = (
 PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
 
+SHORTEST_LAG_S = 5e-5
+"""Shorter ones are not sought: five recordings hardly show them, and they cost tiny steps."""
+
 _PERIODIC = ("motor_torque_ripple", "gear_transmission_error", "encoder_eccentricity")
 _SCANNED_SHARES = (0.0, 0.03, 0.1, 0.3)
 
@@ -114,7 +117,10 @@ def candidates(
 
 
 def _plain(effect: Effect) -> Candidate:
-    unknowns = tuple(_unknown(effect, p, p.low, p.high) for p in effect.parameters)
+    unknowns = tuple(
+        _unknown(effect, p, SHORTEST_LAG_S if p.name == "time_s" else p.low, p.high)
+        for p in effect.parameters
+    )
     neutral = np.array([p.neutral for p in effect.parameters])
     starts: tuple[FloatArray, ...] = ()
     shape = [i for i, p in enumerate(effect.parameters) if p.shape_only]
