@@ -33,7 +33,7 @@ PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
 
 SHORTEST_LAG_S = 5e-5
-"""Shorter ones are not sought: five recordings hardly show them, and they cost tiny steps."""
+"""Shorter ones are not sought: they hardly show and cost the simulator tiny steps."""
 
 _PERIODIC = ("motor_torque_ripple", "gear_transmission_error", "encoder_eccentricity")
 _SCANNED_SHARES = (0.0, 0.03, 0.1, 0.3)
