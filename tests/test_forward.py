@@ -19,7 +19,15 @@ from bayesbl.discrepancy.forward.diagnosis import (
     estimates,
 )
 from bayesbl.discrepancy.report import Estimate
-from bayesbl.inference.simulated import gap_unknown, observed, start_angle_unknown
+from bayesbl.inference.alignment import fit_aligned
+from bayesbl.inference.simulated import (
+    GAP,
+    START_ANGLE,
+    Unknown,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+)
 from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 
@@ -55,7 +63,7 @@ def recorded(independent, speeds_rpm, seed, hidden=None, **truth) -> list[Record
             "start_angle_rad": start,
             "motor_start_angle_rad": motor,
         }
-        plant = independent.plant(BELIEVED | truth | run | (hidden or {}))
+        plant = independent.plant(BELIEVED | run | truth | (hidden or {}))
         name = f"{speed:g} rpm"
         made.append(
             independent.simulate(plant, rng, name=name, rotations=3.0, sampling_hz=500.0).recording
@@ -176,6 +184,19 @@ def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
     assert found.suggestion is not None
     assert found.suggestion.reference_speed_rpm < 0.0
     assert found.suggestion.distance > 5.0
+
+
+@pytest.mark.parametrize("turns", [0, 1, -1])
+def test_a_known_start_angle_counts_in_any_turn(independent, turns: int) -> None:
+    angle = 2.5
+    (made,) = recorded(independent, (-1200.0,), 7, start_angle_rad=angle)
+    seen = observed(made, BENCH, -1200.0)
+    counted = angle + 2.0 * math.pi * turns
+    known = Unknown(START_ANGLE, centre=counted, sd=1e-3, recording=seen.name)
+    fit = fit_aligned(BENCH, [seen], [gap_unknown(1e-4, 4e-3), known])
+    assert abs(fit.value(START_ANGLE, seen.name) - counted) < SURE * known.sd
+    assert near(Estimate(math.log(fit.value(GAP)), fit.sd(GAP)), math.log(GAP_RAD))
+    assert fit.chi_square == pytest.approx(fit.residual.size, rel=0.1)
 
 
 CONFIG = """
