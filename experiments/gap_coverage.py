@@ -160,9 +160,7 @@ def _fit(
     return MeasuredRinging(fit.posterior.draws[AMPLITUDE], *fit.point.ringing)
 
 
-def _recorded(
-    row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator
-) -> Recording:
+def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator) -> Recording:
     """A recording at constant speed, or of a speed that drifts, slowly against the ringing."""
     start_angle_rad = generator.uniform(0.0, 2.0 * math.pi)
     if not row.drift_share:
@@ -198,9 +196,7 @@ def _spoiled(row: Row, recording: Recording, generator: np.random.Generator) -> 
         return recording
     kept = generator.uniform(size=recording.samples) >= row.missing_share
     kept[[0, -1]] = True
-    speed = np.interp(
-        recording.time_s, recording.time_s[kept], recording.motor_speed_rpm[kept]
-    )
+    speed = np.interp(recording.time_s, recording.time_s[kept], recording.motor_speed_rpm[kept])
     return replace(recording, channels={MOTOR_SPEED: speed})
 
 

@@ -49,7 +49,7 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         f"{100.0 * (best.optimum.rmse_rpm / point.optimum.rmse_rpm - 1.0):.2g} % larger in RMSE, "
         "was taken in its place."
     )
-    return replace(best, notes=(*best.notes, note))
+    return replace(best, notes=(*point.notes, note))
 
 
 def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:

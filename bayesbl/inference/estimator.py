@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from bayesbl.errors import ConfigError
 from bayesbl.inference.covariance import Covariance, covariance
+from bayesbl.inference.drift import speed_drift
 from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
 from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.inference.quantisation import speed_steps
 from bayesbl.recording.checks import check_for_fit, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.signal.objective import Objective
@@ -138,6 +140,21 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         check_for_fit(recording, gear_ratio)
+        point = self._optimal(recording, seed, gear_ratio)
+        drift = speed_drift(point.optimum, point.objective.time_s, point.residual_rpm)
+        if drift is None:
+            return point
+        note = (
+            f"The speed drifts by {drift.change_rpm:.2g} rpm over the recording"
+            + ("" if drift.moves_impacts else ", which the impacts do not follow")
+            + "; the drift was taken out."
+        )
+        steady = self._optimal(drift.removed(recording), seed, gear_ratio)
+        return replace(steady, notes=(*steady.notes, note))
+
+    def _optimal(
+        self, recording: Recording, seed: np.random.SeedSequence, gear_ratio: float | None
+    ) -> PointEstimate:
         objective = Objective(self.model, recording.time_s, recording.motor_speed_rpm)
         optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
         if gear_ratio is None:
@@ -153,6 +170,7 @@ class Estimator:
             objective.period_s,
             self.noise_kind,
             self.noise_order,
+            speed_steps(recording.motor_speed_rpm),
         )
         spread = covariance(optimum, objective.time_s, residual, noise)
         return PointEstimate(recording, objective, optimum, noise, spread, residual)
