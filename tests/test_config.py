@@ -213,7 +213,6 @@ WRONG = {
         "[estimator.model]",
     ),
     "order without ar": ("[estimator.noise]\norder = 2\n", 'kind = "ar"', "[estimator.noise]"),
-    "Student-t, later": ('[estimator.noise]\nkind = "student_t"\n', "comes later", "noise] kind"),
     "direct without bench": ('[estimator]\nroute = "direct"\n', "needs a bench", "[estimator]"),
     "paper with baseline": (
         '[estimator.search]\nmethod = "paper"\n',

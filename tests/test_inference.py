@@ -26,7 +26,7 @@ from bayesbl.inference.diagnostics import (
 from bayesbl.inference.estimator import Estimator, Fit, PointEstimate
 from bayesbl.inference.guess import guesses
 from bayesbl.inference.misfit import repeating_misfit
-from bayesbl.inference.noise import Noise, autocorrelation, estimate_noise, innovation_share
+from bayesbl.inference.noise import Noise, autocorrelation, estimate_noise
 from bayesbl.inference.optimum import Optimum, find_optimum, local_search, table_2_box
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.inference.refine import refine
@@ -166,13 +166,12 @@ def test_autocorrelation_of_first_order_noise_is_geometric() -> None:
         np.testing.assert_allclose(
             autocorrelation(np.array([phi]), 40), phi ** np.arange(40), atol=1e-12
         )
-    assert math.isclose(innovation_share(np.array([0.9])), 1.0 - 0.81)
 
 
 def test_autocorrelation_agrees_with_a_long_simulation() -> None:
     coefficients = np.array([0.7, -0.2, 0.3])
     noise = Noise(2.0, coefficients, np.zeros(16), 0, False)
-    x = noise.draw(1_000_000, seeded(4))
+    x = NoiseModel(2.0, tuple(coefficients)).draw(1_000_000, seeded(4))
     measured = [float(x[k:] @ x[: x.size - k]) / x.size for k in range(12)]
     # Standard errors are at most 0.5 % of the variance; four of them.
     np.testing.assert_allclose(measured, noise.autocovariance(12), atol=0.02 * 4.0)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesbl.errors import ConfigError
 from bayesbl.inference.covariance import Covariance, covariance
-from bayesbl.inference.drift import speed_drift
+from bayesbl.inference.mending import FINDERS
 from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
 from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
@@ -134,6 +134,9 @@ class Estimator:
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
 
+        Bursts of outliers, a drift of the speed and uneven rotations are taken out first where the
+        rotations show them; the notes tell.
+
         Raises
         ------
         RecordingError
@@ -141,16 +144,13 @@ class Estimator:
         """
         check_for_fit(recording, gear_ratio)
         point = self._optimal(recording, seed, gear_ratio)
-        drift = speed_drift(point.optimum, point.objective.time_s, point.residual_rpm)
-        if drift is None:
-            return point
-        note = (
-            f"The speed drifts by {drift.change_rpm:.2g} rpm over the recording"
-            + ("" if drift.moves_impacts else ", which the impacts do not follow")
-            + "; the drift was taken out."
-        )
-        steady = self._optimal(drift.removed(recording), seed, gear_ratio)
-        return replace(steady, notes=(*steady.notes, note))
+        notes: list[str] = []
+        for find in FINDERS:
+            mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
+            if mended is not None:
+                point = self._optimal(mended.recording, seed, gear_ratio)
+                notes.append(mended.note)
+        return replace(point, notes=tuple(notes))
 
     def _optimal(
         self, recording: Recording, seed: np.random.SeedSequence, gear_ratio: float | None

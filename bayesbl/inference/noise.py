@@ -154,7 +154,7 @@ def estimate_noise(
     else:
         best = int(np.argmin(bic))
     coefficients = fits[best][1]
-    found = tails(_innovations(series, coefficients))
+    found = tails(innovations(series, coefficients))
     # Coarse rounding has a shape of its own, which neither kind of innovation has.
     heavy = kind == "student_t" or (kind == "auto" and found.evidence > 0.0 and not coarse)
     return Noise(
@@ -170,7 +170,7 @@ def estimate_noise(
     )
 
 
-def _innovations(series: FloatArray, coefficients: FloatArray) -> FloatArray:
+def innovations(series: FloatArray, coefficients: FloatArray) -> FloatArray:
     """x_t − Σ φ_k x_{t−k}, shape (n − p,)."""
     return np.convolve(series, np.r_[1.0, -coefficients], "valid")
 

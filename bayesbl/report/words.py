@@ -250,12 +250,23 @@ def power_of_amplitude(power: int) -> tuple[str, str]:
 
 
 def noise(part: Summary) -> str:
-    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600``."""
+    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
+    if found["differentiated"]:
+        kind = f"differentiated {kind}"
     text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm"
     if found["order"]:
         text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
+    if found["degrees_of_freedom"] is not None:
+        text += f", Student-t with {found['degrees_of_freedom']:g} degrees of freedom"
+    if found["student_t_evidence"] is not None:
+        text += f" (log evidence for Student-t: {number(found['student_t_evidence'], 0)})"
+    if found["repeating_rounding_sd_rpm"]:
+        text += (
+            f"; and rounding of {found['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
+            "rotation"
+        )
     return text
 
 
