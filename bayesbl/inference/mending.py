@@ -41,6 +41,7 @@ SMALLEST_SHARE = 1e-5
 _DRIFT_DEGREE = 2
 _OUTLIER = 6.0
 _SMALLEST_OUTLIER = 0.01
+_SMALLEST_LOSS = 0.01
 _BURST_S = 0.05
 
 
@@ -181,7 +182,10 @@ def without_jitter(
     middle = starts[order] + 0.5 * window
     ahead_s = -np.interp(time_s, middle, delay_s[order])
     jitter_s = math.sqrt(excess)
+    # Sums of waves out of step by s lose ω²s²/2.
     loss = 50.0 * (optimum.symbols[FREQUENCY] * jitter_s) ** 2
+    if loss < _SMALLEST_LOSS:
+        return None
     note = (
         f"Impacts come {1e3 * jitter_s:.2g} ms (sd) early or late, which would make A {loss:.2g} % "
         "too small; they were brought back to even rotations."
