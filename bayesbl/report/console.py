@@ -61,6 +61,8 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
             say(console, sentence)
     print_table(_snapshot_table(summary), console)
     say(console, words.GAP_EXPLAINED, "dim")
+    for sentence in words.outliers(summary):
+        say(console, sentence, "dim")
     told = words.budget(summary)
     if told:
         say(console, told, "dim")

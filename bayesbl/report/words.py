@@ -270,6 +270,18 @@ def noise(part: Summary) -> str:
     return text
 
 
+def outliers(summary: Summary) -> Iterator[str]:
+    """A sentence for every snapshot whose noise is Student-t."""
+    for name, part in snapshots(summary):
+        freedom = part["noise"]["degrees_of_freedom"]
+        if freedom is not None:
+            evidence = number(part["noise"]["student_t_evidence"], 0)
+            yield (
+                f"The noise{_of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
+                f"(log evidence against normal noise: {evidence})."
+            )
+
+
 def sampling(part: Summary) -> str:
     """Convergence in one line."""
     found = part["diagnostics"]
