@@ -144,6 +144,8 @@ class Estimator:
         """
         check_for_fit(recording, gear_ratio)
         point = self._optimal(recording, seed, gear_ratio)
+        if point.noise.rounding_repeats:
+            return point  # rotations whose rounding is alike are alike
         notes: list[str] = []
         for find in FINDERS:
             mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)

@@ -80,6 +80,11 @@ class Noise:
             return "student_t"
         return "ar" if self.order or self.differentiated else "white"
 
+    @property
+    def rounding_repeats(self) -> bool:
+        """A good part of all noise is rounding that is alike in every rotation."""
+        return self.hidden_sd_rpm > 0.5 * self.sd_rpm
+
     def autocovariance(self, lags: int) -> FloatArray:
         """γ(0) … γ(lags − 1), rpm²."""
         return self.sd_rpm**2 * autocorrelation(self.coefficients, lags, self.differentiated)
