@@ -26,7 +26,7 @@ from bayesbl.inference.diagnostics import (
 from bayesbl.inference.estimator import Estimator, Fit, PointEstimate
 from bayesbl.inference.guess import guesses
 from bayesbl.inference.misfit import repeating_misfit
-from bayesbl.inference.noise import Noise, autocorrelation, estimate_noise
+from bayesbl.inference.noise import Noise, autocorrelation, estimate_noise, innovation_share
 from bayesbl.inference.optimum import Optimum, find_optimum, local_search, table_2_box
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.inference.refine import refine
@@ -166,6 +166,7 @@ def test_autocorrelation_of_first_order_noise_is_geometric() -> None:
         np.testing.assert_allclose(
             autocorrelation(np.array([phi]), 40), phi ** np.arange(40), atol=1e-12
         )
+    assert math.isclose(innovation_share(np.array([0.9])), 1.0 - 0.81)
 
 
 def test_autocorrelation_agrees_with_a_long_simulation() -> None:

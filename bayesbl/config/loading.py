@@ -20,16 +20,18 @@ import tomli_w
 from pydantic import ValidationError
 
 from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED
+from bayesbl.config.kinds import KINDS
 from bayesbl.config.problems import (
     Location,
     Problem,
     config_error,
     field_name,
+    items_of,
     line_numbers,
     location_of,
     problems_of,
 )
-from bayesbl.config.schema import KINDS, RunConfig
+from bayesbl.config.schema import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
 
@@ -51,7 +53,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 _PATH_OPTIONS = frozenset({"curve", "bench", "out"})
 
 _COMES_LATER: tuple[tuple[Location, str], ...] = (
-    (("kind",), "diagnose"),
+    (("comparison", "method"), "forward"),
     (("estimator", "route"), "direct"),
 )
 """What the schema names but this version does not do; delete a line when it does."""
@@ -203,7 +205,7 @@ def _validate(document: _Document) -> RunConfig:
         config = model.model_validate(document.tables, context={BASE_DIRECTORY: document.directory})
     except ValidationError as error:
         problems = problems_of(error, model, document.text)
-        locations = [location_of(dict(item)) for item in error.errors()]
+        locations = [location_of(item) for item in items_of(error)]
         named = [_by_option(*pair, document) for pair in zip(problems, locations, strict=True)]
         from_file = any(new is old for new, old in zip(named, problems, strict=True))
         raise config_error(named, document.file if from_file else None) from None
@@ -227,10 +229,7 @@ def _wrong_kind(document: _Document) -> Problem:
     expected = "one of " + ", ".join(f'"{name}"' for name in KINDS)
     if "kind" not in document.tables:
         return Problem("The kind of run is missing.", "kind", "nothing", expected)
-    if (("kind",), kind) in _COMES_LATER:
-        problem = "This kind of run comes later: it is not available in this version."
-    else:
-        problem = "There is no such kind of run." + did_you_mean(kind, KINDS)
+    problem = "There is no such kind of run." + did_you_mean(kind, KINDS)
     return Problem(problem, "kind", repr(document.tables["kind"]), expected, line)
 
 

@@ -16,7 +16,13 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import matmul_toeplitz
 from scipy.stats import chi2, poisson
 
-from bayesbl.inference.noise import Noise, estimate_noise, innovations, rotation_difference
+from bayesbl.inference.noise import (
+    Noise,
+    bridged,
+    estimate_noise,
+    innovations,
+    rotation_difference,
+)
 from bayesbl.inference.optimum import Optimum
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.signal.jacobian import jacobian, jacobian_columns
@@ -71,7 +77,7 @@ def without_bursts(
     lag, n = round(rotation_s / period_s), recording.samples
     e = innovations(rotation_difference(residual_rpm, rotation_s, period_s), noise.coefficients)
     limit = max(
-        _OUTLIER * 1.4826 * float(np.median(np.abs(e))),
+        _OUTLIER * 1.4826 * float(np.nanmedian(np.abs(e))),
         _SMALLEST_OUTLIER * optimum.symbols[AMPLITUDE],
     )
     width = max(3, round(_BURST_S / period_s))
@@ -85,6 +91,7 @@ def without_bursts(
     at = np.flatnonzero((count > many) & outlier)
     if not at.size:
         return None
+    residual_rpm = bridged(residual_rpm)
     # A difference tells only that one of two rotations is off: the one that is further from zero.
     bad = np.zeros(n, dtype=bool)
     for i in at + noise.order:
@@ -124,6 +131,7 @@ def without_drift(
     weights = np.linalg.pinv(powers[lag:] - powers[:-lag]).T
     # As sums over the residual itself, whose covariance is known.
     on_residual = np.pad(weights, ((lag, 0), (0, 0))) - np.pad(weights, ((0, lag), (0, 0)))
+    residual_rpm = bridged(residual_rpm)
     coefficients = residual_rpm @ on_residual
     drift = powers @ coefficients
     steady = estimate_noise(residual_rpm - drift, optimum.symbols[ROTATION], period_s)
@@ -161,7 +169,7 @@ def without_jitter(
     whole = power > 0.5 * power.max()
     starts, signs = starts[whole], signs[whole]
     on_residual = inside[:, whole] * later[:, None] / power[whole]
-    delay_s = residual_rpm @ on_residual
+    delay_s = np.nan_to_num(residual_rpm) @ on_residual
     spread = on_residual.T @ _noisy(noise, on_residual)
     # What the steady model is free to do: begin, period and separation.
     steady = np.stack([np.ones(starts.size), starts, signs], axis=1)
@@ -200,12 +208,15 @@ FINDERS: tuple[Finder, ...] = (without_bursts, without_drift, without_jitter)
 
 def _turned_evenly(recording: Recording, speed_rpm: FloatArray, ahead_s: FloatArray) -> Recording:
     """The recording over a time in which the load turns evenly; ``ahead_s`` says how far it is."""
-    time_s = recording.time_s
+    time_s, excluded = recording.time_s, recording.excluded
     if np.any(ahead_s):
         # t + ahead(t) = u solved for t by substitution; ahead changes by parts in a thousand.
         at = time_s - np.interp(time_s - ahead_s, time_s, ahead_s)
-        speed_rpm = CubicSpline(time_s, speed_rpm)(np.clip(at, time_s[0], time_s[-1]))
-    return replace(recording, channels={MOTOR_SPEED: speed_rpm})
+        at = np.clip(at, time_s[0], time_s[-1])
+        speed_rpm = CubicSpline(time_s, speed_rpm)(at)
+        if excluded is not None:
+            excluded = np.interp(at, time_s, excluded.astype(float)) > 0.0
+    return replace(recording, channels={MOTOR_SPEED: speed_rpm}, excluded=excluded)
 
 
 def _noisy(noise: Noise, columns: FloatArray) -> FloatArray:

@@ -95,14 +95,25 @@ def rotation_difference(
 ) -> FloatArray:
     """Residual one load rotation later minus the residual, shape about (n − T_w/Δt,), rpm.
 
-    A rotation is seldom a whole number of samples; the rest is a shift in the frequency domain,
-    which leaves the autocorrelation of the noise as it is.
+    NaN where either is missing. A rotation is seldom a whole number of samples; the rest is a
+    shift in the frequency domain, which leaves the autocorrelation of the noise as it is.
     """
     n, turn = residual_rpm.size, rotation_period_s / sampling_period_s
     lag = max(1, math.floor(turn))
     phase = 2.0j * np.pi * (turn - lag) * np.fft.rfftfreq(n)
-    later = np.fft.irfft(np.fft.rfft(residual_rpm) * np.exp(phase), n)
+    later = np.fft.irfft(np.fft.rfft(bridged(residual_rpm)) * np.exp(phase), n)
+    nearest = max(1, round(turn)) - lag
+    later[np.isnan(np.roll(residual_rpm, -nearest))] = np.nan
     return np.asarray(later[lag : n - WRAPPED] - residual_rpm[: max(0, n - WRAPPED - lag)])
+
+
+def bridged(residual_rpm: FloatArray) -> FloatArray:
+    """The residual with straight lines where samples are missing (NaN), shape (n,), rpm."""
+    missing = np.isnan(residual_rpm)
+    if not missing.any():
+        return residual_rpm
+    at = np.arange(residual_rpm.size)
+    return np.interp(at, at[~missing], residual_rpm[~missing])
 
 
 def estimate_noise(
@@ -118,7 +129,7 @@ def estimate_noise(
     Parameters
     ----------
     residual_rpm
-        Recording minus its RMSE optimum, shape (n,).
+        Recording minus its RMSE optimum on an even grid, shape (n,), NaN at samples left out.
     kind, order
         ``auto`` chooses an AR order from 0 to 15 by BIC, and normal or Student-t innovations;
         ``white`` is order 0; ``ar`` takes ``order``, or the best order above 0 where it is not
@@ -132,41 +143,43 @@ def estimate_noise(
         If too little of the recording has a counterpart one rotation later.
     """
     d = rotation_difference(residual_rpm, rotation_period_s, sampling_period_s)
-    if d.size < FEWEST_DIFFERENCES:
+    count = int(np.isfinite(d).sum())
+    if count < FEWEST_DIFFERENCES:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
-            found=f"{d.size} samples with a counterpart one rotation "
+            found=f"{count} samples with a counterpart one rotation "
             f"({rotation_period_s:.3g} s) later",
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
-    variance = float(d @ d) / (2.0 * d.size)
+    variance = float(np.nansum(d**2)) / (2.0 * count)
     # Rounding that repeats is missing in d; where d holds as much as all rounding makes, none does.
     hidden = 0.0 if steps is None else max(0.0, steps.sd_rpm**2 - variance)
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
-    series = np.cumsum(d - d.mean()) if differentiated else d
-    fits = _burg(series, HIGHEST_ORDER)
+    series = _summed(d) if differentiated else d
+    fits = burg(series, HIGHEST_ORDER)
     variances = np.array([variance for variance, _ in fits])
     orders = np.arange(HIGHEST_ORDER + 1)
-    bic = d.size * np.log(np.maximum(variances, 1e-300)) + orders * math.log(d.size)
+    bic = count * np.log(np.maximum(variances, 1e-300)) + orders * math.log(count)
     bic -= bic.min()
     if kind == "white":
         best = 0
     elif kind == "ar":
         best = order if order is not None else 1 + int(np.argmin(bic[1:]))
         if best > HIGHEST_ORDER:
-            fits = _burg(series, best)
+            fits = burg(series, best)
     else:
         best = int(np.argmin(bic))
     coefficients = fits[best][1]
-    found = tails(innovations(series, coefficients))
+    e = innovations(series, coefficients)
+    found = tails(e[np.isfinite(e)])
     # Coarse rounding has a shape of its own, which neither kind of innovation has.
     heavy = kind == "student_t" or (kind == "auto" and found.evidence > 0.0 and not coarse)
     return Noise(
         math.sqrt(variance),
         coefficients,
         bic,
-        d.size,
+        count,
         kind == "auto",
         found.degrees_of_freedom if heavy else None,
         found.evidence,
@@ -175,20 +188,31 @@ def estimate_noise(
     )
 
 
+def _summed(d: FloatArray) -> FloatArray:
+    """Running sum about the mean; NaN where d is."""
+    centred = d - np.nanmean(d)
+    return np.asarray(np.cumsum(np.nan_to_num(centred)) + 0.0 * centred)
+
+
 def innovations(series: FloatArray, coefficients: FloatArray) -> FloatArray:
     """x_t − Σ φ_k x_{t−k}, shape (n − p,)."""
     return np.convolve(series, np.r_[1.0, -coefficients], "valid")
 
 
-def _burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
-    """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975)."""
+def burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
+    """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975).
+
+    NaN in ``x`` spreads to the predictions that would need it, and those are left out.
+    """
     forward, backward = x[1:], x[:-1]
-    variance = float(x @ x) / x.size
+    variance = float(np.nanmean(x**2))
     coefficients = np.zeros(0)
     fits = [(variance, coefficients)]
     for _ in range(highest):
-        power = float(forward @ forward + backward @ backward)
-        reflection = 2.0 * float(forward @ backward) / power if power > 0.0 else 0.0
+        product = forward * backward
+        both = np.isfinite(product)
+        power = float(np.sum(forward[both] ** 2 + backward[both] ** 2))
+        reflection = 2.0 * float(product[both].sum()) / power if power > 0.0 else 0.0
         coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
         variance *= 1.0 - reflection**2
         fits.append((variance, coefficients))
@@ -197,6 +221,12 @@ def _burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
             (backward - reflection * forward)[:-1],
         )
     return fits
+
+
+def innovation_share(coefficients: FloatArray) -> float:
+    """Variance of the innovations over the variance of the process."""
+    rho = autocorrelation(coefficients, coefficients.size + 1)
+    return float(1.0 - coefficients @ rho[1:])
 
 
 def autocorrelation(

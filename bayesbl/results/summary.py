@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.signal.parameters import SYMBOLS
 
 IntervalKind = Literal["equal_tailed", "hdi"]
@@ -41,10 +42,12 @@ def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, A
 
 
 def summarise(tree: xr.DataTree) -> dict[str, Any]:
-    """The summary of a fit, of compared snapshots, or of a sweep.
+    """The summary of a fit, of compared snapshots, of a sweep or of a diagnosis.
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
+    if tree.attrs["kind"] == "diagnose":
+        return summarise_diagnosis(tree)
     if tree.attrs["kind"] == "sweep":
         return _sweep(tree)
     if tree.attrs["kind"] == "compare":
@@ -92,6 +95,7 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         "noise": _noise(noise),
         "misfit_rms_rpm": float(group("misfit")["rms_rpm"]),
         "rotations": float(diagnostics["rotations"]),
+        "excluded_samples": int(group("observed_data").get("excluded", np.zeros(1)).sum()),
         "budget": {
             str(source): float(share)
             for source, share in zip(gap["source"].data, gap["budget"].data, strict=True)

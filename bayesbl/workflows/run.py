@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import config_from_options, dump_config, load_config
 from bayesbl.config.schema import (
     RunConfig,
@@ -100,6 +101,10 @@ def run(
         from bayesbl.workflows.sweep import run_sweep
 
         tree = run_sweep(config, progress)
+    elif isinstance(config, DiagnoseConfig):
+        from bayesbl.workflows.diagnose import run_diagnose
+
+        tree = run_diagnose(config, progress)
     elif isinstance(config, SnapshotConfig):
         from bayesbl.workflows.measure import measure
 
@@ -164,6 +169,8 @@ def check(path: str | Path) -> Plan:
         plan.add("study", lambda: describe(config))
     if isinstance(config, SnapshotConfig):
         _check_snapshots(plan, config)
+    if isinstance(config, DiagnoseConfig):
+        plan.add("comparison", partial(_check_diagnosis, config))
     if isinstance(config, SweepConfig):
         _check_bench(plan, config.bench)
         gap = config.sweep.gap_rad
@@ -185,6 +192,14 @@ def _check_bench(plan: Plan, path: Path) -> None:
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
 
 
+def _check_diagnosis(config: DiagnoseConfig) -> str:
+    from bayesbl.workflows.diagnose import problem_of
+
+    comparison = problem_of(config).comparison
+    names = ", ".join(candidate.name for candidate in comparison.candidates)
+    return f"{config.comparison.method}, {comparison.pieces[0].channel}; candidates {names}"
+
+
 def _check_simulation(plan: Plan, path: Path) -> None:
     from bayesbl.config.bench import load_bench, load_simulation
 
@@ -196,9 +211,12 @@ def _check_simulation(plan: Plan, path: Path) -> None:
 
 
 def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
-    from bayesbl.recording.checks import check_for_fit
-    from bayesbl.recording.readers import read_recording
-    from bayesbl.workflows.measure import curve_of, estimator_of, require_same_estimator
+    from bayesbl.workflows.measure import (
+        curve_of,
+        estimator_of,
+        recording_of,
+        require_same_estimator,
+    )
 
     estimator, curve = estimator_of(config), curve_of(config)
     plan.lines += [
@@ -208,11 +226,11 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     ]
 
     def checked(entry: SnapshotRecording) -> str:
-        recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
-        check_for_fit(recording, config.joint.gear_ratio)
+        recording = recording_of(entry, config)
         require_same_estimator(curve, estimator, recording)
         rate = 1.0 / recording.sampling_period_s
-        return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+        told = f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+        return " ".join([told, *recording.notes])
 
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))

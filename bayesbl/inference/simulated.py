@@ -1,0 +1,280 @@
+"""Recordings beside their simulation: what the bench predicts as a function of what is unknown.
+
+The ground that the direct posterior of δ and the search for missing effects stand on. Unknowns are
+the gap, each recording's start angle, bench parameters within their tolerance and parameters of
+effects; a point is an array of their coordinates, ln δ for the gap and the value itself elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.errors import RecordingError
+from bayesbl.inference.channel_noise import ChannelNoise
+from bayesbl.physics.bench import Bench
+from bayesbl.physics.kernel import CURRENT, SPEED, Slot
+from bayesbl.physics.simulation import simulate_channels, simulate_speeds
+from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
+
+GAP = "gap_rad"
+START_ANGLE = "start_angle_rad"
+ACCURACY_SHARE = 0.003
+"""Largest error of a simulated speed as a share of the speed noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """A recording as the simulator is compared with it.
+
+    Attributes
+    ----------
+    signals
+        Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
+    reference_speed_rpm
+        Of the motor, negative for reverse.
+    """
+
+    name: str
+    signals: FloatArray
+    sampling_hz: float
+    reference_speed_rpm: float
+    rotation_period_s: float
+
+    @property
+    def samples(self) -> int:
+        """Number of samples n."""
+        return int(self.signals.shape[1])
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the rows of ``signals``."""
+        return ("motor_speed_rpm", "motor_current_a")[: len(self.signals)]
+
+    @property
+    def lag(self) -> int:
+        """Samples in one load rotation, to the nearest."""
+        return round(self.rotation_period_s * self.sampling_hz)
+
+
+def observed(
+    recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
+) -> Observed:
+    """What a recording offers to a comparison with the bench.
+
+    Parameters
+    ----------
+    reference_speed_rpm
+        If ``None``, the bench's own, with the recording's direction.
+
+    Raises
+    ------
+    RecordingError
+        If the samples are uneven, the speed is not the reference's, or less than two load
+        rotations are there.
+    """
+    speed = recording.motor_speed_rpm
+    mean = float(speed.mean())
+    nominal = bench.value("reference_speed_rpm")
+    reference = reference_speed_rpm or math.copysign(nominal, mean)
+    if abs(mean / reference - 1.0) > 0.01:
+        raise RecordingError(
+            "The recording was made at another speed than the bench runs at.",
+            file=recording.name,
+            found=f"{mean:.6g} rpm on average",
+            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
+        )
+    period = recording.sampling_period_s
+    grid = recording.time_s[0] + period * np.arange(speed.size)
+    if np.max(np.abs(recording.time_s - grid)) > 0.1 * period:
+        raise RecordingError(
+            "A comparison with the simulation needs evenly spaced samples.",
+            file=recording.name,
+            expected="time stamps within a tenth of the sampling period of an even grid",
+        )
+    rotation = bench.rotation_period_s(reference)
+    if speed.size * period < 1.9 * rotation:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            file=recording.name,
+            found=f"{speed.size * period / rotation:.2g} load rotations",
+            expected="at least two",
+        )
+    rows = [speed]
+    if MOTOR_CURRENT in recording.channels:
+        rows.append(recording.channels[MOTOR_CURRENT])
+    return Observed(recording.name, np.stack(rows), 1.0 / period, reference, rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One coordinate of a point.
+
+    Attributes
+    ----------
+    name
+        As :meth:`Bench.vector` takes it: a bench parameter, ``gap_rad``, ``start_angle_rad`` or
+        ``effect__parameter``.
+    low, high
+        Range of a flat prior, in the coordinate; infinite for none.
+    centre, sd
+        Gaussian prior within that range; an infinite sd for none.
+    recording
+        Name of the recording it belongs to; ``None`` if all share it.
+    logarithmic
+        The coordinate is the natural logarithm of the value.
+    """
+
+    name: str
+    low: float = -math.inf
+    high: float = math.inf
+    centre: float = 0.0
+    sd: float = math.inf
+    recording: str | None = None
+    logarithmic: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name, with the recording where it belongs to one."""
+        return self.name if self.recording is None else f"{self.name} ({self.recording})"
+
+    def value(self, coordinate: FloatArray) -> FloatArray:
+        """From the coordinate to the value."""
+        return np.exp(coordinate) if self.logarithmic else coordinate
+
+    @property
+    def prior_sd(self) -> float:
+        """Standard deviation of the prior, a flat one's included."""
+        flat = (self.high - self.low) / math.sqrt(12.0)
+        return min(flat, self.sd)
+
+
+def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
+    """δ with a log-uniform prior."""
+    return Unknown(GAP, math.log(low_rad), math.log(high_rad), logarithmic=True)
+
+
+def start_angle_unknown(recording: str) -> Unknown:
+    """Start angle of one recording, flat."""
+    return Unknown(START_ANGLE, recording=recording)
+
+
+def tolerance_unknowns(bench: Bench) -> list[Unknown]:
+    """Every bench parameter that is not known exactly, uniform within its tolerance."""
+    return [
+        Unknown(name, bench.value(name) - half, bench.value(name) + half)
+        for name, half in bench.tolerances.items()
+    ]
+
+
+class SimulatedSignals:
+    """What the bench predicts for some recordings, at many points at once.
+
+    Parameters
+    ----------
+    noise
+        Of each recording: makes residuals independent and standard normal.
+    workers
+        Threads; the numbers do not depend on it.
+    settings
+        What is known beside the bench, by name, as ``gap_rad``.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        recordings: Sequence[Observed],
+        unknowns: Sequence[Unknown],
+        noise: Sequence[ChannelNoise],
+        workers: int = 1,
+        settings: Mapping[str, float] | None = None,
+    ) -> None:
+        self.settings = dict(settings or {})
+        self.bench = bench
+        self.recordings = tuple(recordings)
+        self.unknowns = tuple(unknowns)
+        self.noise = tuple(noise)
+        self.workers = workers
+
+    @property
+    def low(self) -> FloatArray:
+        """Lower ends of the priors, shape (d,)."""
+        return np.array([u.low for u in self.unknowns])
+
+    @property
+    def high(self) -> FloatArray:
+        """Upper ends of the priors, shape (d,)."""
+        return np.array([u.high for u in self.unknowns])
+
+    def index(self, name: str, recording: str | None = None) -> int:
+        """Place of an unknown in a point."""
+        keys = [(u.name, u.recording) for u in self.unknowns]
+        return keys.index((name, recording))
+
+    def signals(self, points: FloatArray, recording: int) -> FloatArray:
+        """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
+        seen = self.recordings[recording]
+        points = np.atleast_2d(points)
+        settings = {
+            unknown.name: unknown.value(points[:, i])
+            for i, unknown in enumerate(self.unknowns)
+            if unknown.recording in (None, seen.name)
+        }
+        known = {"reference_speed_rpm": seen.reference_speed_rpm} | self.settings
+        matrix = self.bench.vector(**(known | settings))
+        if len(matrix) < len(points):
+            matrix = np.repeat(matrix, len(points), axis=0)
+        accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
+        # A steady rotation whose samples fall alike in every turn is simulated once.
+        samples = seen.lag if _repeats(matrix, seen) else seen.samples
+        size = samples, seen.sampling_hz
+        rest = {"accuracy_rpm": accuracy, "workers": self.workers, "failures": "nan"}
+        if len(seen.signals) == 1:
+            turn = simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+        else:
+            everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
+            turn = everything[:, [SPEED, CURRENT]]
+        return turn if samples == seen.samples else turn[:, :, np.arange(seen.samples) % samples]
+
+    def whitened(self, points: FloatArray) -> FloatArray:
+        """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
+        points = np.atleast_2d(points)
+        parts = [
+            noise.whiten(seen.signals - self.signals(points, i)).reshape(len(points), -1)
+            for i, (seen, noise) in enumerate(zip(self.recordings, self.noise, strict=True))
+        ]
+        return np.concatenate(parts, axis=1)
+
+    def log_prior(self, points: FloatArray) -> FloatArray:
+        """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
+        points = np.atleast_2d(points)
+        inside = np.all((points >= self.low) & (points <= self.high), axis=1)
+        centre = np.array([u.centre for u in self.unknowns])
+        sd = np.array([u.sd for u in self.unknowns])
+        return np.where(inside, -0.5 * (((points - centre) / sd) ** 2).sum(axis=1), -np.inf)
+
+    def prior_precision(self) -> FloatArray:
+        """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
+        return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+
+
+def _repeats(matrix: FloatArray, seen: Observed) -> bool:
+    """Whether simulation and sampling are both periodic in the load rotation."""
+    turn = seen.rotation_period_s * seen.sampling_hz
+    if abs(turn - round(turn)) > 1e-6 or seen.lag >= seen.samples:
+        return False
+    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
+        return False
+    on = [
+        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
+        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
+        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
+    ]
+    for amplitude, order in on:
+        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
+        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
+            return False
+    return True
