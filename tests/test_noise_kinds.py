@@ -105,6 +105,16 @@ def test_a_smooth_misfit_cancels_whatever_the_length_of_a_rotation() -> None:
         assert np.sqrt(np.mean(left**2)) < 0.01
 
 
+def test_lost_samples_do_not_change_what_is_found_of_the_noise() -> None:
+    noise = OUTLIERS.draw(18_000, seeded(12))
+    lost = seeded(13).uniform(size=noise.size) < 0.01
+    for rotation_s in (3.6, 3.6004):
+        found = estimate_noise(np.where(lost, np.nan, noise), rotation_s, 1e-3)
+        assert found.kind == "student_t"
+        assert found.order == 1
+        assert math.isclose(found.sd_rpm, noise.std(), rel_tol=0.05)
+
+
 # Outliers
 
 
