@@ -148,7 +148,7 @@ def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
 def estimator_of(config: SnapshotConfig) -> Estimator:
     """The estimator that a configuration describes."""
     section = config.estimator
-    if section.noise.kind == "student_t" or section.route == "direct":
+    if section.route == "direct":
         raise ConfigError("This comes later: it is not available in this version.")
     return Estimator(
         model=DisturbanceModel(
