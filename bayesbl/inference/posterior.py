@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -75,6 +76,16 @@ class Posterior:
     diagnostics: Diagnostics
 
 
+class LogDensity(Protocol):
+    """What an ensemble walks on: a log density with the ranges of its coordinates, shape (d,)."""
+
+    low: FloatArray
+    high: FloatArray
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Shape (m, d) to (m,), up to a constant; −inf outside the ranges."""
+
+
 class LogPosterior:
     """log p(searched symbols | recording), A, v_t and the baseline integrated out."""
 
@@ -115,7 +126,7 @@ def sample_posterior(
     target = LogPosterior(objective, optimum, spread.scale)
     searched = np.array([spread.names.index(n) for n in objective.searched])
     local = spread.scale * spread.inverse_curvature[np.ix_(searched, searched)]
-    ensembles = [_Ensemble(target, optimum.searched, local, s) for s in ensemble_seeds]
+    ensembles = [Ensemble(target, optimum.searched, local, s) for s in ensemble_seeds]
 
     steps, tau, stable = 0, math.inf, False
     last: FloatArray | None = None
@@ -131,13 +142,13 @@ def sample_posterior(
         last = edges
         if progress is not None:
             progress(steps, settings.max_steps)
-        kept = steps - _burn_in(tau, steps)
+        kept = steps - burn_in(tau, steps)
         if stable and kept > STEPS_PER_AUTOCORRELATION * tau:
             break
 
-    burn = _burn_in(tau, steps)
+    burn = burn_in(tau, steps)
     generator = np.random.default_rng(linear_seed)
-    points = np.stack([_thin(e.chain[burn:]) for e in ensembles])
+    points = np.stack([thinned(e.chain[burn:]) for e in ensembles])
     draws, baseline, log_likelihood = _complete(objective, optimum, spread, points, generator)
     r_hat, ess = rank_r_hat_and_ess(draws)
     diagnostics = judge(
@@ -153,12 +164,12 @@ def sample_posterior(
     return Posterior(draws, baseline, log_likelihood, diagnostics)
 
 
-class _Ensemble:
+class Ensemble:
     """One emcee ensemble with a random state of its own."""
 
     def __init__(
         self,
-        target: LogPosterior,
+        target: LogDensity,
         centre: FloatArray,
         local_covariance: FloatArray,
         seed: np.random.SeedSequence,
@@ -171,7 +182,8 @@ class _Ensemble:
         generator = np.random.default_rng(start_seed)
         root = np.linalg.cholesky(local_covariance)
         start = centre + 1.5 * generator.standard_normal((walkers, d)) @ root.T
-        margin = 1e-6 * (target.high - target.low)
+        width = target.high - target.low
+        margin = 1e-6 * np.where(np.isfinite(width), width, 0.0)
         start = np.clip(start, target.low + margin, target.high - margin)
         self._sampler = emcee.EnsembleSampler(
             walkers,
@@ -198,23 +210,23 @@ class _Ensemble:
         return float(np.mean(self._sampler.acceptance_fraction))
 
 
-def _burn_in(tau: float, steps: int) -> int:
+def burn_in(tau: float, steps: int) -> int:
     """Steps left out at the begin: five autocorrelation times, at most half of all."""
     half = steps // 2
     return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
 
 
-def _thin(chain: FloatArray) -> FloatArray:
-    """DRAWS_KEPT evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
+def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
+    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
     flat = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(flat[np.linspace(0, len(flat) - 1, DRAWS_KEPT).round().astype(int)])
+    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
 
 
 def _interval_edges(
-    objective: Objective, ensembles: list[_Ensemble], burn: int, level: float
+    objective: Objective, ensembles: list[Ensemble], burn: int, level: float
 ) -> FloatArray:
     """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([_thin(e.chain[burn:]) for e in ensembles])
+    points = np.concatenate([thinned(e.chain[burn:]) for e in ensembles])
     amplitude = objective.solve(points).coefficients[:, -1]
     return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 

@@ -222,22 +222,27 @@ class SimulatedSignals:
         matrix = self.bench.vector(**({"reference_speed_rpm": seen.reference_speed_rpm} | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
+        # Points often differ in what belongs to other recordings only.
+        matrix, place = np.unique(matrix, axis=0, return_inverse=True)
+        place = place.ravel()
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         size = seen.samples, seen.sampling_hz
         rest = {"accuracy_rpm": accuracy, "workers": self.workers, "failures": "nan"}
         if len(seen.signals) == 1:
-            return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+            return simulate_speeds(matrix, *size, **rest)[place, None]  # type: ignore[arg-type]
         everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
-        return everything[:, [SPEED, CURRENT]]
+        return everything[place[:, None], [SPEED, CURRENT]]
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
-        parts = [
-            noise.whiten(seen.signals - self.signals(points, i)).reshape(len(points), -1)
-            for i, (seen, noise) in enumerate(zip(self.recordings, self.noise, strict=True))
-        ]
+        parts = [self.whitened_of(points, i) for i in range(len(self.recordings))]
         return np.concatenate(parts, axis=1)
+
+    def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
+        """Whitened residuals of one recording, (m, d) to (m, c (n − p))."""
+        difference = self.recordings[recording].signals - self.signals(points, recording)
+        return self.noise[recording].whiten(difference).reshape(len(difference), -1)
 
     def log_prior(self, points: FloatArray) -> FloatArray:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
