@@ -53,7 +53,6 @@ _PATH_OPTIONS = frozenset({"curve", "bench", "out"})
 _COMES_LATER: tuple[tuple[Location, str], ...] = (
     (("kind",), "diagnose"),
     (("estimator", "noise", "kind"), "student_t"),
-    (("estimator", "route"), "direct"),
 )
 """What the schema names but this version does not do; delete a line when it does."""
 

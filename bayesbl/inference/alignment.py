@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.inference.channel_noise import ChannelNoise, estimate_channel_noise
 from bayesbl.inference.simulated import (
@@ -61,33 +62,46 @@ def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
 def aligned_starts(model: SimulatedSignals) -> list[FloatArray]:
     """Points to fit from, best first: gaps by scan, start angles by correlation.
 
-    Other unknowns begin at their prior's centre, or the middle of their range.
+    Recordings with a gap of their own are scanned one by one, and begin together at the best of
+    each, the second best of each, … Other unknowns begin at their prior's centre, or the middle of
+    their range.
     """
     names = [(u.name, u.recording) for u in model.unknowns]
     start = np.array([_middle(u) for u in model.unknowns])
-    place = names.index((GAP, None)) if (GAP, None) in names else None
-    coordinates = (
-        np.linspace(model.low[place], model.high[place], GAPS_TRIED)
-        if place is not None
-        else np.zeros(1)
-    )
-    points = np.repeat(start[None], len(coordinates), axis=0)
-    if place is not None:
-        points[:, place] = coordinates
-    cost = np.zeros(len(points))
+    starts = np.repeat(start[None], STARTS_FITTED, axis=0)
+    by_gap: dict[int | None, list[int]] = {}
     for i, seen in enumerate(model.recordings):
-        angles, left = _align(model, points, i)
-        cost += left
-        if (START_ANGLE, seen.name) in names:
-            points[:, names.index((START_ANGLE, seen.name))] = angles
-    order = np.argsort(cost, kind="stable")
+        gaps = [k for k, (n, of) in enumerate(names) if n == GAP and of in (None, seen.name)]
+        by_gap.setdefault(gaps[0] if gaps else None, []).append(i)
+    for place, members in by_gap.items():
+        points = _scanned(model, start, place)
+        aligned = [_align(model, points, i) for i in members]
+        chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0))
+        if place is not None:
+            starts[:, place] = points[chosen, place]
+        for i, (angles, _) in zip(members, aligned, strict=True):
+            key = (START_ANGLE, model.recordings[i].name)
+            if key in names:
+                starts[:, names.index(key)] = angles[chosen]
+    _, first = np.unique(starts, axis=0, return_index=True)
+    return [starts[k] for k in np.sort(first)]
+
+
+def _scanned(model: SimulatedSignals, start: FloatArray, place: int | None) -> FloatArray:
+    """The start with the gap at every value tried, shape (m, d); itself where no gap is unknown."""
+    points = np.repeat(start[None], 1 if place is None else GAPS_TRIED, axis=0)
+    if place is not None:
+        points[:, place] = np.linspace(model.low[place], model.high[place], GAPS_TRIED)
+    return points
+
+
+def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
+    """Places of the lowest costs, none beside another; repeated where there are too few."""
     chosen: list[int] = []
-    for k in order:
+    for k in np.argsort(cost, kind="stable"):
         if all(abs(int(k) - other) > 1 for other in chosen):
             chosen.append(int(k))
-        if len(chosen) == STARTS_FITTED:
-            break
-    return [points[k] for k in chosen]
+    return np.resize(np.array(chosen), STARTS_FITTED)
 
 
 def _middle(unknown: Unknown) -> float:

@@ -16,12 +16,14 @@ import numpy as np
 from bayesbl.errors import RecordingError
 from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.physics.bench import Bench
+from bayesbl.physics.effects import effect_named
 from bayesbl.physics.kernel import CURRENT, SPEED
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
+PHASE = "phase_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
@@ -168,6 +170,24 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
         Unknown(name, bench.value(name) - half, bench.value(name) + half)
         for name, half in bench.tolerances.items()
     ]
+
+
+def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
+    """Effect parameters of the bench that carry a standard deviation, Gaussian; phases, flat.
+
+    The motor's angle at the first sample is another in every recording, and with it the phase.
+    """
+    found = []
+    for effect in bench.effects:
+        for item in effect_named(effect.name).parameters:
+            name = f"{effect.name}__{item.name}"
+            given = effect.parameters.get(item.name)
+            if item.name == PHASE:
+                found += [Unknown(name, recording=recording) for recording in recordings]
+            elif given is not None and given.sd:
+                low = item.low if item.low <= given.value else -math.inf
+                found.append(Unknown(name, low, centre=given.value, sd=given.sd))
+    return found
 
 
 class SimulatedSignals:

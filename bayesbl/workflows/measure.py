@@ -95,7 +95,7 @@ def read_recordings(config: SnapshotConfig) -> list[Recording]:
 def estimator_of(config: SnapshotConfig) -> Estimator:
     """The estimator that a configuration describes."""
     section = config.estimator
-    if section.noise.kind == "student_t" or section.route == "direct":
+    if section.noise.kind == "student_t":
         raise ConfigError("This comes later: it is not available in this version.")
     return Estimator(
         model=DisturbanceModel(

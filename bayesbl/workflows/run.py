@@ -31,6 +31,7 @@ from bayesbl.results.folder import (
 if TYPE_CHECKING:
     import xarray as xr
 
+    from bayesbl.physics.bench import Bench
     from bayesbl.workflows.measure import StageProgress
 
 Draw = Callable[["xr.DataTree", Path], object]
@@ -100,6 +101,10 @@ def run(
         from bayesbl.workflows.sweep import run_sweep
 
         tree = run_sweep(config, progress)
+    elif isinstance(config, SnapshotConfig) and config.estimator.route == "direct":
+        from bayesbl.workflows.direct import measure_direct
+
+        tree = measure_direct(config, progress)
     elif isinstance(config, SnapshotConfig):
         from bayesbl.workflows.measure import measure
 
@@ -211,8 +216,16 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
         recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
         check_for_fit(recording, config.joint.gear_ratio)
         require_same_estimator(curve, estimator, recording)
+        if bench is not None:
+            observed_of(config, bench, recording)
         rate = 1.0 / recording.sampling_period_s
         return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
 
+    bench: Bench | None = None
+    if config.estimator.route == "direct":
+        from bayesbl.workflows.direct import bench_of, observed_of
+
+        bench = bench_of(config)
+        plan.lines.append(("bench", f"{config.estimator.bench}, gap form {bench.gap_form}"))
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
