@@ -14,10 +14,12 @@ from bayesbl.figures.convergence import convergence
 from bayesbl.figures.corner import corners
 from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
+from bayesbl.figures.direct_gap import direct_change, direct_gap
 from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
 from bayesbl.figures.noise import noise
+from bayesbl.figures.overlay import overlay
 from bayesbl.figures.signal import signal
 from bayesbl.figures.style import publication_style, save
 from bayesbl.figures.trace import traces
@@ -50,7 +52,12 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
             found=kind,
             expected="a fit, a comparison or a sweep",
         )
-    figures = _sweep_figures(tree) if kind == "sweep" else _snapshot_figures(tree)
+    if kind == "sweep":
+        figures = _sweep_figures(tree)
+    elif tree.attrs.get("route") == "direct":
+        figures = _direct_figures(tree)
+    else:
+        figures = _snapshot_figures(tree)
     return [path for name, figure in figures for path in save(figure, folder, name)]
 
 
@@ -59,6 +66,13 @@ def _sweep_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
         yield draw.__name__, draw(tree)
     if "bench_draws" in tree.children:
         yield bench_draws.__name__, bench_draws(tree)
+
+
+def _direct_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    yield "signal", overlay(tree)
+    yield "gap", direct_gap(tree)
+    if "change" in tree.children:
+        yield "change", direct_change(tree)
 
 
 def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:

@@ -132,7 +132,9 @@ def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
     fit = posterior.fit
     seen = fit.model.recordings[index]
     simulated = fit.model.signals(fit.point, index)[0]
-    variables: dict[str, tuple[tuple[str, ...], FloatArray, str, str]] = {}
+    variables: dict[str, tuple[tuple[str, ...], FloatArray, str, str]] = {
+        "rotation_period_s": ((), np.array(seen.rotation_period_s), "s", "one load rotation")
+    }
     for channel, measured, model in zip(seen.channels, seen.signals, simulated, strict=True):
         unit = unit_of(channel)
         variables[f"simulated_{channel}"] = (("sample",), model, unit, "simulation at the optimum")
