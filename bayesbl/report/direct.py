@@ -69,7 +69,7 @@ def _check_table(part: Summary) -> Table:
         add_row(
             table,
             entry["channel"],
-            str(entry["highest_order"]),
+            str(entry["highest_order"] or "mean"),
             words.significant(entry["ratio"], 3),
             words.probability(entry["probability"]),
         )

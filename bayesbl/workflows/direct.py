@@ -253,11 +253,12 @@ def direct_verdict(found: DirectMeasurement, recording: Observed) -> dict[str, A
 def _disagreement_in_words(entries: Sequence[Disagreement]) -> str:
     worst = max(entries, key=lambda entry: entry.ratio)
     others = sorted({f"{e.channel} of {e.recording}" for e in entries})
+    which = f"up to load order {worst.highest_order}" if worst.highest_order else "in the mean"
     return (
         "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
-        f"{worst.channel} of {worst.recording}, up to load order {worst.highest_order}, what "
-        f"repeats every rotation has {worst.ratio:.3g} times the power that noise would leave "
-        f"(disagreement in {', '.join(others)}). The bench file lacks an effect or has wrong "
+        f"{worst.channel} of {worst.recording}, {which}, what repeats every rotation has "
+        f"{worst.ratio:.3g} times the power that noise would leave (disagreement in "
+        f"{', '.join(others)}). The bench file lacks an effect or has wrong "
         "values; `bayesbl diagnose` looks for what is missing."
     )
 
