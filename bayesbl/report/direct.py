@@ -50,7 +50,7 @@ def _parameter_table(part: Summary) -> Table:
         add_row(
             table,
             name,
-            f"{best:.6g}",
+            "withheld" if found is None else f"{best:.6g}",
             words.significant(part["posterior_sd"][name], 3),
             words.significant(part["cramer_rao_sd"][name], 3),
             "withheld" if found is None else words.bounds(found, places=words.decimals(found)),
