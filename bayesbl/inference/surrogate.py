@@ -93,8 +93,10 @@ def regress(
             normal += phi.T @ phi
             product = phi.T @ residual[good]
             right = product if begin == 0 else right + product
-        coefficients = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
-        parts.append(_Part(index, centre[index], inverse_root, coefficients @ coefficients.T))
+        # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
+        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+        gram = inverse @ (right @ right.T) @ inverse
+        parts.append(_Part(index, centre[index], inverse_root, gram))
     return chi_square, Surrogate(tuple(parts))
 
 
