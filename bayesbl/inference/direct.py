@@ -116,7 +116,7 @@ def sample_direct(
         Weigh the draws by full simulations; otherwise they are the surrogate's own, at a tenth of
         the time.
     progress
-        Called with (stages done, stages).
+        Called with (steps made, steps allowed) at every check; full simulations follow the last.
     """
     model = fit.model
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
@@ -124,14 +124,11 @@ def sample_direct(
     centre, covariance = fit.point, fit.covariance
     chi_square, surrogate = regress(model, points, centre, covariance)
     failed = float(np.mean(~np.isfinite(chi_square)))
-    stages = 2 + 2 * corrected
-    _tell(progress, 1, stages)
     refits = 0
     while True:
-        walk = _walk(model, surrogate, centre, covariance, settings, walk_seeds[refits])
+        walk = _walk(model, surrogate, centre, covariance, settings, walk_seeds[refits], progress)
         draws = walk.draws
         flat = draws.reshape(-1, draws.shape[-1])
-        _tell(progress, 2, stages)
         expected = surrogate.chi_square(flat)
         if not corrected:
             diagnostics = _judge(model, walk, draws, math.nan, failed)
@@ -145,13 +142,11 @@ def sample_direct(
         )
         effective = effective_size(log_weights)
         failed = float(np.mean(~np.isfinite(chi_square)))
-        _tell(progress, 3, stages)
         if effective >= GOOD_SHARE * len(flat) or refits == MOST_REFITS:
             break
         surrogate, refits = better, refits + 1
     diagnostics = _judge(model, walk, draws, effective, failed)
     picked = _resampled(log_weights.reshape(draws.shape[:2]), np.random.default_rng(pick_seed))
-    _tell(progress, stages, stages)
     return DirectPosterior(
         fit,
         np.take_along_axis(draws, picked[..., None], axis=1),
@@ -199,6 +194,7 @@ def _walk(
     covariance: FloatArray,
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
+    progress: Progress | None,
 ) -> _Walk:
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
@@ -218,6 +214,8 @@ def _walk(
         edges = np.quantile(pooled, [tail, 1.0 - tail], axis=0)
         stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
         last = edges
+        if progress is not None:
+            progress(steps, settings.max_steps)
         if stable and steps - burn_in(tau, steps) > STEPS_PER_AUTOCORRELATION * tau:
             break
     burn = burn_in(tau, steps)
@@ -297,8 +295,3 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Sequence[str]:
                     "Widen [estimator] gap_rad, or correct the bench."
                 )
     return sentences
-
-
-def _tell(progress: Progress | None, done: int, stages: int) -> None:
-    if progress is not None:
-        progress(done, stages)
