@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ def fit_aligned(
     for _ in range(NOISE_ROUNDS):
         noise = remaining_noise(best)
         model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
-        best = fit_simulated(model, best.point)
+        best = fit_simulated(model, best.point, best.steps)
     return with_model(best, model)
 
 
@@ -59,12 +59,19 @@ def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
     ]
 
 
-def aligned_starts(model: SimulatedSignals) -> list[FloatArray]:
+def aligned_starts(
+    model: SimulatedSignals, grids: Mapping[int, FloatArray] | None = None
+) -> list[FloatArray]:
     """Points to fit from, best first: gaps by scan, start angles by correlation.
 
     Recordings with a gap of their own are scanned one by one, and begin together at the best of
-    each, the second best of each, … Other unknowns begin at their prior's centre, or the middle of
-    their range.
+    each, the second best of each, …
+
+    Parameters
+    ----------
+    grids
+        Coordinates to scan besides the gap, by place in a point; all combinations are tried.
+        Other unknowns begin at their prior's centre, or the middle of their range.
     """
     names = [(u.name, u.recording) for u in model.unknowns]
     start = np.array([_middle(u) for u in model.unknowns])
@@ -74,11 +81,14 @@ def aligned_starts(model: SimulatedSignals) -> list[FloatArray]:
         gaps = [k for k, (n, of) in enumerate(names) if n == GAP and of in (None, seen.name)]
         by_gap.setdefault(gaps[0] if gaps else None, []).append(i)
     for place, members in by_gap.items():
-        points = _scanned(model, start, place)
-        aligned = [_align(model, points, i) for i in members]
-        chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0))
+        scanned = dict(grids or {})
         if place is not None:
-            starts[:, place] = points[chosen, place]
+            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
+        points, shape = _combinations(start, scanned)
+        aligned = [_align(model, points, i) for i in members]
+        chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0), shape)
+        for coordinate in scanned:
+            starts[:, coordinate] = points[chosen, coordinate]
         for i, (angles, _) in zip(members, aligned, strict=True):
             key = (START_ANGLE, model.recordings[i].name)
             if key in names:
@@ -87,21 +97,31 @@ def aligned_starts(model: SimulatedSignals) -> list[FloatArray]:
     return [starts[k] for k in np.sort(first)]
 
 
-def _scanned(model: SimulatedSignals, start: FloatArray, place: int | None) -> FloatArray:
-    """The start with the gap at every value tried, shape (m, d); itself where no gap is unknown."""
-    points = np.repeat(start[None], 1 if place is None else GAPS_TRIED, axis=0)
-    if place is not None:
-        points[:, place] = np.linspace(model.low[place], model.high[place], GAPS_TRIED)
-    return points
+def _combinations(
+    start: FloatArray, scanned: Mapping[int, FloatArray]
+) -> tuple[FloatArray, tuple[int, ...]]:
+    """The start with every combination of the scanned values, (m, d), and their grid's shape."""
+    meshes = np.meshgrid(*scanned.values(), indexing="ij")
+    points = np.repeat(start[None], meshes[0].size if meshes else 1, axis=0)
+    for place, mesh in zip(scanned, meshes, strict=True):
+        points[:, place] = mesh.ravel()
+    return points, meshes[0].shape if meshes else (1,)
 
 
-def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
+def _best_apart(cost: FloatArray, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Places of the lowest costs, none beside another; repeated where there are too few."""
     chosen: list[int] = []
-    for k in np.argsort(cost, kind="stable"):
-        if all(abs(int(k) - other) > 1 for other in chosen):
-            chosen.append(int(k))
+    for k in map(int, np.argsort(cost, kind="stable")):
+        if all(_far(np.unravel_index(k, shape), np.unravel_index(c, shape)) for c in chosen):
+            chosen.append(k)
+        if len(chosen) == STARTS_FITTED:
+            break
     return np.resize(np.array(chosen), STARTS_FITTED)
+
+
+def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:
+    """Whether two places of a grid are no neighbours."""
+    return any(abs(int(i) - int(j)) > 1 for i, j in zip(a, b, strict=True))
 
 
 def _middle(unknown: Unknown) -> float:
@@ -128,7 +148,11 @@ def _align(
         if u.recording in (None, seen.name) and u.name != START_ANGLE
     }
     matrix = model.bench.vector(
-        **({"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0} | settings)
+        **(
+            {"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0}
+            | model.settings
+            | settings
+        )
     )
     if len(matrix) < len(points):
         matrix = np.repeat(matrix, len(points), axis=0)

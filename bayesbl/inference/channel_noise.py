@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
@@ -54,7 +53,7 @@ class ChannelNoise:
         left = signals[..., p:].copy()
         for k, phi in enumerate(self.coefficients, start=1):
             left -= np.einsum("ab,...bn->...an", phi, signals[..., p - k : n - k])
-        inverse = solve_triangular(self.root, np.eye(len(self.root)), lower=True)
+        inverse = np.linalg.inv(self.root)
         return np.asarray(np.einsum("ab,...bn->...an", inverse, left))
 
 

@@ -8,7 +8,7 @@ effects; a point is an array of their coordinates, ln δ for the gap and the val
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,8 @@ from bayesbl.errors import RecordingError
 from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.physics.bench import Bench
 from bayesbl.physics.effects import effect_named
-from bayesbl.physics.kernel import CURRENT, SPEED
+from bayesbl.physics.kernel import CURRENT, SPEED, Slot
+from bayesbl.physics.parameters import rotation_period_s
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 
@@ -199,6 +200,8 @@ class SimulatedSignals:
         Of each recording: makes residuals independent and standard normal.
     workers
         Threads; the numbers do not depend on it.
+    settings
+        What is known beside the bench, by name, as ``gap_rad``.
     """
 
     def __init__(
@@ -208,7 +211,9 @@ class SimulatedSignals:
         unknowns: Sequence[Unknown],
         noise: Sequence[ChannelNoise],
         workers: int = 1,
+        settings: Mapping[str, float] | None = None,
     ) -> None:
+        self.settings = dict(settings or {})
         self.bench = bench
         self.recordings = tuple(recordings)
         self.unknowns = tuple(unknowns)
@@ -239,19 +244,25 @@ class SimulatedSignals:
             for i, unknown in enumerate(self.unknowns)
             if unknown.recording in (None, seen.name)
         }
-        matrix = self.bench.vector(**({"reference_speed_rpm": seen.reference_speed_rpm} | settings))
+        known = {"reference_speed_rpm": seen.reference_speed_rpm} | self.settings
+        matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
         # Points often differ in what belongs to other recordings only.
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         place = place.ravel()
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
-        size = seen.samples, seen.sampling_hz
+        # A steady rotation whose samples fall alike in every turn is simulated once.
+        samples = seen.lag if _repeats(matrix, seen) else seen.samples
+        size = samples, seen.sampling_hz
         rest = {"accuracy_rpm": accuracy, "workers": self.workers, "failures": "nan"}
         if len(seen.signals) == 1:
-            return simulate_speeds(matrix, *size, **rest)[place, None]  # type: ignore[arg-type]
-        everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
-        return everything[place[:, None], [SPEED, CURRENT]]
+            turn = simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+        else:
+            everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
+            turn = everything[:, [SPEED, CURRENT]]
+        turn = turn[place]
+        return turn if samples == seen.samples else turn[:, :, np.arange(seen.samples) % samples]
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
@@ -275,3 +286,22 @@ class SimulatedSignals:
     def prior_precision(self) -> FloatArray:
         """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
         return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+
+
+def _repeats(matrix: FloatArray, seen: Observed) -> bool:
+    """Whether simulation and sampling are both periodic in the load rotation."""
+    turns = rotation_period_s(matrix) * seen.sampling_hz
+    if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
+        return False
+    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
+        return False
+    on = [
+        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
+        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
+        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
+    ]
+    for amplitude, order in on:
+        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
+        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
+            return False
+    return True

@@ -14,7 +14,8 @@ STEP_CHANGE = 4.0
 """Change of the whitened signals, in standard deviations, that derivatives are taken over."""
 MOST_ROUNDS = 30
 CONVERGED = 0.01
-"""Rounds end when a step would lower χ² by less than this."""
+CONVERGED_SHARE = 1e-4
+"""Rounds end when one lowers χ² by less than this, or by this share of what noise leaves open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,8 @@ class SimulatedFit:
         Derivative of the whitened signals by the coordinates, shape (N, d).
     covariance
         (JᵀJ + P)⁻¹ with P the prior's precision, shape (d, d).
+    steps
+        That the derivatives were taken over, shape (d,).
     """
 
     model: SimulatedSignals
@@ -38,6 +41,7 @@ class SimulatedFit:
     residual: FloatArray
     jacobian: FloatArray
     covariance: FloatArray
+    steps: FloatArray
 
     @property
     def chi_square(self) -> float:
@@ -62,13 +66,17 @@ class SimulatedFit:
         return float(np.sqrt(self.covariance[i, i]))
 
 
-def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
+def fit_simulated(
+    model: SimulatedSignals, start: FloatArray, steps: FloatArray | None = None
+) -> SimulatedFit:
     """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
 
     Parameters
     ----------
     start
         Shape (d,); moved into the ranges if outside.
+    steps
+        For derivatives by the first unknowns, from a fit without the others.
 
     Raises
     ------
@@ -76,7 +84,8 @@ def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
         If the bench cannot be simulated at the start.
     """
     point = np.clip(start, model.low, model.high)
-    steps = _first_steps(model, point)
+    rough = _first_steps(model, point)
+    steps = rough if steps is None else np.concatenate([steps, rough[len(steps) :]])
     residual = model.whitened(point)[0]
     if not np.all(np.isfinite(residual)):
         raise BenchError(
@@ -108,17 +117,17 @@ def fit_simulated(model: SimulatedSignals, start: FloatArray) -> SimulatedFit:
             if np.all(np.abs(move) < 1e-3 * np.sqrt(1.0 / np.diag(curvature).clip(1e-300))):
                 break
             damping *= 10.0
-        if gained < CONVERGED:
+        if gained < max(CONVERGED, CONVERGED_SHARE * (value - residual.size)):
             break
-    jacobian, _ = _jacobian(model, point, residual, steps)
+    jacobian, steps = _jacobian(model, point, residual, steps)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
-    return SimulatedFit(model, point, residual, jacobian, covariance)
+    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
 
 
 def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, as after a new noise."""
     residual = model.whitened(fit.point)[0]
-    jacobian, _ = _jacobian(model, fit.point, residual, _first_steps(model, fit.point))
+    jacobian, _ = _jacobian(model, fit.point, residual, fit.steps)
     precision = np.diag(model.prior_precision())
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)

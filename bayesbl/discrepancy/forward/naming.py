@@ -1,0 +1,307 @@
+"""Which effect is missing: candidates added one at a time, compared by evidence and by distance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.discrepancy.forward.candidates import Candidate
+from bayesbl.discrepancy.forward.explain import (
+    Explanation,
+    distance,
+    explain,
+    gain_threshold,
+    linear_gain,
+    nominal_explanation,
+)
+from bayesbl.inference.agreement import Disagreement, agrees, disagreements
+from bayesbl.inference.simulated_fit import SimulatedFit
+
+Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
+Progress = Callable[[int, int], None]
+
+INDISTINGUISHABLE = 5.0
+"""Best fits closer than this, in units of noise, are one set (design.md, issue of diagnose)."""
+
+ENOUGH_CLOSED = 0.8
+"""Share of what repeats that an explanation must remove where something still repeats after it."""
+
+GROSS = 1.05
+"""χ² per sample of the nominal fit from which on starts are sought over the whole ranges."""
+
+BEAMS = 3
+FITTED_AFTER_SCREENING = 5
+LEAST_CONSISTENCY = 3.0
+"""Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """One explanation found, with those that these recordings cannot tell from it."""
+
+    candidate: Candidate
+    gain: float
+    indistinguishable: tuple[Explanation, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the effect or parameter."""
+        return self.candidate.name
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The set of names, the most probable first."""
+        return (self.name, *(e.candidates[-1].name for e in self.indistinguishable))
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """What was found.
+
+    Attributes
+    ----------
+    nominal, final
+        Before and after adding what is named.
+    ranking
+        Fits with one candidate added to the nominal bench, most probable first.
+    remaining
+        What still repeats after naming.
+    """
+
+    verdict: Verdict
+    nominal: Explanation
+    final: Explanation
+    effects: tuple[NamedEffect, ...]
+    ranking: tuple[Explanation, ...]
+    before: tuple[Disagreement, ...]
+    remaining: tuple[Disagreement, ...]
+
+
+def name_missing(
+    nominal_fit: SimulatedFit,
+    candidates: Sequence[Candidate],
+    *,
+    max_effects: int = 3,
+    false_alarm: float = 0.01,
+    progress: Progress | None = None,
+) -> Naming:
+    """Add candidates until nothing significant is left, nothing generalises or the limit is met.
+
+    Decisions rest on fits of all recordings jointly with every unknown; derivatives only choose
+    which second and third candidates are fitted.
+
+    Parameters
+    ----------
+    false_alarm
+        Probability of naming anything where nothing is missing, over all candidates.
+    progress
+        Called with (fits made, fits expected).
+    """
+    search = _Search(candidates, false_alarm, progress)
+    nominal = nominal_explanation(nominal_fit)
+    before = disagreements(nominal_fit)
+    first = search.first(nominal)
+    beams = [e for e in first if search.is_significant(nominal, e)][:BEAMS]
+    final = beams[0] if beams else nominal
+    depth = 1
+    while beams and depth < max_effects and not search.is_done(final):
+        following = [e for beam in beams for e in search.next(beam)]
+        following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
+        if not following or following[0].log_evidence <= final.log_evidence:
+            break
+        beams, final = following[:BEAMS], following[0]
+        depth += 1
+    final = search.without_idle(nominal, final, first)
+    remaining = disagreements(final.fit)
+    verdict = _verdict(nominal, final, before, remaining, false_alarm)
+    named = verdict in ("named", "parameter_error")
+    effects = tuple(search.named(nominal, final, first)) if named else ()
+    return Naming(
+        verdict,
+        nominal,
+        final if named else nominal,
+        effects,
+        tuple(first),
+        tuple(before),
+        tuple(remaining if named else before),
+    )
+
+
+class _Search:
+    """Fits of candidates with their thresholds; counts them for the progress bar."""
+
+    def __init__(
+        self, candidates: Sequence[Candidate], false_alarm: float, progress: Progress | None
+    ) -> None:
+        self._candidates = tuple(candidates)
+        self._false_alarm = false_alarm
+        self._progress = progress
+        self._made = 0
+
+    def first(self, nominal: Explanation) -> list[Explanation]:
+        """All candidates, one at a time, most probable first."""
+        per_sample = nominal.fit.chi_square / nominal.fit.residual.size
+        scan = per_sample > GROSS
+        fits = [self._fit(nominal, c, scan=scan) for c in self._candidates]
+        return sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
+
+    def next(self, base: Explanation) -> list[Explanation]:
+        """The few candidates that the derivatives speak for, added to ``base`` and significant."""
+        fits = [self._fit(base, c, scan=False) for c in self._screened(base)]
+        return [f for f in fits if f is not None and self.is_significant(base, f)]
+
+    def is_significant(self, base: Explanation, more: Explanation) -> bool:
+        """Whether χ² falls by more than chance, and in the rotations alike."""
+        gain = base.fit.chi_square - more.fit.chi_square
+        threshold = gain_threshold(
+            more.parameters - base.parameters, len(self._candidates), self._false_alarm
+        )
+        return gain > threshold and _consistency(base.fit, more.fit) > LEAST_CONSISTENCY
+
+    def is_done(self, explanation: Explanation) -> bool:
+        """Whether nothing repeats any more and no further candidate promises anything."""
+        if not agrees(disagreements(explanation.fit), self._false_alarm):
+            return False
+        promised = [linear_gain(explanation, c) for c in self._others(explanation)]
+        threshold = gain_threshold(1, len(self._candidates), self._false_alarm)
+        return max(promised, default=0.0) < threshold
+
+    def without_idle(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> Explanation:
+        """Leave out what the others have made superfluous."""
+        if len(final.candidates) < 2:
+            return final
+        for k in range(len(final.candidates)):
+            rest = self._rebuilt(nominal, final, k, first)
+            if rest is not None and not self.is_significant(rest, final):
+                return self.without_idle(nominal, rest, first)
+        return final
+
+    def named(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> list[NamedEffect]:
+        """Each effect with the set that it belongs to."""
+        found = []
+        for k, candidate in enumerate(final.candidates):
+            rest = (
+                nominal if len(final.candidates) == 1 else self._rebuilt(nominal, final, k, first)
+            )
+            if rest is None:
+                continue
+            if rest is nominal:
+                alternatives = [e for e in first if e.candidates[-1] is not candidate]
+            else:
+                tried = [c for c in self._screened(rest) if c is not candidate]
+                fits = [self._fit(rest, c, scan=False) for c in tried]
+                alternatives = [f for f in fits if f is not None]
+            gain = rest.fit.chi_square - final.fit.chi_square
+            own = self._rivals(final, candidate, alternatives)
+            found.append(NamedEffect(candidate, gain, own))
+        return found
+
+    def _rivals(
+        self, final: Explanation, candidate: Candidate, alternatives: Sequence[Explanation]
+    ) -> tuple[Explanation, ...]:
+        """Alternatives that look alike; larger ones that hold this one and gain nothing are not."""
+        near = []
+        for other in alternatives:
+            if other.candidates[-1].name == candidate.name:
+                continue
+            if distance(final, other) >= INDISTINGUISHABLE:
+                continue
+            more = other.parameters - final.parameters
+            gain = final.fit.chi_square - other.fit.chi_square
+            if more > 0 and gain < gain_threshold(more, 1, self._false_alarm):
+                continue
+            near.append(other)
+        return tuple(sorted(near, key=lambda e: -e.log_evidence))
+
+    def _rebuilt(
+        self, nominal: Explanation, final: Explanation, without: int, first: Sequence[Explanation]
+    ) -> Explanation | None:
+        """The explanation without one of its candidates, fitted again."""
+        rest = [c for k, c in enumerate(final.candidates) if k != without]
+        if len(rest) == 1:
+            for known in first:
+                if known.candidates[-1] is rest[0]:
+                    return known
+        explanation: Explanation | None = nominal
+        for candidate in rest:
+            explanation = None if explanation is None else self._fit(explanation, candidate)
+        return explanation
+
+    def _screened(self, base: Explanation) -> list[Candidate]:
+        others = self._others(base)
+        gains = [linear_gain(base, c) for c in others]
+        order = np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]
+        return [others[int(i)] for i in order if gains[int(i)] > 0.0]
+
+    def _others(self, base: Explanation) -> list[Candidate]:
+        return [c for c in self._candidates if c.name not in base.names]
+
+    def _fit(
+        self, base: Explanation, candidate: Candidate, *, scan: bool = False
+    ) -> Explanation | None:
+        result = explain(base, candidate, scan=scan)
+        self._made += 1
+        if self._progress is not None:
+            self._progress(self._made, max(self._made, len(self._candidates)))
+        return result
+
+
+def _verdict(
+    nominal: Explanation,
+    final: Explanation,
+    before: Sequence[Disagreement],
+    remaining: Sequence[Disagreement],
+    false_alarm: float,
+) -> Verdict:
+    if not final.candidates:
+        return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
+    if not agrees(list(remaining), false_alarm) and _closed(before, remaining) < ENOUGH_CLOSED:
+        return "unexplained"
+    effects = any(c.kind == "effect" for c in final.candidates)
+    return "named" if effects else "parameter_error"
+
+
+def _closed(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> float:
+    """Share of the power that repeats beyond noise which is gone, over the widest band."""
+    widest = max(entry.highest_order for entry in before)
+    first = sum(e.ratio - 1.0 for e in before if e.highest_order == widest)
+    last = sum(e.ratio - 1.0 for e in after if e.highest_order == widest)
+    return 1.0 - last / first if first > 0.0 else 0.0
+
+
+def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
+    """Mean gain of χ² per rotation over its standard error."""
+    gains: list[float] = []
+    begin = 0
+    for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
+        n = seen.samples - noise.order
+        size = len(seen.signals) * n
+        part = slice(begin, begin + size)
+        begin += size
+        change = base.residual[part] ** 2 - more.residual[part] ** 2
+        rows = change.reshape(len(seen.signals), n).sum(axis=0)
+        whole = n // seen.lag
+        gains += rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1).tolist()
+    values = np.array(gains)
+    error = float(values.std(ddof=1)) / math.sqrt(values.size)
+    return float(values.mean()) / error if error > 0.0 else math.inf
+
+
+def _distinct(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """One explanation for each set of names, the most probable."""
+    seen: set[frozenset[str]] = set()
+    kept = []
+    for explanation in explanations:
+        key = frozenset(explanation.names)
+        if key not in seen:
+            seen.add(key)
+            kept.append(explanation)
+    return kept
