@@ -13,7 +13,16 @@ RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
 
 # dimension -> unit -> factor to the first unit of that dimension
 _FACTORS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    # "datenum" is MATLAB's count of days; "datetime" are dates, which the readers turn into s.
+    "time": {
+        "s": 1.0,
+        "ms": 1e-3,
+        "us": 1e-6,
+        "ns": 1e-9,
+        "min": 60.0,
+        "datenum": 86400.0,
+        "datetime": 1.0,
+    },
     "speed": {
         "rpm": 1.0,
         "rad/s": RPM_PER_RAD_PER_S,
@@ -29,6 +38,33 @@ _FACTORS: dict[str, dict[str, float]] = {
     },
     "current": {"A": 1.0, "mA": 1e-3},
     "torque": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3},
+}
+
+_OTHER_SPELLINGS = {
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "nanoseconds": "ns",
+    "minutes": "min",
+    "rpm": "rpm",
+    "r/min": "rpm",
+    "1/min": "rpm",
+    "rad s-1": "rad/s",
+    "rad/sec": "rad/s",
+    "deg/sec": "deg/s",
+    "degrees/s": "deg/s",
+    "hertz": "Hz",
+    "radian": "rad",
+    "radians": "rad",
+    "degree": "deg",
+    "degrees": "deg",
+    "ampere": "A",
+    "amperes": "A",
+    "newton meter": "N m",
+    "n*m": "N m",
+    "n.m": "N m",
 }
 
 _DIMENSION_OF_SUFFIX = {
@@ -72,3 +108,12 @@ def conversion_factor(channel: str, unit: str) -> float:
     if dimension is None:
         raise KeyError(unit)
     return _FACTORS[dimension][unit]
+
+
+def spelled(unit: str) -> str:
+    """A unit as files spell it, in this package's spelling where that is known."""
+    text = unit.strip()
+    if any(text in units for units in _FACTORS.values()):
+        return text
+    # Only these in any case: "MN m" is not "mN m".
+    return _OTHER_SPELLINGS.get(text.lower(), text)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording import checks
+from bayesbl.recording import checks, clipping
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import FloatArray, Recording
 
@@ -33,7 +33,7 @@ def part(recording: Recording, keep: slice | FloatArray) -> Recording:
 
 @pytest.mark.parametrize("name", ["wear_before", "wear_after"])
 def test_the_example_recordings_pass_every_check(name: str) -> None:
-    checks.check_for_fit(read_recording(FOLDER / f"{name}.csv"), gear_ratio=120.0)
+    checks.ready_for_fit(read_recording(FOLDER / f"{name}.csv"), gear_ratio=120.0)
 
 
 def test_the_examples_hold_five_rotations_by_position_and_by_speed(example: Recording) -> None:
@@ -53,7 +53,7 @@ def test_two_rotations_are_enough_even_if_a_little_lacks(
 def test_less_than_two_rotations_are_refused_with_the_seconds_needed(example: Recording) -> None:
     shorter = part(example, slice(0, 5000))
     with pytest.raises(RecordingError, match=r"1\.39 rotations in 5 s.*at least 2 .*7\.2 s"):
-        checks.check_for_fit(shorter, gear_ratio=120.0)
+        checks.ready_for_fit(shorter, gear_ratio=120.0)
 
 
 @pytest.mark.parametrize(
@@ -89,13 +89,13 @@ def test_a_missing_channel_is_named_with_its_likely_column(example: Recording) -
         source=replace(example.source, unused_columns=("motor_speed",)),
     )
     with pytest.raises(RecordingError, match='Did you mean "motor_speed"'):
-        checks.check_for_fit(bare)
+        checks.ready_for_fit(bare)
 
 
 @pytest.mark.parametrize("speed", [0.0, 2000.0])
 def test_a_constant_speed_is_refused(example: Recording, speed: float) -> None:
     with pytest.raises(RecordingError, match="motor speed is constant"):
-        checks.check_for_fit(with_speed(example, np.full(example.samples, speed)))
+        checks.ready_for_fit(with_speed(example, np.full(example.samples, speed)))
 
 
 @pytest.mark.parametrize("limit", [2012.0, 2020.0, 2028.0])
@@ -106,7 +106,7 @@ def test_a_speed_cut_off_at_a_limit_is_refused(
     cut = sign * np.minimum(example.motor_speed_rpm, limit)
     side = "largest" if sign > 0 else "smallest"
     with pytest.raises(RecordingError, match=f"cut off.*exactly at the {side} value"):
-        checks.require_unclipped(with_speed(example, cut), "motor_speed_rpm")
+        clipping.require_unclipped(with_speed(example, cut), "motor_speed_rpm")
 
 
 def ringing(time: FloatArray) -> FloatArray:
@@ -131,7 +131,7 @@ NOT_CLIPPED: dict[str, Callable[[FloatArray], FloatArray]] = {
 @pytest.mark.parametrize("kind", NOT_CLIPPED)
 def test_no_signal_that_merely_has_levels_is_called_cut_off(kind: str) -> None:
     time = np.arange(18000) * 1e-3
-    checks.require_unclipped(Recording(kind, time, {"x": NOT_CLIPPED[kind](time)}), "x")
+    clipping.require_unclipped(Recording(kind, time, {"x": NOT_CLIPPED[kind](time)}), "x")
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
@@ -143,7 +143,7 @@ def test_speed_from_an_encoder_of_any_resolution_is_not_called_cut_off(
     steps = np.diff(np.round(example.channels["motor_position_rad"] / count))
     speed = np.convolve(steps, np.ones(smoothing) / smoothing, "valid") * count * 9549.3
     recording = Recording("encoder", example.time_s[: speed.size], {"motor_speed_rpm": speed})
-    checks.require_unclipped(recording, "motor_speed_rpm")
+    clipping.require_unclipped(recording, "motor_speed_rpm")
 
 
 def test_a_slow_sampling_rate_is_refused_and_a_hundred_hertz_is_not(example: Recording) -> None:
@@ -159,14 +159,14 @@ def test_a_speed_in_another_unit_is_recognised_by_the_position(
     example: Recording, factor: float, unit: str
 ) -> None:
     with pytest.raises(RecordingError, match=f"motor_speed_rpm looks like {unit}, not rpm"):
-        checks.check_for_fit(with_speed(example, example.motor_speed_rpm * factor))
+        checks.ready_for_fit(with_speed(example, example.motor_speed_rpm * factor))
 
 
 def test_a_position_in_degrees_is_recognised_by_the_speed(example: Recording) -> None:
     degrees = np.degrees(example.channels["motor_position_rad"])
     channels = {**example.channels, "motor_position_rad": degrees}
     with pytest.raises(RecordingError, match="motor_position_rad looks like deg, not rad"):
-        checks.check_for_fit(replace(example, channels=channels))
+        checks.ready_for_fit(replace(example, channels=channels))
 
 
 def test_position_and_speed_may_count_in_opposite_directions(example: Recording) -> None:

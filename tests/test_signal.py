@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import ConfigError
+from bayesbl.signal import objective as objective_module
 from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
@@ -118,7 +119,10 @@ def test_the_kernel_agrees_with_the_plain_formula_to_1e_10(
         assert math.isclose(math.sqrt(fast), math.sqrt(plain), rel_tol=1e-10), f"seed {seed}"
 
 
-def test_uneven_sampling_takes_an_exact_path_that_agrees_with_the_plain_formula() -> None:
+def test_uneven_sampling_takes_an_exact_path_that_agrees_with_the_plain_formula(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(objective_module, "HARMLESS_JITTER_S", 0.0)
     for seed in range(20):
         even = random_case(seed)
         rng = np.random.default_rng(seed)
@@ -134,7 +138,10 @@ def test_uneven_sampling_takes_an_exact_path_that_agrees_with_the_plain_formula(
         )
 
 
-def test_both_paths_give_the_same_coefficients_and_factor_on_an_even_grid() -> None:
+def test_both_paths_give_the_same_coefficients_and_factor_on_an_even_grid(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(objective_module, "HARMLESS_JITTER_S", 0.0)
     case = random_case(3)
     even = Objective(case.model, case.time_s, case.speed_rpm)
     nudged = case.time_s.copy()
@@ -326,3 +333,31 @@ def test_every_symbol_can_be_freed_or_fixed() -> None:
         else:
             assert name in DisturbanceModel(fixed=fixed).free
             assert name not in DisturbanceModel(fixed={**fixed, name: 1.0}).free
+
+
+@pytest.mark.parametrize("harmonics", [0, 1, 3])
+@pytest.mark.parametrize("even", [True, False])
+def test_samples_left_out_count_for_nothing_on_either_path(
+    harmonics: int, even: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(objective_module, "HARMLESS_JITTER_S", 0.0)
+    generator = np.random.default_rng(harmonics)
+    time_s = 0.002 * np.arange(4000)
+    if not even:
+        time_s = time_s + generator.uniform(-0.0005, 0.0005, time_s.size)
+    speed = 2000.0 + generator.normal(0.0, 3.0, time_s.size)
+    excluded = generator.uniform(size=time_s.size) < 0.02
+    excluded[:7] = excluded[1500:1540] = True
+    wild = np.where(excluded, 1e4, speed)
+    objective = Objective(DisturbanceModel(harmonics), time_s, wild, excluded=excluded)
+    assert objective.is_even == even
+    low, high = [0.0, 5.0, 40.0, 0.0, 0.6], [3.0, 20.0, 90.0, 3.0, 3.9]
+    points = generator.uniform(low, high, (30, 5))
+    solution = objective.solve(points)
+    symbols = objective.symbols(points, solution)
+    for row in range(len(points)):
+        one = {name: float(values[row]) for name, values in symbols.items()}
+        kept = objective.columns(one)[~excluded]
+        expected, left, *_ = np.linalg.lstsq(kept, speed[~excluded])
+        np.testing.assert_allclose(solution.coefficients[row], expected, atol=1e-8)
+        np.testing.assert_allclose(solution.sum_of_squares[row], left[0], rtol=1e-10)

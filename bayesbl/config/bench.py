@@ -364,7 +364,7 @@ def _load(path: Path, model: type[_Model]) -> _Model:
     try:
         text = path.read_text(encoding="utf-8-sig")
         tables = tomllib.loads(text)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(
             "The file cannot be read as TOML.",

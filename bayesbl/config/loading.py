@@ -25,6 +25,7 @@ from bayesbl.config.problems import (
     Problem,
     config_error,
     field_name,
+    items_of,
     line_numbers,
     location_of,
     problems_of,
@@ -203,7 +204,7 @@ def _validate(document: _Document) -> RunConfig:
         config = model.model_validate(document.tables, context={BASE_DIRECTORY: document.directory})
     except ValidationError as error:
         problems = problems_of(error, model, document.text)
-        locations = [location_of(dict(item)) for item in error.errors()]
+        locations = [location_of(item) for item in items_of(error)]
         named = [_by_option(*pair, document) for pair in zip(problems, locations, strict=True)]
         from_file = any(new is old for new, old in zip(named, problems, strict=True))
         raise config_error(named, document.file if from_file else None) from None

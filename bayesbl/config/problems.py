@@ -66,7 +66,18 @@ def config_error(problems: Sequence[Problem], file: Path | None) -> ConfigError:
 def problems_of(error: ValidationError, model: type[BaseModel], text: str) -> list[Problem]:
     """The problems that pydantic found in a configuration of this model, read from ``text``."""
     lines = line_numbers(text)
-    return [_problem(dict(item), model, lines) for item in error.errors(include_url=False)]
+    return [_problem(item, model, lines) for item in items_of(error)]
+
+
+def items_of(error: ValidationError) -> list[dict[str, Any]]:
+    """What pydantic found, but for a list called too short only because its items are wrong."""
+    items: list[dict[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
+    places: list[Location] = [item["loc"] for item in items]
+
+    def has_wrong_items(place: Location) -> bool:
+        return any(other[: len(place)] == place != other for other in places)
+
+    return [i for i in items if i["type"] != "too_short" or not has_wrong_items(i["loc"])]
 
 
 def location_of(item: Mapping[str, Any]) -> Location:

@@ -5,6 +5,7 @@ from bayesbl.figures.convergence import convergence
 from bayesbl.figures.corner import corner, corners
 from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
+from bayesbl.figures.discrepancy import discrepancy
 from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.draw import draw_all
 from bayesbl.figures.gap import gap
@@ -20,6 +21,7 @@ __all__ = [
     "corners",
     "curve",
     "degrees",
+    "discrepancy",
     "disturbance",
     "draw_all",
     "gap",

@@ -98,7 +98,14 @@ def _coefficients(snapshot: Snapshot) -> FloatArray:
 
 
 def sample_autocorrelation(values: FloatArray, lags: int) -> FloatArray:
-    """Autocorrelation of a series with mean zero at lags 0 … lags − 1, shape (lags,)."""
-    power = np.abs(np.fft.rfft(values, 2 * values.size)) ** 2
-    covariance = np.fft.irfft(power)[:lags]
-    return np.asarray(covariance / covariance[0])
+    """Autocorrelation of a series with mean zero at lags 0 … lags − 1, shape (lags,).
+
+    Values that are NaN are left out.
+    """
+    products, pairs = (
+        np.fft.irfft(np.abs(np.fft.rfft(series, 2 * series.size)) ** 2)[:lags]
+        for series in (np.nan_to_num(values), np.isfinite(values).astype(float))
+    )
+    # As for a whole series, each lag is divided by the same number of pairs, less those left out.
+    share = pairs / (values.size - np.arange(lags))
+    return np.asarray(products / share / (products[0] / share[0]))

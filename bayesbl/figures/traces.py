@@ -12,7 +12,7 @@ def envelope(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smallest and largest value in each of at most ``bins`` stretches of equal sample count.
 
-    Neighbouring stretches share a sample, so that the outline has no gaps.
+    Neighbouring stretches share a sample, so that the outline has no gaps. NaN is left out.
 
     Returns
     -------
@@ -21,6 +21,6 @@ def envelope(
     edges = np.unique(np.linspace(0, values.size - 1, min(bins, values.size) + 1).round())
     starts = edges[:-1].astype(int)
     ends = edges[1:].astype(int)
-    low = np.minimum(np.minimum.reduceat(values, starts), values[ends])
-    high = np.maximum(np.maximum.reduceat(values, starts), values[ends])
+    low = np.fmin(np.fmin.reduceat(values, starts), values[ends])
+    high = np.fmax(np.fmax.reduceat(values, starts), values[ends])
     return 0.5 * (time[starts] + time[ends]), low, high

@@ -75,7 +75,7 @@ def covariance(
     Parameters
     ----------
     residual_rpm
-        Recording minus optimum, shape (n,), rpm.
+        Recording minus optimum on an even grid, shape (n,), rpm, NaN at samples left out.
 
     Raises
     ------
@@ -84,6 +84,9 @@ def covariance(
     """
     names = jacobian_columns(optimum.model)
     columns = jacobian(optimum.model, time_s, optimum.symbols, optimum.baseline_rpm)
+    # A sample left out keeps its place, so that lags count right, and weighs nothing.
+    left_out = np.isnan(residual_rpm)
+    columns[left_out] = 0.0
     norms = np.sqrt((columns**2).sum(axis=0))
     norms[norms == 0.0] = 1.0
     columns = columns / norms
@@ -94,7 +97,8 @@ def covariance(
             found="free: " + ", ".join(optimum.model.free),
             expected="more rotations, or some symbol under [estimator.model] fixed",
         )
-    bent = misfit_curvature(optimum.model, time_s, optimum.symbols, residual_rpm)
+    known = np.where(left_out, 0.0, residual_rpm)
+    bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
     inverse = _inverse_curvature(gram, bent / np.outer(norms, norms))
     if noise.order:
         noisy = matmul_toeplitz(noise.autocovariance(time_s.size), columns)

@@ -20,7 +20,7 @@ from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
 from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sample_posterior
-from bayesbl.recording.checks import check_for_fit, require_rotations
+from bayesbl.recording.checks import ready_for_fit, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
@@ -33,7 +33,7 @@ class PointEstimate:
     Attributes
     ----------
     residual_rpm
-        Recording minus optimum, shape (n,), rpm.
+        Recording minus optimum, shape (n,), rpm; NaN at samples left out.
     notes
         What the reader should know of how the optimum was come by.
     """
@@ -137,8 +137,13 @@ class Estimator:
         RecordingError
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
-        check_for_fit(recording, gear_ratio)
-        objective = Objective(self.model, recording.time_s, recording.motor_speed_rpm)
+        recording = ready_for_fit(recording, gear_ratio)
+        objective = Objective(
+            self.model,
+            recording.time_s,
+            recording.motor_speed_rpm,
+            excluded=recording.excluded,
+        )
         optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
         if gear_ratio is None:
             require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
@@ -147,6 +152,7 @@ class Estimator:
     def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
         """Noise and covariance around an optimum already found."""
         residual = objective.speed_rpm - optimum.predict(objective.time_s)
+        residual[~objective.used] = np.nan
         noise = estimate_noise(
             residual,
             optimum.symbols[ROTATION],

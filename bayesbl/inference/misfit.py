@@ -39,12 +39,14 @@ class RepeatingMisfit:
 def repeating_misfit(
     time_s: FloatArray, residual_rpm: FloatArray, rotation_period_s: float
 ) -> RepeatingMisfit:
-    """Average the residual at equal load phase over the rotations.
+    """Average the residual, NaN where left out, at equal load phase over the rotations.
 
     Within a rotation each bin is averaged first; the scatter between rotations, which are
     independent but for noise slower than a rotation, gives the standard error.
     """
-    turns = (time_s - time_s[0]) / rotation_period_s
+    known = np.isfinite(residual_rpm)
+    turns = (time_s[known] - time_s[0]) / rotation_period_s
+    residual_rpm = residual_rpm[known]
     rotation = np.floor(turns).astype(int)
     bins = np.minimum((PHASE_BINS * (turns - rotation)).astype(int), PHASE_BINS - 1)
     cell = rotation * PHASE_BINS + bins

@@ -75,7 +75,10 @@ class Noise:
 def rotation_difference(
     residual_rpm: FloatArray, rotation_period_s: float, sampling_period_s: float
 ) -> FloatArray:
-    """Residual one load rotation later minus the residual, shape (n − T_w/Δt,), rpm."""
+    """Residual one load rotation later minus the residual, shape (n − T_w/Δt,), rpm.
+
+    NaN where either is missing.
+    """
     lag = max(1, round(rotation_period_s / sampling_period_s))
     return residual_rpm[lag:] - residual_rpm[:-lag]
 
@@ -92,7 +95,7 @@ def estimate_noise(
     Parameters
     ----------
     residual_rpm
-        Recording minus its RMSE optimum, shape (n,).
+        Recording minus its RMSE optimum on an even grid, shape (n,), NaN at samples left out.
     kind, order
         ``auto`` chooses an AR order from 0 to 15 by BIC; ``white`` is order 0; ``ar`` takes
         ``order``, or the best order above 0 where it is not given.
@@ -103,18 +106,19 @@ def estimate_noise(
         If too little of the recording has a counterpart one rotation later.
     """
     d = rotation_difference(residual_rpm, rotation_period_s, sampling_period_s)
-    if d.size < FEWEST_DIFFERENCES:
+    count = int(np.isfinite(d).sum())
+    if count < FEWEST_DIFFERENCES:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
-            found=f"{d.size} samples with a counterpart one rotation "
+            found=f"{count} samples with a counterpart one rotation "
             f"({rotation_period_s:.3g} s) later",
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
-    sd = math.sqrt(float(d @ d) / (2.0 * d.size))
+    sd = math.sqrt(float(np.nansum(d**2)) / (2.0 * count))
     fits = _burg(d, HIGHEST_ORDER)
     variances = np.array([variance for variance, _ in fits])
     orders = np.arange(HIGHEST_ORDER + 1)
-    bic = d.size * np.log(np.maximum(variances, 1e-300)) + orders * math.log(d.size)
+    bic = count * np.log(np.maximum(variances, 1e-300)) + orders * math.log(count)
     bic -= bic.min()
     if kind == "white":
         best = 0
@@ -124,18 +128,23 @@ def estimate_noise(
             fits = _burg(d, best)
     else:
         best = int(np.argmin(bic))
-    return Noise(sd, fits[best][1], bic, d.size, kind == "auto")
+    return Noise(sd, fits[best][1], bic, count, kind == "auto")
 
 
 def _burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
-    """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975)."""
+    """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975).
+
+    NaN in ``x`` spreads to the predictions that would need it, and those are left out.
+    """
     forward, backward = x[1:], x[:-1]
-    variance = float(x @ x) / x.size
+    variance = float(np.nanmean(x**2))
     coefficients = np.zeros(0)
     fits = [(variance, coefficients)]
     for _ in range(highest):
-        power = float(forward @ forward + backward @ backward)
-        reflection = 2.0 * float(forward @ backward) / power if power > 0.0 else 0.0
+        product = forward * backward
+        both = np.isfinite(product)
+        power = float(np.sum(forward[both] ** 2 + backward[both] ** 2))
+        reflection = 2.0 * float(product[both].sum()) / power if power > 0.0 else 0.0
         coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
         variance *= 1.0 - reflection**2
         fits.append((variance, coefficients))

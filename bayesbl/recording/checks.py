@@ -1,7 +1,8 @@
 """What a task may ask of a recording, each as a small function that refuses with the reason.
 
 A recording that passes :mod:`bayesbl.recording.readers` is sound as a file; whether it holds what
-a fit needs is asked here. Every function raises :class:`RecordingError` and changes nothing.
+a fit needs is asked here. Every function raises :class:`RecordingError`; only
+:func:`ready_for_fit` changes anything, and returns what it changed.
 """
 
 from __future__ import annotations
@@ -12,8 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.channels import CHANNELS, MOTOR_POSITION, MOTOR_SPEED, did_you_mean
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.recording.channels import (
+    CHANNELS,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    REFERENCE_SPEED,
+    TIME,
+    did_you_mean,
+)
+from bayesbl.recording.clipping import require_unclipped, without_rails
+from bayesbl.recording.gaps import GRID_TOLERANCE, deviation_from_grid
+from bayesbl.recording.types import Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
 MINIMUM_SAMPLING_HZ = 100.0
@@ -22,27 +32,39 @@ MINIMUM_SAMPLING_HZ = 100.0
 MINIMUM_ROTATIONS = 1.95
 """Noise is told from misfit by what two rotations do not share; a little of the second may lack."""
 
-GRID_TOLERANCE = 0.45
-"""Largest distance of a time stamp from the even grid, in sampling periods."""
+BLOCK_S = 0.25
+BLOCKS_COMPARED = 4
+LARGEST_DEPARTURE = 0.2
+SMALLEST_STEP = 0.02
+STEP_OVER_SCATTER = 6.0
+"""Of :func:`require_one_speed`."""
 
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
 
 
-def check_for_fit(recording: Recording, gear_ratio: float | None = None) -> None:
-    """Everything that a fit of the speed's disturbance pattern asks of a recording.
+def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Recording:
+    """The recording as a fit of the speed's disturbance pattern takes it, strays excluded.
 
     Rotations are counted only if the gear ratio is known; otherwise the fit, which finds the
     rotation period itself, asks :func:`require_rotations` with what it found.
+
+    Raises
+    ------
+    RecordingError
+        If anything that a fit needs is not there.
     """
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
+    recording = without_rails(recording, MOTOR_SPEED)
     require_varying(recording, MOTOR_SPEED)
     require_plausible_speed_unit(recording)
     require_unclipped(recording, MOTOR_SPEED)
+    require_one_speed(recording)
     if gear_ratio is not None:
         require_rotations(recording, rotations_of(recording, gear_ratio))
+    return recording
 
 
 def require_channels(recording: Recording, channels: Sequence[str]) -> None:
@@ -68,25 +90,11 @@ def require_sampling_rate(recording: Recording, minimum_hz: float = MINIMUM_SAMP
     if not rate >= minimum_hz * (1.0 - 1e-3):
         raise _error(
             recording,
-            "The sampling rate is too low to see the impacts.",
+            "The sampling rate is too low to see the impacts." + _time_in_ms(recording),
             where="time_s",
             found=f"{rate:.4g} Hz",
             expected=f"at least {minimum_hz:.4g} Hz; is time in seconds?",
         )
-
-
-def grid_deviation(recording: Recording) -> FloatArray:
-    """Distance of each time stamp from the best even grid, shape (n,), in sampling periods.
-
-    The grid is the least-squares line of time over sample number. Stamps rounded to a resolution r
-    lie within r/2 of it, however long the recording; one lost sample puts some stamp at least half
-    a period off, wherever it was lost.
-    """
-    time = recording.time_s - recording.time_s[0]
-    number = np.arange(time.size) - 0.5 * (time.size - 1)
-    slope = float(number @ time) / float(number @ number)
-    deviation: FloatArray = (time - time.mean()) / slope - number
-    return deviation
 
 
 def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLERANCE) -> None:
@@ -95,7 +103,9 @@ def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLER
     The tolerance, 0.45 of a sampling period, lets time stamps pass that were rounded to up to
     0.9 of a period (0.1 ms, or 1 ms at 800 Hz), and no recording that lost a sample.
     """
-    deviation = grid_deviation(recording)
+    deviation, _ = deviation_from_grid(
+        recording.time_s, np.arange(recording.samples, dtype=np.float64)
+    )
     worst = int(np.argmax(np.abs(deviation)))
     if abs(deviation[worst]) <= tolerance:
         return
@@ -137,7 +147,7 @@ def require_rotations(
         recording,
         "The recording holds too few rotations of the load.",
         found=f"{rotations:.2f} rotations in {recording.duration_s:.4g} s",
-        expected=f"at least 2{needed}, and the right gear ratio if one is given",
+        expected=f"at least 2{needed}; speed in rpm, and the right gear ratio if one is given",
     )
 
 
@@ -155,81 +165,109 @@ def require_varying(recording: Recording, channel: str) -> None:
         )
 
 
-def require_unclipped(recording: Recording, channel: str) -> None:
-    """The signal does not run into a limit of its sensor or of its number format.
+def require_one_speed(recording: Recording) -> None:
+    """The joint turns at one speed from begin to end.
 
-    A limited signal piles up on its very largest or smallest value. Three things must come
-    together, at either end, to be called that:
-
-    - at least 5 samples in a row sit exactly on the extreme value;
-    - that value occurs more than 5 times as often as any of the 10 distinct values next to it;
-    - there are at least 10 such values, so that the signal is not merely coarse.
-
-    The second cannot hold for an encoder's quantised speed: its levels thin out towards the
-    extremes, and even the flat top of a sine holds its highest level only 2.4 times as long as
-    the next. A signal held for some samples repeats all its values alike.
+    Two things are looked for in means over a quarter of a second, which average the ringing out:
+    a mean that is off their median by more than a fifth, and a step between one second and the
+    next of more than 2 % and six times the scatter within those seconds. No slow wave of the load
+    angle makes such a step: on a slope the ratio is at most √12.
     """
-    values = recording.channels[channel]
-    for side, signal in (("largest", values), ("smallest", -values)):
-        count = _samples_at_limit(signal)
-        if count:
-            extreme = values.max() if side == "largest" else values.min()
-            first = int(np.flatnonzero(values == extreme)[0])
-            raise _error(
-                recording,
-                f"The {CHANNELS.get(channel, channel)} is cut off, or stands still.",
-                where=f"{channel} at {recording.time_s[first]:.6g} s",
-                found=f"{count} samples exactly at the {side} value, {extreme:.6g}",
-                expected="a signal that does not reach the limit of its sensor",
-            )
-
-
-def _samples_at_limit(values: FloatArray) -> int:
-    """Samples piled up on the maximum if it is a limit, else 0."""
-    levels, counts = np.unique(values, return_counts=True)
-    if levels.size < 11 or counts[-1] <= 5 * counts[-11:-1].max():
-        return 0
-    return int(counts[-1]) if _longest_run(values == levels[-1]) >= 5 else 0
-
-
-def _longest_run(flags: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
-
-
-def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) -> None:
-    """Mean speed agrees with the slope of the motor's position, where both are there.
-
-    Directions may differ in sign. A mean speed below 1 rpm is too slow to compare. If another
-    unit of either column makes them agree within ``tolerance``, the message says so.
-    """
-    position = recording.channels.get(MOTOR_POSITION)
-    if position is None or MOTOR_SPEED not in recording.channels:
+    block = max(1, round(BLOCK_S / recording.sampling_period_s))
+    count = recording.samples // block
+    if count < 4 * BLOCKS_COMPARED:
         return
-    span = float(recording.time_s[-1] - recording.time_s[0])
-    from_position = abs(float(position[-1] - position[0])) / span * RPM_PER_RAD_PER_S
-    speed = abs(float(recording.motor_speed_rpm.mean()))
-    if min(from_position, speed) < 1.0 or abs(speed / from_position - 1.0) <= 0.05:
+    means = recording.motor_speed_rpm[: count * block].reshape(count, block).mean(axis=1)
+    time_s = recording.time_s[: count * block : block]
+    usual = float(np.median(means))
+    departures = np.flatnonzero(np.abs(means - usual) > LARGEST_DEPARTURE * abs(usual))
+    windows = np.lib.stride_tricks.sliding_window_view(means, BLOCKS_COMPARED)
+    before, after = windows[:-BLOCKS_COMPARED], windows[BLOCKS_COMPARED:]
+    size = np.abs(after.mean(axis=1) - before.mean(axis=1))
+    scatter = np.sqrt(0.5 * (before.var(axis=1) + after.var(axis=1)))
+    steps = np.flatnonzero(
+        (size > SMALLEST_STEP * abs(usual)) & (size > STEP_OVER_SCATTER * scatter)
+    )
+    if steps.size:
+        sharpest = int(steps[np.argmax(size[steps])])
+        at = float(time_s[sharpest + BLOCKS_COMPARED])
+        found = (
+            f"{before[sharpest].mean():.5g} rpm before, {after[sharpest].mean():.5g} rpm after it"
+        )
+    elif departures.size:
+        at = float(time_s[departures[0]])
+        found = f"{means[departures[0]]:.5g} rpm there, {usual:.5g} rpm for most of the recording"
+    else:
         return
     raise _error(
         recording,
-        "Motor speed and motor position do not belong together."
-        + _other_unit(speed / from_position, tolerance),
-        where=f"{MOTOR_SPEED}, {MOTOR_POSITION}",
-        found=f"a mean speed of {speed:.6g} rpm, but a position that moves at "
-        f"{from_position:.6g} rpm",
+        "The speed changes: a fit takes one constant speed.",
+        where=f"{MOTOR_SPEED} near {at:.4g} s",
+        found=found,
+        expected="one speed; cut the file there into a recording for each speed",
+    )
+
+
+def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) -> None:
+    """Mean speed agrees with the motor's position and with the reference speed, if they are there.
+
+    Directions may differ in sign. A mean speed below 1 rpm is too slow to compare. If another
+    unit of any column makes them agree within ``tolerance``, the message says so.
+    """
+    if MOTOR_SPEED not in recording.channels:
+        return
+    speed = abs(float(recording.motor_speed_rpm.mean()))
+    position = recording.channels.get(MOTOR_POSITION)
+    if position is not None:
+        span = float(recording.time_s[-1] - recording.time_s[0])
+        moved = abs(float(position[-1] - position[0])) / span * RPM_PER_RAD_PER_S
+        _require_same_speed(recording, speed, moved, MOTOR_POSITION, "that moves at", tolerance)
+    reference = recording.channels.get(REFERENCE_SPEED)
+    if reference is not None:
+        asked = abs(float(reference.mean()))
+        _require_same_speed(recording, speed, asked, REFERENCE_SPEED, "of", tolerance)
+
+
+def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
+    """Mean speed agrees with the speed that was asked for, of either sign, within 5 %."""
+    require_channels(recording, [MOTOR_SPEED])
+    speed = abs(float(recording.motor_speed_rpm.mean()))
+    _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of", 0.02)
+
+
+def _require_same_speed(
+    recording: Recording, speed: float, other: float, channel: str, verb: str, tolerance: float
+) -> None:
+    if min(other, speed) < 1.0 or abs(speed / other - 1.0) <= 0.05:
+        return
+    raise _error(
+        recording,
+        f"Motor speed and {CHANNELS[channel]} do not belong together."
+        + _other_unit(speed / other, channel, tolerance),
+        where=f"{MOTOR_SPEED}, {channel}",
+        found=f"a mean speed of {speed:.6g} rpm, but a {CHANNELS[channel]} {verb} {other:.6g} rpm",
         expected="the same within 5 %; state the units under [columns]",
     )
 
 
-def _other_unit(ratio: float, tolerance: float) -> str:
-    """The unit that would explain a ratio of speed to position's slope, as a sentence."""
-    for channel, sign in ((MOTOR_SPEED, 1), (MOTOR_POSITION, -1)):
-        own, *others = accepted_units(channel)
+def _other_unit(ratio: float, channel: str, tolerance: float) -> str:
+    """The unit that would explain a ratio of speed to another channel, as a sentence."""
+    suspects = [(MOTOR_SPEED, 1), (channel, -1)]
+    if channel == MOTOR_POSITION:
+        suspects.append((TIME, 1))
+    for suspect, sign in suspects:
+        own, *others = accepted_units(suspect)
         for unit in others:
-            if abs(ratio * conversion_factor(channel, unit) ** sign - 1.0) <= tolerance:
-                return f" The column for {channel} looks like {unit}, not {own}."
+            factor = conversion_factor(suspect, unit)
+            if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= tolerance:
+                return f" The column for {suspect} looks like {unit}, not {own}."
     return ""
+
+
+def _time_in_ms(recording: Recording) -> str:
+    """A sentence where time would make a usual sampling rate if it were in milliseconds."""
+    rate = 1000.0 / recording.sampling_period_s
+    return f" The column for {TIME} looks like ms, not s." if 100.0 <= rate <= 1e5 else ""
 
 
 def _error(

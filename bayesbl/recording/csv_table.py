@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesbl.errors import RecordingError
+from bayesbl.recording.timestamps import EXPECTED_DATE, NotADate, is_date, seconds_of_dates
 from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = ("\t", ";", ",")
@@ -54,6 +55,31 @@ class CsvTable:
     def place(self, row: int, column: int) -> str:
         """Where a cell stands, in words."""
         return f'line {self.line_numbers[row]}, column "{self.columns[column]}"'
+
+    def unit(self, column: int) -> None:
+        """A CSV file does not state units."""
+
+    def timestamps(self, column: int) -> FloatArray | None:
+        """Seconds since the first date; ``None`` if the column does not begin with a date.
+
+        Raises
+        ------
+        RecordingError
+            At the first cell that is no date in a column of dates.
+        """
+        if not is_date(self._cells(0)[column]):
+            return None
+        texts = [self._cells(row)[column] for row in range(len(self.lines))]
+        try:
+            return seconds_of_dates(texts)
+        except NotADate as error:
+            raise RecordingError(
+                "This is not a date like those before it.",
+                file=self.file,
+                where=self.place(error.row, column),
+                found=repr(shortened(texts[error.row])),
+                expected=EXPECTED_DATE,
+            ) from None
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """The values of some columns, shape (rows, len(columns)); empty cells are NaN.

@@ -8,55 +8,39 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.channels import (
-    CHANNELS,
-    TIME,
-    ColumnSpec,
-    did_you_mean,
-    is_mappable,
-)
-from bayesbl.recording.csv_table import read_csv, shortened
+from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.columns import Column, Table, choose_columns
+from bayesbl.recording.csv_table import read_csv
+from bayesbl.recording.gaps import bridge
+from bayesbl.recording.matlab import read_matlab
+from bayesbl.recording.netcdf import read_netcdf
+from bayesbl.recording.parquet import read_parquet
 from bayesbl.recording.types import FloatArray, Recording, Source
-from bayesbl.units import accepted_units, conversion_factor
 
 MINIMUM_SAMPLES = 16
 """Fewer samples than this are no recording, whatever the task."""
 
-
-class Table(Protocol):
-    """What a file format must offer: named columns of numbers, and the place of each cell."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names as they stand in the file."""
-
-    def numbers(self, columns: Sequence[int]) -> FloatArray:
-        """Values of some columns, shape (samples, len(columns)); missing ones are NaN."""
-
-    def place(self, row: int, column: int) -> str:
-        """Where a value stands, in words."""
+LATEST_START_S = 1e6
+"""Time that begins later, as seconds since 1970 do, is counted from its first stamp."""
 
 
 _FORMATS: Mapping[str, Callable[[Path, bytes], Table]] = MappingProxyType(
-    {".csv": read_csv, ".tsv": read_csv, ".txt": read_csv}
+    {
+        ".csv": read_csv,
+        ".tsv": read_csv,
+        ".txt": read_csv,
+        ".nc": read_netcdf,
+        ".mat": read_matlab,
+        ".parquet": read_parquet,
+    }
 )
-
-
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """A column of the file, the channel it becomes, and the factor between their units."""
-
-    index: int
-    channel: str
-    factor: float
 
 
 def read_recording(
@@ -80,24 +64,31 @@ def read_recording(
     Raises
     ------
     RecordingError
-        If the file cannot be read, lacks a column, or holds anything but finite numbers over
-        strictly increasing time. The message names line and column.
+        If the file cannot be read, lacks a column, holds anything but numbers over strictly
+        increasing time, or lost more samples than can be bridged. The message names line and
+        column.
     """
     path = Path(path)
     data = _read_bytes(path)
     table = _format_of(path)(path, data)
-    chosen = _choose_columns(path, table.columns, columns or {})
-    values = table.numbers([column.index for column in chosen])
-    with np.errstate(over="ignore"):
-        values = values * np.array([column.factor for column in chosen])
+    time_column, *others = choose_columns(path, table, columns or {})
+    stamps, values = _values(path, table, time_column, others)
     _check_length(path, values)
-    _check_finite(path, table, chosen, values)
-    _check_time(path, table, chosen, values)
-    series = {column.channel: values[:, i].copy() for i, column in enumerate(chosen)}
-    used = {column.index for column in chosen}
+    _check_finite(path, table, others, values)
+    rows = np.flatnonzero(np.isfinite(stamps))
+    time_s = _seconds(path, table, time_column, stamps, rows)
+
+    def place(row: int, column: int | None) -> str:
+        index = time_column.index if column is None else others[column].index
+        return table.place(int(rows[row]), index)
+
+    with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
+        bridged = bridge(path, time_s, values[rows], place)
+    series = {column.channel: bridged.values[:, i].copy() for i, column in enumerate(others)}
+    used = {time_column.index, *(column.index for column in others)}
     return Recording(
         name=name or path.stem,
-        time_s=series.pop(TIME),
+        time_s=bridged.time_s,
         channels=series,
         source=Source(
             file=str(path),
@@ -108,7 +99,83 @@ def read_recording(
                 if i not in used
             ),
         ),
+        excluded=bridged.excluded if bridged.excluded.any() else None,
+        notes=bridged.notes,
     )
+
+
+def _values(
+    path: Path, table: Table, time_column: Column, others: Sequence[Column]
+) -> tuple[FloatArray, FloatArray]:
+    """Time in the file's own unit, shape (n,), and channels in theirs, shape (n, c).
+
+    What is missing or not finite is NaN.
+    """
+    indices = [column.index for column in others]
+    stamps = table.timestamps(time_column.index)
+    if stamps is None:
+        if time_column.unit == "datetime":
+            raise _wrong_time_unit(path, table, time_column, "numbers", "dates")
+        both = table.numbers([time_column.index, *indices])
+        stamps, values = both[:, 0], both[:, 1:]
+    else:
+        if time_column.unit not in (None, "s", "datetime"):
+            raise _wrong_time_unit(path, table, time_column, "dates", "numbers")
+        values = table.numbers(indices)
+        if len(values) != len(stamps):
+            raise RecordingError(
+                "The columns do not have the same number of samples.",
+                file=path,
+                found=f"{len(stamps)} time stamps and {len(values)} values",
+                expected="one value of each for every time stamp",
+            )
+    with np.errstate(over="ignore"):
+        values = values * np.array([column.factor for column in others])
+    return (
+        np.where(np.isfinite(stamps), stamps, np.nan),
+        np.where(np.isfinite(values), values, np.nan),
+    )
+
+
+def _wrong_time_unit(
+    path: Path, table: Table, column: Column, found: str, expected: str
+) -> RecordingError:
+    return RecordingError(
+        "Time does not come in the unit that was stated for it.",
+        file=path,
+        where=f'column "{table.columns[column.index]}"',
+        found=found,
+        expected=f'{expected}, as unit = "{column.unit}" says',
+    )
+
+
+def _seconds(
+    path: Path, table: Table, column: Column, stamps: FloatArray, rows: NDArray[np.int64]
+) -> FloatArray:
+    """Time of the rows that have one, in seconds; a late start is taken off."""
+    if rows.size < MINIMUM_SAMPLES:
+        raise RecordingError(
+            "The recording is too short.",
+            file=path,
+            where=f'column "{table.columns[column.index]}"',
+            found=f"{rows.size} time stamps",
+            expected=f"at least {MINIMUM_SAMPLES}",
+        )
+    time = stamps[rows]
+    _check_time(path, table, column, time, rows)
+    with np.errstate(over="ignore"):
+        if column.unit == "datenum" or abs(time[0] * column.factor) > LATEST_START_S:
+            time = time - time[0]
+        seconds: FloatArray = time * column.factor
+    if not (np.isfinite(seconds[-1] - seconds[0]) and np.all(np.diff(seconds) > 0.0)):
+        raise RecordingError(
+            "Time cannot be counted in seconds.",
+            file=path,
+            where=f'column "{table.columns[column.index]}"',
+            found=f"from {stamps[rows[0]]:.6g} to {stamps[rows[-1]]:.6g}",
+            expected="the time of a recording",
+        )
+    return seconds
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -146,67 +213,6 @@ def _format_of(path: Path) -> Callable[[Path, bytes], Table]:
     return reader
 
 
-def _choose_columns(
-    path: Path, names: tuple[str, ...], specs: Mapping[str, ColumnSpec]
-) -> list[_Column]:
-    """Time first, then the mapped columns, then those that already have a channel's name."""
-    channels = {channel: _mapped(path, names, channel, spec) for channel, spec in specs.items()}
-    taken = {column.index for column in channels.values()}
-    for channel in (TIME, *CHANNELS):
-        if channel not in channels and channel in names and names.index(channel) not in taken:
-            channels[channel] = _Column(names.index(channel), channel, 1.0)
-    if TIME not in channels:
-        raise _missing_column(path, names, TIME)
-    if len(channels) == 1:
-        raise RecordingError(
-            "No column but time has a name that is known.",
-            file=path,
-            where="header",
-            found=_listed(names),
-            expected=f"at least one of {', '.join(CHANNELS)}; map others under [columns]",
-        )
-    return [channels.pop(TIME), *channels.values()]
-
-
-def _mapped(path: Path, names: tuple[str, ...], channel: str, spec: ColumnSpec) -> _Column:
-    if not is_mappable(channel):
-        raise RecordingError(
-            "A column is mapped to a channel that does not exist."
-            + did_you_mean(channel, (TIME, *CHANNELS)),
-            file=path,
-            where=f"[columns] {channel}",
-            found=f'"{channel}"',
-            expected=f"one of {', '.join((TIME, *CHANNELS))}, or a torque's name ending in _nm",
-        )
-    if spec.name not in names:
-        raise _missing_column(path, names, spec.name)
-    try:
-        factor = 1.0 if spec.unit is None else conversion_factor(channel, spec.unit)
-    except KeyError:
-        raise RecordingError(
-            "The unit is not known for this channel.",
-            file=path,
-            where=f"[columns] {channel}",
-            found=f'"{spec.unit}"',
-            expected=" or ".join(accepted_units(channel)),
-        ) from None
-    return _Column(names.index(spec.name), channel, factor)
-
-
-def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> RecordingError:
-    return RecordingError(
-        f'The column "{wanted}" is missing.{did_you_mean(wanted, names)}',
-        file=path,
-        where="header",
-        found=_listed(names),
-        expected=f'a column "{wanted}", or another name for it under [columns]',
-    )
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return shortened(", ".join(f'"{name}"' for name in names), 200)
-
-
 def _check_length(path: Path, values: FloatArray) -> None:
     if len(values) < MINIMUM_SAMPLES:
         raise RecordingError(
@@ -217,43 +223,32 @@ def _check_length(path: Path, values: FloatArray) -> None:
         )
 
 
-def _check_finite(path: Path, table: Table, chosen: Sequence[_Column], values: FloatArray) -> None:
-    """Refuse values that are missing or infinite, in the column where they come first."""
-    bad = ~np.isfinite(values)
-    if not bad.any():
-        return
-    row, index = np.argwhere(bad)[0]
-    count = int(bad[:, index].sum())
-    name = table.columns[chosen[index].index]
-    if count == len(values):
-        raise RecordingError(
-            "This column does not hold a single number.",
-            file=path,
-            where=f'column "{name}"',
-            found=f"NaN, infinite or empty in all {count} samples",
-            expected="a finite number in every sample",
-        )
-    raise RecordingError(
-        f"{count} of {len(values)} values are missing or not finite; this is the first.",
-        file=path,
-        where=table.place(int(row), chosen[index].index),
-        found="nothing or NaN" if np.isnan(values[row, index]) else str(values[row, index]),
-        expected="a finite number in every sample",
-    )
+def _check_finite(path: Path, table: Table, others: Sequence[Column], values: FloatArray) -> None:
+    """Refuse a column without a number; single missing values are bridged later."""
+    for column, series in zip(others, values.T, strict=True):
+        if np.isnan(series).all():
+            raise RecordingError(
+                "This column does not hold a single number.",
+                file=path,
+                where=f'column "{table.columns[column.index]}"',
+                found=f"NaN, infinite or empty in all {len(values)} samples",
+                expected="a finite number in every sample",
+            )
 
 
-def _check_time(path: Path, table: Table, chosen: Sequence[_Column], values: FloatArray) -> None:
-    time = values[:, 0]
+def _check_time(
+    path: Path, table: Table, column: Column, time: FloatArray, rows: NDArray[np.int64]
+) -> None:
     backward = np.flatnonzero(time[1:] <= time[:-1])
     if backward.size == 0:
         return
     row = int(backward[0]) + 1
-    before, after = time[row - 1] / chosen[0].factor, time[row] / chosen[0].factor
+    before, after = time[row - 1], time[row]
     problem = "Time stands still" if after == before else "Time runs backwards"
     raise RecordingError(
         f"{problem} ({backward.size} times in all; this is the first).",
         file=path,
-        where=table.place(row, chosen[0].index),
+        where=table.place(int(rows[row]), column.index),
         found=f"{after:.12g} after {before:.12g}",
         expected="time that increases from each line to the next",
     )

@@ -29,12 +29,14 @@ __all__ = [
     "MOTOR_TORQUE",
     "REFERENCE_SPEED",
     "TIME",
+    "BoolArray",
     "FloatArray",
     "Recording",
     "Source",
 ]
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,11 @@ class Recording:
         File and hash it was read from; ``None`` for a simulated recording.
     metadata
         What else is known, e.g. ``date`` or the parameters of the simulation that made it.
+    excluded
+        Shape (n,): samples that stand in for ones that were lost (bridged) or cannot be trusted
+        (clipped); a fit leaves them out. ``None`` where there are none.
+    notes
+        Sentences on what was done to the recording, for the result.
     """
 
     name: str
@@ -69,6 +76,8 @@ class Recording:
     channels: Mapping[str, FloatArray]
     source: Source | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    excluded: BoolArray | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:

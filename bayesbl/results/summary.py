@@ -76,6 +76,7 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         },
         "misfit_rms_rpm": float(group("misfit")["rms_rpm"]),
         "rotations": float(diagnostics["rotations"]),
+        "excluded_samples": int(group("observed_data").get("excluded", np.zeros(1)).sum()),
         "budget": {
             str(source): float(share)
             for source, share in zip(gap["source"].data, gap["budget"].data, strict=True)

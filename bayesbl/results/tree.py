@@ -184,6 +184,13 @@ def observed_group(recording: Recording) -> xr.Dataset:
         name: (("sample",), values, unit_of(name), CHANNELS.get(name, name))
         for name, values in recording.channels.items()
     }
+    left_out = np.zeros(recording.samples) if recording.excluded is None else recording.excluded
+    channels["excluded"] = (
+        ("sample",),
+        np.asarray(left_out, dtype=np.float64),
+        "1",
+        "sample that was lost or cannot be trusted (1), bridged and left out of the fit",
+    )
     return dataset({"time_s": (("sample",), recording.time_s, "s", "time")} | channels)
 
 

@@ -24,6 +24,7 @@ from numba import njit
 from scipy.fft import next_fast_len
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.signal.left_out import pulses_at, subtract
 from bayesbl.signal.normal_equations import solve
 
 # Columns of the parameter matrix that the kernel takes.
@@ -158,6 +159,8 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     harmonics,
     table,
     table_length,
+    left_out,
+    left_out_table,
     solve_amplitude,
     solve_mean,
     sse,
@@ -176,6 +179,10 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
         Signal with its mean removed, shape (n,), rpm, and Σ y².
     table, table_length
         Of :func:`harmonic_table` and :func:`grid_length`.
+    left_out, left_out_table
+        Numbers of the samples to leave out, sorted, shape (l,), where ``y`` is zero; and
+        :func:`harmonic_table` of a signal that is one there and else zero, for twice the
+        harmonics. Neither is read where l is zero.
     sse, log_determinant
         Output, shape (m,): rpm², and log|XᵀX| of the columns solved for. Infinite sum of squares
         where the parameters make no waveform.
@@ -207,6 +214,8 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     q_harmonic = np.zeros(harmonics + 1, np.complex128)
     rho = np.ones(harmonics + 1, np.complex128)
     dirichlet = np.zeros(2 * harmonics + 1)
+    left_out_train = np.empty(left_out.size)
+    left_out_sums = np.zeros(2 * harmonics + 1, np.complex128)
 
     for row in range(parameters.shape[0]):
         p = parameters[row]
@@ -359,6 +368,26 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             rhs[2 * j - 1], rhs[2 * j] = at.real, at.imag
             gram[c - 1, 2 * j - 1], gram[c - 1, 2 * j] = q_harmonic[j].real, q_harmonic[j].imag
         gram[c - 1, 0], gram[c - 1, c - 1], rhs[c - 1] = q_one, q_q, q_y
+        if left_out.size > 0:
+            pulses_at(
+                left_out,
+                count,
+                sign,
+                w,
+                n0,
+                begin,
+                end,
+                extra_at,
+                extra,
+                cosine,
+                sine,
+                left_out_train,
+            )
+            left_out_sums[0] = left_out.size
+            for k in range(1, 2 * harmonics + 1):
+                place = k * kappa / (2.0 * math.pi) * table_length
+                left_out_sums[k] = _interpolate(left_out_table, place)
+            subtract(gram, left_out, left_out_train, left_out_sums, kappa, centre)
 
         sse[row], log_determinant[row] = solve(
             gram,

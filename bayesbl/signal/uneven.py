@@ -50,6 +50,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     y_square,
     period_s,
     harmonics,
+    left_out,
     solve_amplitude,
     solve_mean,
     sse,
@@ -89,6 +90,8 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             for i in range(n):
                 columns[2 * k - 1, i] = math.cos(kappa * (time_s[i] - middle))
                 columns[2 * k, i] = math.sin(kappa * (time_s[i] - middle))
+        for i in left_out:
+            columns[:, i] = 0.0
         for i in range(c):
             rhs[i] = np.dot(columns[i], y)
             for j in range(i + 1):

@@ -12,14 +12,14 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import SnapshotConfig
+from bayesbl.config.schema import SnapshotConfig, SnapshotRecording
 from bayesbl.errors import ConfigError, CurveError
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
 from bayesbl.inference.posterior import SamplerSettings
-from bayesbl.recording.checks import check_for_fit
+from bayesbl.recording.checks import ready_for_fit, require_reference_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.curve_file import read_curve
@@ -61,7 +61,6 @@ def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr
     estimator, curve = estimator_of(config), curve_of(config)
     recordings = read_recordings(config)
     for recording in recordings:
-        check_for_fit(recording, config.joint.gear_ratio)
         require_same_estimator(curve, estimator, recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
     fits = [
@@ -85,11 +84,22 @@ def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr
 
 
 def read_recordings(config: SnapshotConfig) -> list[Recording]:
-    """All recordings of a configuration, in its order."""
-    return [
-        read_recording(entry.file, name=entry.name, columns=config.column_specs)
-        for entry in config.recordings
-    ]
+    """All recordings of a configuration, in its order, each ready for a fit."""
+    return [recording_of(entry, config) for entry in config.recordings]
+
+
+def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
+    """The recording of an entry, ready for a fit.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, or lacks what a fit needs.
+    """
+    recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
+    if entry.reference_speed_rpm is not None:
+        require_reference_speed(recording, entry.reference_speed_rpm)
+    return ready_for_fit(recording, config.joint.gear_ratio)
 
 
 def estimator_of(config: SnapshotConfig) -> Estimator:
@@ -196,7 +206,7 @@ def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
         reasons.insert(0, gap.reason)
     return {
         "outcome": outcome,
-        "reasons": reasons,
+        "reasons": [*reasons, *fit.point.recording.notes],
         "reason": " ".join(reasons) if outcome == "withheld" else None,
     }
 

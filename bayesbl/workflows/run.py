@@ -201,9 +201,12 @@ def _check_simulation(plan: Plan, path: Path) -> None:
 
 
 def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
-    from bayesbl.recording.checks import check_for_fit
-    from bayesbl.recording.readers import read_recording
-    from bayesbl.workflows.measure import curve_of, estimator_of, require_same_estimator
+    from bayesbl.workflows.measure import (
+        curve_of,
+        estimator_of,
+        recording_of,
+        require_same_estimator,
+    )
 
     estimator, curve = estimator_of(config), curve_of(config)
     plan.lines += [
@@ -213,13 +216,13 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     ]
 
     def checked(entry: SnapshotRecording) -> str:
-        recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
-        check_for_fit(recording, config.joint.gear_ratio)
+        recording = recording_of(entry, config)
         require_same_estimator(curve, estimator, recording)
         if bench is not None:
             observed_of(config, bench, recording)
         rate = 1.0 / recording.sampling_period_s
-        return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+        told = f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+        return " ".join([told, *recording.notes])
 
     bench: Bench | None = None
     if config.estimator.route == "direct":

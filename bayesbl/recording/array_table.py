@@ -1,0 +1,189 @@
+"""Files that hold arrays (NetCDF, MATLAB, Parquet) as a table of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.errors import RecordingError, UserError
+from bayesbl.recording.csv_table import shortened
+from bayesbl.recording.timestamps import (
+    EXPECTED_DATE,
+    NotADate,
+    is_date,
+    seconds_of_calendar,
+    seconds_of_dates,
+)
+from bayesbl.recording.types import FloatArray
+
+AnyArray = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayTable:
+    """One-dimensional arrays by name.
+
+    Attributes
+    ----------
+    file
+        Path as the user gave it, for messages.
+    arrays
+        Name to values, shape (n,) each; n may differ between arrays that nobody asks for.
+    units
+        Units that the file itself states, by name.
+    """
+
+    file: str
+    arrays: Mapping[str, AnyArray]
+    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names in the order of the file."""
+        return tuple(self.arrays)
+
+    def unit(self, column: int) -> str | None:
+        """What the file says of a column's unit."""
+        return self.units.get(self.columns[column])
+
+    def place(self, row: int, column: int) -> str:
+        """Where a value stands, in words."""
+        return f'sample {row + 1}, column "{self.columns[column]}"'
+
+    def timestamps(self, column: int) -> FloatArray | None:
+        """Seconds since the first date; ``None`` if the column does not hold dates.
+
+        Raises
+        ------
+        RecordingError
+            At the first value that is no date in a column of dates.
+        """
+        values = self._values(column)
+        if values.dtype.kind == "M":
+            return seconds_of_calendar(values)
+        if values.dtype.kind not in "OSU":
+            return None
+        texts = [_text(value) for value in values.tolist()]
+        if not is_date(next((text for text in texts if text), "")):
+            return None
+        try:
+            return seconds_of_dates(texts)
+        except NotADate as error:
+            raise RecordingError(
+                "This is not a date like those before it.",
+                file=self.file,
+                where=self.place(error.row, column),
+                found=repr(shortened(texts[error.row])),
+                expected=EXPECTED_DATE,
+            ) from None
+
+    def numbers(self, columns: Sequence[int]) -> FloatArray:
+        """Values of some columns, shape (n, len(columns)); missing ones are NaN.
+
+        Raises
+        ------
+        RecordingError
+            If the columns differ in length, or one does not hold real numbers.
+        """
+        lengths = {self.columns[column]: self._values(column).size for column in columns}
+        if len(set(lengths.values())) > 1:
+            raise RecordingError(
+                "The columns do not have the same number of samples.",
+                file=self.file,
+                where=", ".join(f'"{name}"' for name in lengths),
+                found=" and ".join(str(length) for length in lengths.values()),
+                expected="one value of each for every time stamp",
+            )
+        return np.column_stack([self._number(column) for column in columns])
+
+    def _values(self, column: int) -> AnyArray:
+        return self.arrays[self.columns[column]]
+
+    def _number(self, column: int) -> FloatArray:
+        values = self._values(column)
+        if values.dtype.kind in "biuf":
+            filled = np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan)
+            return np.asarray(filled, dtype=np.float64)
+        if values.dtype.kind == "m":
+            lasted = np.asarray(values / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
+            return lasted
+        if values.dtype.kind == "O":
+            return self._number_of_objects(values, column)
+        kinds = {"M": "dates", "c": "complex numbers", "S": "text", "U": "text"}
+        raise RecordingError(
+            "This column does not hold numbers.",
+            file=self.file,
+            where=f'column "{self.columns[column]}"',
+            found=kinds.get(values.dtype.kind, str(values.dtype)),
+            expected="real numbers",
+        )
+
+    def _number_of_objects(self, values: AnyArray, column: int) -> FloatArray:
+        numbers = np.full(values.size, np.nan)
+        for row, value in enumerate(values.tolist()):
+            if _text(value) == "":
+                continue
+            if isinstance(value, str | bytes):
+                number = None
+            else:
+                try:
+                    number = float(value)
+                except (TypeError, ValueError, OverflowError):
+                    number = None
+            if number is None:
+                raise RecordingError(
+                    "Text stands in a column of numbers.",
+                    file=self.file,
+                    where=self.place(row, column),
+                    found=repr(shortened(str(value))),
+                    expected="a number",
+                )
+            numbers[row] = number
+        return numbers
+
+
+@contextmanager
+def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
+    """Whatever a foreign parser raises on a damaged file becomes one sentence.
+
+    Parsers of binary formats let nearly every exception out (KeyError, MemoryError,
+    zlib.error, struct.error, …), so there is no narrower list that would hold.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        told = str(error).strip().splitlines()
+        raise RecordingError(
+            f"The file cannot be read as {kind}.",
+            file=file,
+            found=shortened(told[0] if told else type(error).__name__, 160),
+            expected=f"a whole {kind} file" + (f"; {hint}" if hint else ""),
+        ) from None
+
+
+def missing_library(file: Path, kind: str, library: str) -> RecordingError:
+    """The optional library that a format needs is not installed."""
+    return RecordingError(
+        f"Reading {kind} needs {library}, which is not installed.",
+        file=file,
+        found=f"no module {library}",
+        expected='it beside the package: pip install "bayesbl[formats]"',
+    )
+
+
+def _text(value: object) -> str:
+    """Text of a cell; empty for what stands for a missing value."""
+    if value is None or value != value or type(value).__name__ in ("NAType", "NaTType"):
+        return ""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace").strip()
+    return str(value).strip()

@@ -1,0 +1,124 @@
+"""Which columns of a file become which channels, and in which unit they come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
+from bayesbl.recording.csv_table import shortened
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import accepted_units, conversion_factor, spelled
+
+
+class Table(Protocol):
+    """What a file format must offer: named columns of numbers, and the place of each cell."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names as they stand in the file."""
+
+    def numbers(self, columns: Sequence[int]) -> FloatArray:
+        """Values of some columns, shape (samples, len(columns)); missing ones are NaN."""
+
+    def timestamps(self, column: int) -> FloatArray | None:
+        """Seconds since the first stamp where a column holds dates, else ``None``."""
+
+    def unit(self, column: int) -> str | None:
+        """The unit that the file states for a column."""
+
+    def place(self, row: int, column: int) -> str:
+        """Where a value stands, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of the file, the channel it becomes, and the unit it comes in."""
+
+    index: int
+    channel: str
+    unit: str | None
+
+    @property
+    def factor(self) -> float:
+        """What brings the column to the channel's own unit."""
+        return 1.0 if self.unit is None else conversion_factor(self.channel, self.unit)
+
+
+def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) -> list[Column]:
+    """Time first, then the mapped columns, then those that already have a channel's name."""
+    names = table.columns
+    channels = {channel: _mapped(path, table, channel, spec) for channel, spec in specs.items()}
+    taken = {column.index for column in channels.values()}
+    for channel in (TIME, *CHANNELS):
+        if channel not in channels and channel in names and names.index(channel) not in taken:
+            channels[channel] = _mapped(path, table, channel, ColumnSpec(channel))
+    if TIME not in channels:
+        raise _missing_column(path, names, TIME)
+    if len(channels) == 1:
+        raise RecordingError(
+            "No column but time has a name that is known.",
+            file=path,
+            where="header",
+            found=_listed(names),
+            expected=f"at least one of {', '.join(CHANNELS)}; map others under [columns]",
+        )
+    return [channels.pop(TIME), *channels.values()]
+
+
+def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
+    if not is_mappable(channel):
+        raise RecordingError(
+            "A column is mapped to a channel that does not exist."
+            + did_you_mean(channel, (TIME, *CHANNELS)),
+            file=path,
+            where=f"[columns] {channel}",
+            found=f'"{channel}"',
+            expected=f"one of {', '.join((TIME, *CHANNELS))}, or a torque's name ending in _nm",
+        )
+    if spec.name not in table.columns:
+        raise _missing_column(path, table.columns, spec.name)
+    index = table.columns.index(spec.name)
+    if spec.unit is not None and spec.unit not in accepted_units(channel):
+        raise RecordingError(
+            "The unit is not known for this channel.",
+            file=path,
+            where=f"[columns] {channel}",
+            found=f'"{spec.unit}"',
+            expected=" or ".join(accepted_units(channel)),
+        )
+    return Column(index, channel, spec.unit or _stated_unit(path, table, index, channel))
+
+
+def _stated_unit(path: Path, table: Table, index: int, channel: str) -> str | None:
+    """The unit that the file itself states, if any; the user's, under [columns], goes before."""
+    stated = table.unit(index)
+    if not stated or not stated.strip():
+        return None
+    unit = spelled(stated)
+    if unit not in accepted_units(channel):
+        raise RecordingError(
+            "The file states a unit that is not known for this channel.",
+            file=path,
+            where=f'column "{table.columns[index]}"',
+            found=f'"{shortened(stated)}"',
+            expected=" or ".join(accepted_units(channel)) + "; state the right one under [columns]",
+        )
+    return unit
+
+
+def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> RecordingError:
+    return RecordingError(
+        f'The column "{wanted}" is missing.{did_you_mean(wanted, names)}',
+        file=path,
+        where="header",
+        found=_listed(names),
+        expected=f'a column "{wanted}", or another name for it under [columns]',
+    )
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return shortened(", ".join(f'"{name}"' for name in names), 200)

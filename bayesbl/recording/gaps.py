@@ -1,0 +1,178 @@
+"""Lost samples: found as NaN or as holes in time, bridged where that is safe, else refused.
+
+A bridged sample keeps the sampling even, so that everything behind can count in samples, and is
+marked as excluded, so that a fit does not take it for a measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.types import BoolArray, FloatArray
+
+LONGEST_GAP_S = 0.1
+"""Half the ringing of an impact: a longer gap could hide one from all but its ends."""
+
+MOST_LOST = 0.05
+"""Largest share of lost samples. More than this is a fault of the logger that wants mending."""
+
+GRID_TOLERANCE = 0.45
+"""Largest distance of a time stamp from its point of an even grid, in sampling periods."""
+
+_MOST_GROWTH = 100
+"""A recording with holes longer than this many times its samples is taken for uneven."""
+
+IntArray = NDArray[np.int64]
+
+Place = Callable[[int, int | None], str]
+"""Where a value stands in the file, by row and column; no column is that of time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bridged:
+    """Samples on an even grid as far as time allows; shapes (n,), (n, c) and (n,)."""
+
+    time_s: FloatArray
+    values: FloatArray
+    excluded: BoolArray
+    notes: tuple[str, ...]
+
+
+def deviation_from_grid(time_s: FloatArray, number: FloatArray) -> tuple[FloatArray, float]:
+    """Distance of time stamps from the least-squares line over sample number, and its slope.
+
+    The distance, shape (n,), is in sampling periods. Stamps rounded to a resolution r lie within
+    r/2 of the line, however long the recording.
+    """
+    time = time_s - time_s.mean()
+    centred = number - number.mean()
+    slope = float(centred @ time) / float(centred @ centred)
+    deviation: FloatArray = time / slope - centred
+    return deviation, slope
+
+
+def sample_numbers(time_s: FloatArray) -> FloatArray | None:
+    """Which sample of an even grid each time stamp is, shape (n,); numbers are left out at holes.
+
+    ``None`` if the stamps lie on no even grid. Where they do without a hole, that is the answer:
+    1 kHz that lost every fifth sample and 800 Hz rounded to 1 ms are the same numbers.
+    """
+    whole = np.arange(time_s.size, dtype=float)
+    if np.abs(deviation_from_grid(time_s, whole)[0]).max() <= GRID_TOLERANCE:
+        return whole
+    steps = np.diff(time_s)
+    middle = float(np.median(steps))
+    found: list[FloatArray] = []
+    for period in (middle, float(steps[steps <= 2.5 * middle].mean())):
+        for _ in range(3):
+            # Counted from step to step, so that an error of the period cannot add up.
+            counts = np.maximum(np.round(steps / period), 1.0)
+            if not counts.sum() <= _MOST_GROWTH * time_s.size:
+                break
+            number = np.concatenate([[0.0], np.cumsum(counts)])
+            deviation, period = deviation_from_grid(time_s, number)
+            if np.abs(deviation).max() <= GRID_TOLERANCE:
+                found.append(number)
+                break
+    return min(found, key=lambda number: float(number[-1]), default=None)
+
+
+def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
+    """Bridge short runs of lost samples by straight lines.
+
+    Samples lost at either end are cut off, however many: a sensor may wake up late.
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,), strictly increasing.
+    values
+        Shape (n, c); NaN where a value is missing. No column is all NaN.
+
+    Raises
+    ------
+    RecordingError
+        If a run is longer than :data:`LONGEST_GAP_S`, or more than :data:`MOST_LOST` of all
+        samples are lost. The message says where.
+    """
+    whole = ~np.isnan(values).any(axis=1)
+    kept = np.flatnonzero(whole)
+    if kept.size < 2:
+        raise RecordingError(
+            "No two samples have a number in every column.",
+            file=file,
+            found=f"{kept.size} of {whole.size} samples without a missing value",
+            expected="columns that were recorded at the same times",
+        )
+    first, last = int(kept[0]), int(kept[-1]) + 1
+    notes = _cut_note(whole.size - (last - first))
+    time, values = time_s[first:last], values[first:last]
+    number = sample_numbers(time)
+    if number is None:
+        number = np.arange(time.size, dtype=float)
+    at = number.astype(int)
+    lost = np.ones(at[-1] + 1, dtype=bool)
+    lost[at] = np.isnan(values).any(axis=1)
+    if not lost.any():
+        return Bridged(time, values, lost, notes)
+    full_time = np.interp(np.arange(lost.size), number, time)
+    begins, ends = runs(lost)
+    lengths = full_time[ends] - full_time[begins - 1]
+    longest = int(np.argmax(lengths))
+    rows = slice(*np.searchsorted(at, (begins[longest], ends[longest])))
+    missing = np.isnan(values[rows]).sum(axis=0)
+    where = (
+        f"from {place(first + rows.start, int(np.argmax(missing)))}"
+        if missing.any()
+        else f"after {place(first + rows.start - 1, None)}"
+    )
+    _refuse_too_much(file, lost, float(lengths[longest]), where)
+    full = np.full((lost.size, values.shape[1]), np.nan)
+    full[at] = values
+    for column in full.T:
+        gap = np.isnan(column)
+        column[gap] = np.interp(full_time[gap], full_time[~gap], column[~gap])
+    note = (
+        f"{lost.sum()} of {lost.size} samples are missing, in {begins.size} "
+        f"{'gap' if begins.size == 1 else 'gaps'} of at most {(ends - begins).max()} samples, "
+        f"the first after {full_time[begins[0] - 1]:.6g} s: bridged, and left out of the fit."
+    )
+    return Bridged(full_time, full, lost, (*notes, note))
+
+
+def _cut_note(cut: int) -> tuple[str, ...]:
+    if not cut:
+        return ()
+    return (f"{cut} samples with missing values at the ends of the recording are cut off.",)
+
+
+def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) -> None:
+    share = lost.mean()
+    if longest_s > LONGEST_GAP_S:
+        raise RecordingError(
+            "Samples are missing for too long.",
+            file=file,
+            where=where,
+            found=f"nothing for {longest_s:.4g} s",
+            expected=f"gaps of at most {LONGEST_GAP_S:g} s; use the part before or after",
+        )
+    if share > MOST_LOST:
+        raise RecordingError(
+            "Too many samples are missing.",
+            file=file,
+            where=f"longest {where}",
+            found=f"{lost.sum()} of {lost.size} samples, {100.0 * share:.3g} %",
+            expected=f"at most {100.0 * MOST_LOST:g} %; a column that is not needed can be renamed",
+        )
+
+
+def runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
+    """First and one-past-last index of each run of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
+    return edges[::2], edges[1::2]

@@ -1,0 +1,34 @@
+"""NetCDF files (version 3 and 4) as a table: the one-dimensional variables of the root group."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bayesbl.recording.array_table import ArrayTable, readable
+
+
+def read_netcdf(file: Path, data: bytes) -> ArrayTable:
+    """Variables and coordinates with one dimension; calendar times decoded, units kept.
+
+    Raises
+    ------
+    RecordingError
+        If it is no NetCDF file.
+    """
+    import netCDF4
+    import xarray as xr
+
+    with readable(file, "NetCDF"):
+        stored = netCDF4.Dataset("recording", memory=data)
+        store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
+        with xr.open_dataset(store, decode_timedelta=False) as dataset:
+            chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}
+            arrays = {name: np.asarray(variable.values) for name, variable in chosen.items()}
+            units = {
+                name: str(variable.attrs["units"])
+                for name, variable in chosen.items()
+                if "units" in variable.attrs
+            }
+    return ArrayTable(str(file), arrays, units)

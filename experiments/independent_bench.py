@@ -1,0 +1,569 @@
+"""The two-mass bench once more, to make data that the package's own simulator has no part in.
+
+    python experiments/independent_bench.py
+
+prints, for every effect of the catalogue, how far the two simulators are apart beside how much the
+effect changes. Studies hide an effect here and diagnose it with ``bayesbl``: only the equations of
+``design.md`` are shared. This file integrates by Runge and Kutta's fourth-order rule at a fixed
+small step, does not look for the edges of the gap, smooths dry friction otherwise
+(ω/√(ω² + w²) at the motor, erf at the load), keeps the two angles instead of the twist, and runs
+through whole rotations from a rough start to reach steady rotation.
+
+It can also do what the catalogue does not hold: a torque periodic in time, a defect of a belt, lost
+speed samples, a second gap behind a third mass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from scipy import signal, special
+
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
+
+RPM = 60.0 / (2.0 * math.pi)
+LONGEST_STEP_S = 2.5e-5
+"""Keeps the speed to 0.005 rpm at δ of 3 mrad, to 0.001 rpm below 1 mrad."""
+CHECKPOINT_S = 0.03
+"""The run goes back this far or more from where the recording begins, for channels that lag."""
+SETTLING_ROTATIONS = 1.5
+
+MOTOR_WIDTH = 0.05  # rad/s
+LOAD_WIDTH = 2e-3  # rad/s
+CHANNELS = (MOTOR_POSITION, MOTOR_SPEED, MOTOR_CURRENT)
+SPEEDS_RPM = (2000.0, -2000.0, 1200.0)
+
+
+class Plant(NamedTuple):
+    """All that decides the noise-free signals, SI but for the reference speed in rpm.
+
+    Effects of the catalogue as ``effect__parameter``; ``outside__…`` is in no catalogue. A belt's
+    defect acts as a smooth pulse of torque without a mean, once per ``turns`` of the motor, of the
+    given angular width at the motor; a second gap stands behind a third mass, a share of the load,
+    between two shafts that together are as stiff as the one (with a mass of 0.02 of the load it is
+    nothing but a larger gap: the bench with one gap then fits to the noise).
+    """
+
+    gear_ratio: float
+    motor_inertia_kg_m2: float
+    load_inertia_kg_m2: float
+    shaft_stiffness_nm_per_rad: float
+    shaft_damping_nm_s_per_rad: float
+    gravity_torque_nm: float
+    speed_gain_nm_s_per_rad: float
+    integral_gain_nm_per_rad: float
+    torque_constant_nm_per_a: float
+    current_limit_a: float
+    reference_speed_rpm: float
+    gap_rad: float
+    start_angle_rad: float
+    stiffness_sharpness_per_rad: float = 1e6
+    position_gain_per_s: float = 0.0
+    hard_dead_zone: float = 0.0
+    motor_start_angle_rad: float = 0.0
+    backlash__gap_rad: float = 0.0
+    motor_coulomb_friction__torque_nm: float = 0.0
+    motor_viscous_friction__coefficient_nm_s_per_rad: float = 0.0
+    motor_stribeck_friction__torque_nm: float = 0.0
+    motor_stribeck_friction__speed_rad_per_s: float = 50.0
+    friction_asymmetry__coefficient_nm_s_per_rad: float = 0.0
+    motor_torque_offset__torque_nm: float = 0.0
+    load_coulomb_friction__torque_nm: float = 0.0
+    load_viscous_friction__coefficient_nm_s_per_rad: float = 0.0
+    load_torque_offset__torque_nm: float = 0.0
+    gravity_phase__torque_nm: float = 0.0
+    gear_mesh_friction__coefficient: float = 0.0
+    motor_torque_ripple__torque_nm: float = 0.0
+    motor_torque_ripple__order: float = 1.0
+    motor_torque_ripple__phase_rad: float = 0.0
+    gear_transmission_error__angle_rad: float = 0.0
+    gear_transmission_error__order: float = 1.0
+    gear_transmission_error__phase_rad: float = 0.0
+    encoder_eccentricity__angle_rad: float = 0.0
+    encoder_eccentricity__phase_rad: float = 0.0
+    stiffness_hardening__stiffness_nm_per_rad3: float = 0.0
+    shaft_hysteresis__torque_nm: float = 0.0
+    shaft_hysteresis__angle_rad: float = 1e-3
+    current_loop_lag__time_s: float = 0.0
+    speed_sensor_lag__time_s: float = 0.0
+    friction_drift__torque_nm: float = 0.0
+    friction_drift__rate_nm_per_s: float = 0.0
+    channel_time_skew__position_s: float = 0.0
+    channel_time_skew__speed_s: float = 0.0
+    channel_time_skew__current_s: float = 0.0
+    outside__time_torque_nm: float = 0.0
+    outside__time_frequency_hz: float = 7.3
+    outside__time_phase_rad: float = 0.0
+    outside__belt_torque_nm: float = 0.0
+    outside__belt_turns: float = 1.37
+    outside__belt_width_rad: float = 0.8
+    outside__belt_mean: float = 0.0  # filled in: mean of the belt's pulse
+    outside__second_gap_rad: float = 0.0
+    outside__second_mass_share: float = 0.3
+    outside__dropouts_per_s: float = 0.0
+    outside__dropout_length_s: float = 0.004
+    outside__dropout_share: float = 0.5
+
+
+_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def _shaft(twist, slip, gap, stiffness, damping, p):
+    """Torque of one shaft with its gap, load side."""
+    if p.hard_dead_zone != 0.0:
+        if abs(twist) < gap:
+            return 0.0
+        return stiffness * (twist - math.copysign(gap, twist)) + damping * slip
+    alpha = p.stiffness_sharpness_per_rad
+    share = 1.0 + (math.atan(alpha * (twist - gap)) - math.atan(alpha * (twist + gap))) / math.pi
+    return (stiffness * (twist - math.copysign(gap, twist)) + damping * slip) * share
+
+
+@_jit
+def _measured(y, p, phase):
+    """Angle and speed that the encoder shows, speed that the controller is given."""
+    angle, speed = y[0], y[1]
+    if p.encoder_eccentricity__angle_rad != 0.0:
+        turn = angle + phase + p.encoder_eccentricity__phase_rad
+        angle += p.encoder_eccentricity__angle_rad * math.sin(turn)
+        speed *= 1.0 + p.encoder_eccentricity__angle_rad * math.cos(turn)
+    return angle, speed, y[6] if p.speed_sensor_lag__time_s > 0.0 else speed
+
+
+@_jit
+def _demand(t, y, p, phase, ramp_start):
+    """Speed error and torque that the controller asks for, unlimited."""
+    angle, _, speed = _measured(y, p, phase)
+    reference = p.reference_speed_rpm / RPM
+    error = reference - speed
+    if p.position_gain_per_s != 0.0:
+        error += p.position_gain_per_s * (ramp_start + reference * t - angle)
+    return error, p.speed_gain_nm_s_per_rad * error + p.integral_gain_nm_per_rad * y[4]
+
+
+@_jit
+def _slopes(t, y, p, phase, ramp_start, drift_start, dy):
+    """θ_m, ω_m, θ_l, ω_l, ∫error, lagged torque, lagged speed, Dahl z, θ_k, ω_k."""
+    n = p.gear_ratio
+    error, demand = _demand(t, y, p, phase, ramp_start)
+    limit = p.torque_constant_nm_per_a * p.current_limit_a
+    torque = min(max(demand, -limit), limit)
+    dy[4] = error if torque == demand or error * demand < 0.0 else 0.0
+    dy[5] = 0.0
+    if p.current_loop_lag__time_s > 0.0:
+        dy[5] = (torque - y[5]) / p.current_loop_lag__time_s
+        torque = y[5]
+    dy[6] = 0.0
+    if p.speed_sensor_lag__time_s > 0.0:
+        _, fresh, _ = _measured(y, p, phase)
+        dy[6] = (fresh - y[6]) / p.speed_sensor_lag__time_s
+
+    three = p.outside__second_gap_rad > 0.0
+    far_angle, far_speed = (y[8], y[9]) if three else (y[2], y[3])
+    twist, slip = y[0] / n - far_angle, y[1] / n - far_speed
+    dy[7] = 0.0
+    if p.shaft_hysteresis__torque_nm != 0.0:
+        dy[7] = (slip - abs(slip) * y[7]) / p.shaft_hysteresis__angle_rad
+    if p.gear_transmission_error__angle_rad != 0.0:
+        order = p.gear_transmission_error__order
+        turn = order * (y[0] + phase) + p.gear_transmission_error__phase_rad
+        twist += p.gear_transmission_error__angle_rad * math.sin(turn)
+        slip += p.gear_transmission_error__angle_rad * order * y[1] * math.cos(turn)
+    gap = p.gap_rad + p.backlash__gap_rad
+    times = 2.0 if three else 1.0
+    stiffness = times * p.shaft_stiffness_nm_per_rad
+    damping = times * p.shaft_damping_nm_s_per_rad
+    shaft = _shaft(twist, slip, gap, stiffness, damping, p)
+    if abs(twist) > gap:
+        compression = twist - math.copysign(gap, twist)
+        shaft += p.stiffness_hardening__stiffness_nm_per_rad3 * compression**3
+    shaft += p.shaft_hysteresis__torque_nm * y[7]
+
+    speed = y[1]
+    dry = p.motor_coulomb_friction__torque_nm + p.friction_drift__torque_nm
+    if t > drift_start:
+        dry += p.friction_drift__rate_nm_per_s * (t - drift_start)
+    dry += p.gear_mesh_friction__coefficient * abs(shaft) / n
+    if p.motor_stribeck_friction__torque_nm != 0.0:
+        share = speed / p.motor_stribeck_friction__speed_rad_per_s
+        dry += p.motor_stribeck_friction__torque_nm * math.exp(-share * share)
+    lost = dry * speed / math.sqrt(speed * speed + MOTOR_WIDTH * MOTOR_WIDTH)
+    lost += p.motor_viscous_friction__coefficient_nm_s_per_rad * speed
+    lost += p.friction_asymmetry__coefficient_nm_s_per_rad * abs(speed)
+    lost += p.motor_torque_offset__torque_nm
+    if p.motor_torque_ripple__torque_nm != 0.0:
+        turn = p.motor_torque_ripple__order * (y[0] + phase) + p.motor_torque_ripple__phase_rad
+        lost += p.motor_torque_ripple__torque_nm * math.sin(turn)
+    if p.outside__time_torque_nm != 0.0:
+        turn = 2.0 * math.pi * p.outside__time_frequency_hz * t + p.outside__time_phase_rad
+        lost += p.outside__time_torque_nm * math.sin(turn)
+    if p.outside__belt_torque_nm != 0.0:
+        turn = (y[0] + phase) / p.outside__belt_turns
+        sharpness = (p.outside__belt_turns / p.outside__belt_width_rad) ** 2
+        pulse = math.exp(sharpness * (math.cos(turn) - 1.0)) - p.outside__belt_mean
+        lost += p.outside__belt_torque_nm * pulse
+
+    load = p.gravity_torque_nm * math.sin(y[2]) + p.load_torque_offset__torque_nm
+    load += p.gravity_phase__torque_nm * math.cos(y[2])
+    load += p.load_viscous_friction__coefficient_nm_s_per_rad * y[3]
+    if p.load_coulomb_friction__torque_nm != 0.0:
+        load += p.load_coulomb_friction__torque_nm * math.erf(y[3] / LOAD_WIDTH)
+
+    dy[0] = speed
+    dy[1] = (torque - shaft / n - lost) / p.motor_inertia_kg_m2
+    dy[2] = y[3]
+    dy[8] = 0.0
+    dy[9] = 0.0
+    if not three:
+        dy[3] = (shaft - load) / p.load_inertia_kg_m2
+        return
+    gap = p.outside__second_gap_rad
+    second = _shaft(y[8] - y[2], y[9] - y[3], gap, stiffness, damping, p)
+    middle = p.outside__second_mass_share * p.load_inertia_kg_m2
+    dy[3] = (second - load) / (p.load_inertia_kg_m2 - middle)
+    dy[8] = y[9]
+    dy[9] = (shaft - second) / middle
+
+
+@_jit
+def _step(t, y, h, p, phase, ramp_start, drift_start, k, trial):
+    """One step of Runge and Kutta, in place."""
+    _slopes(t, y, p, phase, ramp_start, drift_start, k[0])
+    for i in range(10):
+        trial[i] = y[i] + 0.5 * h * k[0, i]
+    _slopes(t + 0.5 * h, trial, p, phase, ramp_start, drift_start, k[1])
+    for i in range(10):
+        trial[i] = y[i] + 0.5 * h * k[1, i]
+    _slopes(t + 0.5 * h, trial, p, phase, ramp_start, drift_start, k[2])
+    for i in range(10):
+        trial[i] = y[i] + h * k[2, i]
+    _slopes(t + h, trial, p, phase, ramp_start, drift_start, k[3])
+    for i in range(10):
+        y[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+
+
+@_jit
+def _outputs(t, y, p, phase, ramp_start, shown):
+    """Position in rad, speed in rpm, current in A."""
+    _, demand = _demand(t, y, p, phase, ramp_start)
+    limit = p.torque_constant_nm_per_a * p.current_limit_a
+    torque = min(max(demand, -limit), limit)
+    if p.current_loop_lag__time_s > 0.0:
+        torque = y[5]
+    shown[0], _, speed = _measured(y, p, phase)
+    shown[1] = speed * RPM
+    shown[2] = torque / p.torque_constant_nm_per_a
+
+
+@_jit
+def _run(p, settling_rotations, step, sampling_s, out):
+    """Fill ``out``, shape (3, n); returns whether the load ever came to the start angle."""
+    n = p.gear_ratio
+    reference = p.reference_speed_rpm / RPM
+    direction = math.copysign(1.0, reference)
+    phase = p.motor_start_angle_rad - n * p.start_angle_rad
+    y = np.zeros(10)
+    y[2] = p.start_angle_rad - direction * 2.0 * math.pi * settling_rotations
+    y[8] = y[2]
+    y[0] = n * y[2]
+    y[1], y[3], y[9], y[6] = reference, reference / n, reference / n, reference
+    ramp_start = y[0]
+    k, trial = np.empty((4, 10)), np.empty(10)
+    older, old, old_t, older_t = y.copy(), y.copy(), 0.0, 0.0
+    each = int(CHECKPOINT_S / step)
+    begin = -1.0
+    most = int((settling_rotations + 3.0) * 2.0 * math.pi * n / abs(reference) / step)
+    for i in range(most):
+        t = i * step
+        if i % each == 0:
+            older[:] = old
+            older_t = old_t
+            old[:] = y
+            old_t = t
+        before = (y[2] - p.start_angle_rad) * direction
+        _step(t, y, step, p, phase, ramp_start, math.inf, k, trial)
+        after = (y[2] - p.start_angle_rad) * direction
+        if before < 0.0 <= after:
+            begin = t - step * before / (after - before)
+            break
+    if begin < 0.0:
+        return False
+
+    # Once more from the checkpoint, now that the time of the first sample is known.
+    skew = (
+        p.channel_time_skew__position_s,
+        p.channel_time_skew__speed_s,
+        p.channel_time_skew__current_s,
+    )
+    y[:] = older
+    samples = out.shape[1]
+    following = np.zeros(3, np.int64)
+    left, right = np.empty(3), np.empty(3)
+    i = 0
+    while min(following) < samples:
+        t = older_t + i * step
+        due = False
+        for c in range(3):
+            if following[c] < samples:
+                due = due or begin + following[c] * sampling_s - skew[c] <= t + step
+        if due:
+            _outputs(t, y, p, phase, ramp_start, left)
+        _step(t, y, step, p, phase, ramp_start, begin, k, trial)
+        i += 1
+        if not due:
+            continue
+        _outputs(t + step, y, p, phase, ramp_start, right)
+        for c in range(3):
+            while following[c] < samples:
+                share = (begin + following[c] * sampling_s - skew[c] - t) / step
+                if share > 1.0:
+                    break
+                out[c, following[c]] = left[c] + share * (right[c] - left[c])
+                following[c] += 1
+    return True
+
+
+def plant(values: Mapping[str, float], **settings: float) -> Plant:
+    """From bench parameters by name, effects as ``effect.parameter`` or ``effect__parameter``.
+
+    Raises
+    ------
+    TypeError
+        If a name is unknown, or one is missing.
+    """
+    named = {name.replace(".", "__"): float(v) for name, v in {**values, **settings}.items()}
+    made = Plant(**named)
+    sharpness = (made.outside__belt_turns / made.outside__belt_width_rad) ** 2
+    return made._replace(outside__belt_mean=float(special.i0e(sharpness)))
+
+
+def noise_free(
+    made: Plant, rotations: float = 5.0, sampling_hz: float = 1000.0, step_s: float = LONGEST_STEP_S
+) -> np.ndarray:
+    """Position (rad, continuing, zero where the load's zero is), speed (rpm), current (A).
+
+    Shape (3, n), n as many samples as fall into the rotations, both ends included.
+
+    Raises
+    ------
+    ValueError
+        If the motor cannot turn the load round, a channel lags by more than the run goes back, or
+        the signals do not stay finite.
+    """
+    skews = (
+        made.channel_time_skew__position_s,
+        made.channel_time_skew__speed_s,
+        made.channel_time_skew__current_s,
+    )
+    if max(skews) > CHECKPOINT_S:
+        raise ValueError(f"a channel lags by more than {CHECKPOINT_S} s")
+    period = 2.0 * math.pi * made.gear_ratio * RPM / abs(made.reference_speed_rpm)
+    out = np.full((3, math.floor(round(rotations * period * sampling_hz, 6)) + 1), np.nan)
+    settling = SETTLING_ROTATIONS
+    if made.shaft_hysteresis__torque_nm != 0.0:
+        # It forgets with travel: an e-fold for each θ_p, about 4 (δ + m g l/K_s) a rotation.
+        wound = made.gravity_torque_nm / made.shaft_stiffness_nm_per_rad
+        travel = 4.0 * (made.gap_rad + made.backlash__gap_rad + wound)
+        settling += min(10.0 * made.shaft_hysteresis__angle_rad / travel, 8.0)
+    step = 1.0 / sampling_hz / math.ceil(1.0 / (sampling_hz * step_s))
+    if not _run(made, settling, step, 1.0 / sampling_hz, out) or not np.all(np.isfinite(out)):
+        raise ValueError("the motor does not turn the load round, or the simulation diverged")
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Coloured AR(1) noise of the speed, white noise of the current, encoder counts per turn."""
+
+    speed_sd_rpm: float = 1.5
+    speed_coefficient: float = 0.6
+    current_sd_a: float = 0.05
+    encoder_counts: int = 16384
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A recording with what only its maker knows.
+
+    Attributes
+    ----------
+    recording
+        As a measurement would give it; its metadata tell nothing of the truth.
+    clean
+        Position (from zero unless absolute), speed, current without noise, shape (3, n); without
+        lost samples too.
+    truth
+        All parameters.
+    """
+
+    recording: Recording
+    clean: np.ndarray
+    truth: Plant
+
+
+def simulate(
+    made: Plant,
+    rng: np.random.Generator | None = None,
+    *,
+    name: str = "simulated",
+    rotations: float = 5.0,
+    sampling_hz: float = 1000.0,
+    noise: Noise | None = None,
+    absolute_position: bool = False,
+    step_s: float = LONGEST_STEP_S,
+) -> Made:
+    """One recording; ``rng`` of ``None``: neither noise nor lost samples, an ideal encoder."""
+    clean = noise_free(made, rotations, sampling_hz, step_s)
+    zero = clean[0, 0]
+    if absolute_position:
+        zero = made.gear_ratio * made.start_angle_rad - made.motor_start_angle_rad
+    clean[0] -= zero
+    seen = clean.copy()
+    if rng is not None:
+        noise = noise or Noise()
+        count = 2.0 * math.pi / noise.encoder_counts
+        seen[0] = np.round(clean[0] / count) * count
+        seen[1] += _autoregressive(clean.shape[1], noise, rng)
+        seen[2] += noise.current_sd_a * rng.standard_normal(clean.shape[1])
+        _lose_samples(seen[1], made, sampling_hz, rng)
+    time = np.arange(clean.shape[1]) / sampling_hz
+    return Made(Recording(name, time, dict(zip(CHANNELS, seen, strict=True))), clean, made)
+
+
+def random_recordings(
+    values: Mapping[str, float],
+    hidden: Mapping[str, float],
+    rng: np.random.Generator,
+    *,
+    gap_rad: tuple[float, float] = (2e-4, 3.5e-3),
+    speeds_rpm: Sequence[float] = SPEEDS_RPM,
+    noise: Noise | None = None,
+    absolute_position: bool = False,
+    rotations: float = 5.0,
+) -> list[Made]:
+    """One recording for each speed, of one gap drawn log-uniformly.
+
+    Load and motor start angles, and the phase of what is periodic in time, are drawn anew for each
+    recording.
+
+    Parameters
+    ----------
+    values
+        Bench parameters by name.
+    hidden
+        Effects, or what no catalogue holds, as ``effect__parameter``.
+    """
+    gap = math.exp(rng.uniform(*np.log(gap_rad)))
+    made = []
+    for speed in speeds_rpm:
+        start, motor, phase = rng.uniform(-math.pi, math.pi, 3)
+        truth = plant(
+            {
+                **values,
+                "gap_rad": gap,
+                "reference_speed_rpm": speed,
+                "start_angle_rad": start,
+                "motor_start_angle_rad": motor,
+                "outside__time_phase_rad": phase,
+                **hidden,
+            }
+        )
+        made.append(
+            simulate(
+                truth,
+                rng,
+                name=f"{'forward' if speed > 0 else 'reverse'} {abs(speed):g} rpm",
+                rotations=rotations,
+                noise=noise,
+                absolute_position=absolute_position,
+            )
+        )
+    return made
+
+
+def _autoregressive(size: int, noise: Noise, rng: np.random.Generator) -> np.ndarray:
+    phi = noise.speed_coefficient
+    white = rng.standard_normal(size)
+    white[1:] *= math.sqrt(1.0 - phi * phi)
+    return noise.speed_sd_rpm * signal.lfilter([1.0], [1.0, -phi], white)
+
+
+def _lose_samples(
+    speed: np.ndarray, made: Plant, sampling_hz: float, rng: np.random.Generator
+) -> None:
+    """For short stretches at random times the recorded speed falls by a share of itself."""
+    count = rng.poisson(made.outside__dropouts_per_s * speed.size / sampling_hz)
+    for begin in rng.integers(0, speed.size, count):
+        length = max(1, round(sampling_hz * rng.exponential(made.outside__dropout_length_s)))
+        speed[begin : begin + length] *= 1.0 - made.outside__dropout_share * rng.uniform(0.2, 1.0)
+
+
+TYPICAL: Mapping[str, Mapping[str, float]] = {
+    "backlash": {"gap_rad": 4e-4},
+    "motor_coulomb_friction": {"torque_nm": 0.2},
+    "motor_viscous_friction": {"coefficient_nm_s_per_rad": 1e-3},
+    "motor_stribeck_friction": {"torque_nm": 0.3, "speed_rad_per_s": 200.0},
+    "friction_asymmetry": {"coefficient_nm_s_per_rad": 5e-4},
+    "motor_torque_offset": {"torque_nm": 0.2},
+    "load_coulomb_friction": {"torque_nm": 15.0},
+    "load_viscous_friction": {"coefficient_nm_s_per_rad": 10.0},
+    "load_torque_offset": {"torque_nm": 15.0},
+    "gravity_phase": {"torque_nm": 30.0},
+    "gear_mesh_friction": {"coefficient": 0.05},
+    "motor_torque_ripple": {"torque_nm": 0.05, "order": 6.0, "phase_rad": 0.7},
+    "gear_transmission_error": {"angle_rad": 3e-5, "order": 2.0, "phase_rad": -0.4},
+    "encoder_eccentricity": {"angle_rad": 2e-3, "phase_rad": 1.1},
+    "stiffness_hardening": {"stiffness_nm_per_rad3": 1e9},
+    "shaft_hysteresis": {"torque_nm": 20.0, "angle_rad": 1e-3},
+    "current_loop_lag": {"time_s": 1e-3},
+    "speed_sensor_lag": {"time_s": 1e-3},
+    "friction_drift": {"torque_nm": 0.1, "rate_nm_per_s": 0.01},
+    "channel_time_skew": {"position_s": 1e-3, "speed_s": 2e-3, "current_s": -1.5e-3},
+}
+"""A middling strength of every effect of the catalogue."""
+
+
+def _main() -> None:
+    from time import perf_counter
+
+    from bayesbl.config.bench import reference_bench
+    from bayesbl.physics.effects import EFFECTS
+    from bayesbl.physics.parameters import BENCH_PARAMETERS
+
+    bench = reference_bench()
+    values = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
+    common = {"gap_rad": 8e-4, "start_angle_rad": 0.4, "reference_speed_rpm": 2000.0}
+    motor = {"motor_start_angle_rad": 0.9}
+
+    def both(settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        package = bench.simulate_many(
+            **common,
+            overrides={**motor, **settings},
+            rotations=1.2,
+            channels="all",
+            accuracy_rpm=1e-3,
+        )[0]
+        return package, noise_free(plant({**values, **common, **motor, **settings}), 1.2)
+
+    print(f"{'':26s} largest change by the effect   largest difference of simulators   s")
+    plain, _ = both({})
+    for name in ("", *(effect.name for effect in EFFECTS)):
+        begin = perf_counter()
+        package, own = both({f"{name}__{k}": v for k, v in TYPICAL.get(name, {}).items()})
+        change = np.max(np.abs(package - plain), axis=1)
+        apart = np.max(np.abs(package - own), axis=1)
+        print(
+            f"{name or 'no effect':26s} {change[1]:9.3f} rpm {change[2]:8.4f} A"
+            f" {apart[1]:12.4f} rpm {apart[2]:8.4f} A {apart[0]:.1e} rad"
+            f" {perf_counter() - begin:6.2f}"
+        )
+
+
+if __name__ == "__main__":
+    _main()

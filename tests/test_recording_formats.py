@@ -1,0 +1,236 @@
+"""Formats: the same numbers come out of all of them, and damage never ends in a traceback."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from recording_files import write_csv, write_mat5, write_mat73, write_netcdf, write_parquet
+
+from bayesbl.errors import RecordingError, UserError
+from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.readers import read_recording
+
+TIME = np.arange(400) * 0.001
+SPEED = 2000.0 + np.sin(TIME * 30.0)
+PLAIN = {"time_s": TIME, "motor_speed_rpm": SPEED, "note": np.arange(400.0)}
+START = np.datetime64("2026-03-01T12:00:00", "ns")
+DATES = START + (TIME * 1e9).round().astype("timedelta64[ns]")
+
+WRITERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
+    "CSV": ("csv", lambda path: write_csv(path, PLAIN)),
+    "NetCDF 4": ("nc", lambda path: write_netcdf(path, PLAIN)),
+    "NetCDF 3": ("nc", lambda path: write_netcdf(path, PLAIN, "NETCDF3_CLASSIC")),
+    "MATLAB v5, columns": ("mat", lambda path: write_mat5(path, PLAIN)),
+    "MATLAB v5, rows": ("mat", lambda path: write_mat5(path, PLAIN, "row")),
+    "MATLAB v5, one structure": ("mat", lambda path: write_mat5(path, {"rec": PLAIN})),
+    "MATLAB v7.3": ("mat", lambda path: write_mat73(path, PLAIN)),
+    "MATLAB v7.3, rows": (
+        "mat",
+        lambda path: write_mat73(path, {k: np.array(v)[:, None] for k, v in PLAIN.items()}),
+    ),
+    "MATLAB v7.3, one structure": ("mat", lambda path: write_mat73(path, {"rec": PLAIN})),
+    "Parquet": ("parquet", lambda path: write_parquet(path, PLAIN)),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_the_same_numbers_come_out_of_every_format(tmp_path: Path, kind: str) -> None:
+    suffix, write = WRITERS[kind]
+    recording = read_recording(write(tmp_path / f"recording.{suffix}"))
+    np.testing.assert_array_equal(recording.time_s, TIME)
+    np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
+    assert recording.source is not None
+    assert recording.source.unused_columns == ("note",)
+    assert recording.excluded is None
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_columns_are_mapped_in_every_format(tmp_path: Path, kind: str) -> None:
+    suffix, write = WRITERS[kind]
+    columns = {
+        "time_s": ColumnSpec("note", "ms"),
+        "motor_speed_rpm": ColumnSpec("motor_speed_rpm", "rad/s"),
+    }
+    recording = read_recording(write(tmp_path / f"recording.{suffix}"), columns=columns)
+    np.testing.assert_allclose(recording.time_s, TIME, atol=1e-12)
+    np.testing.assert_allclose(recording.motor_speed_rpm, SPEED * 30.0 / np.pi, rtol=1e-12)
+
+
+def iso(dates: np.ndarray, suffix: str = "") -> list[str]:
+    return [str(date) + suffix for date in dates.astype("datetime64[us]")]
+
+
+TIMES: dict[str, tuple[str, Callable[[Path], Path], str | None]] = {
+    "ISO text": ("csv", lambda p: write_csv(p, PLAIN | {"time_s": iso(DATES)}), None),
+    "ISO text, UTC": ("csv", lambda p: write_csv(p, PLAIN | {"time_s": iso(DATES, "Z")}), None),
+    "ISO text, declared": (
+        "csv",
+        lambda p: write_csv(p, PLAIN | {"time_s": iso(DATES)}),
+        "datetime",
+    ),
+    "calendar time in NetCDF": (
+        "nc",
+        lambda p: write_netcdf(p, PLAIN | {"time_s": DATES}),
+        None,
+    ),
+    "calendar time in Parquet": (
+        "parquet",
+        lambda p: write_parquet(p, PLAIN | {"time_s": DATES}),
+        None,
+    ),
+    "calendar time with a zone in Parquet": (
+        "parquet",
+        lambda p: write_parquet(
+            p, PLAIN | {"time_s": pd.DatetimeIndex(DATES).tz_localize("Europe/Berlin")}
+        ),
+        None,
+    ),
+    "ISO text in Parquet": (
+        "parquet",
+        lambda p: write_parquet(p, PLAIN | {"time_s": iso(DATES)}),
+        None,
+    ),
+    "ISO text in a MATLAB cell array": (
+        "mat",
+        lambda p: write_mat5(p, PLAIN | {"time_s": np.array(iso(DATES), dtype=object)}),
+        None,
+    ),
+    "MATLAB datenum": (
+        "mat",
+        lambda p: write_mat5(p, PLAIN | {"time_s": 740042.5 + TIME / 86400.0}),
+        "datenum",
+    ),
+    "milliseconds": ("csv", lambda p: write_csv(p, PLAIN | {"time_s": 1e3 * TIME}), "ms"),
+    "milliseconds, stated in NetCDF": (
+        "nc",
+        lambda p: write_netcdf(p, PLAIN | {"time_s": 1e3 * TIME}, time_s="milliseconds"),
+        None,
+    ),
+    "microseconds as whole numbers": (
+        "parquet",
+        lambda p: write_parquet(p, PLAIN | {"time_s": (1e6 * TIME).round().astype(np.int64)}),
+        "us",
+    ),
+    "seconds since 1970": (
+        "csv",
+        lambda p: write_csv(p, PLAIN | {"time_s": 1772366400.0 + TIME}),
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TIMES)
+def test_time_comes_out_in_seconds_however_it_is_told(tmp_path: Path, kind: str) -> None:
+    suffix, write, unit = TIMES[kind]
+    columns = {} if unit is None else {"time_s": ColumnSpec("time_s", unit)}
+    recording = read_recording(write(tmp_path / f"recording.{suffix}"), columns=columns)
+    # A datenum resolves 1e-10 days, 10 µs.
+    np.testing.assert_allclose(recording.time_s, TIME, atol=1.2e-5)
+    np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
+
+
+def test_a_unit_that_the_file_states_is_used_and_the_users_goes_before(tmp_path: Path) -> None:
+    path = write_netcdf(tmp_path / "recording.nc", PLAIN, motor_speed_rpm="rad/s", time_s="seconds")
+    stated = read_recording(path)
+    np.testing.assert_allclose(stated.motor_speed_rpm, SPEED * 30.0 / np.pi, rtol=1e-12)
+    mine = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm", "rpm")})
+    np.testing.assert_array_equal(mine.motor_speed_rpm, SPEED)
+
+
+def test_matrices_and_structures_are_named_as_matlab_names_them(tmp_path: Path) -> None:
+    variables = {"data": np.column_stack([TIME, SPEED]), "rec": {"i": {"q": SPEED}}}
+    columns = {
+        "time_s": ColumnSpec("data(:,1)"),
+        "motor_speed_rpm": ColumnSpec("data(:,2)"),
+        "motor_current_a": ColumnSpec("rec.i.q"),
+    }
+    for path in (
+        write_mat5(tmp_path / "five.mat", variables),
+        write_mat73(tmp_path / "seven.mat", variables | {"data": variables["data"].T}),
+    ):
+        recording = read_recording(path, columns=columns)
+        np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
+        np.testing.assert_array_equal(recording.channels["motor_current_a"], SPEED)
+
+
+@pytest.mark.parametrize(("library", "kind"), [("pyarrow", "Parquet"), ("h5py", "MATLAB v7.3")])
+def test_a_library_that_is_not_installed_is_named_with_how_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: str, kind: str
+) -> None:
+    suffix, write = WRITERS[kind]
+    path = write(tmp_path / f"recording.{suffix}")
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(RecordingError, match=rf'{library}.*pip install "bayesbl\[formats\]"'):
+        read_recording(path)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("good")
+    return {
+        kind: write(folder / f"{number}.{suffix}").read_bytes()
+        for number, (kind, (suffix, write)) in enumerate(WRITERS.items())
+    }
+
+
+@settings(
+    max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
+@given(
+    kind=st.sampled_from([kind for kind in WRITERS if kind != "CSV"]),
+    place=st.floats(0.0, 1.0),
+    replacement=st.binary(min_size=1, max_size=6),
+    cut=st.booleans(),
+)
+def test_damage_to_a_file_of_any_format_never_ends_in_a_traceback(
+    tmp_path: Path,
+    good: dict[str, bytes],
+    kind: str,
+    place: float,
+    replacement: bytes,
+    cut: bool,
+) -> None:
+    data = good[kind]
+    # Headers are short, and the damage that matters is there: the place is not uniform.
+    position = int(place**3 * len(data))
+    behind = b"" if cut else data[position + len(replacement) :]
+    path = tmp_path / f"damaged.{WRITERS[kind][0]}"
+    path.write_bytes(data[:position] + replacement + behind)
+    with suppress(UserError):
+        assert np.all(np.diff(read_recording(path).time_s) > 0)
+
+
+NUMBERS = st.one_of(
+    st.floats(width=64), st.integers(-3, 40).map(float), st.sampled_from([np.nan, np.inf, 1e308])
+)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    time=st.one_of(
+        st.lists(NUMBERS, min_size=1, max_size=40),
+        st.lists(st.floats(-1e9, 1e9), min_size=16, max_size=60, unique=True).map(sorted),
+        st.sets(st.integers(0, 80), min_size=16).map(lambda s: [1e-3 * i for i in sorted(s)]),
+    ),
+    speed=st.lists(NUMBERS, min_size=1, max_size=80),
+    suffix=st.sampled_from(["nc", "mat", "parquet"]),
+)
+def test_no_numbers_in_any_format_end_in_a_traceback(
+    tmp_path: Path, time: list[float], speed: list[float], suffix: str
+) -> None:
+    speed = (speed * len(time))[: len(time)]
+    columns = {"time_s": np.array(time), "motor_speed_rpm": np.array(speed)}
+    path = tmp_path / f"fuzz.{suffix}"
+    {"nc": write_netcdf, "mat": write_mat5, "parquet": write_parquet}[suffix](path, columns)
+    with suppress(UserError):
+        recording = read_recording(path)
+        assert np.all(np.diff(recording.time_s) > 0)
+        assert np.all(np.isfinite(recording.motor_speed_rpm))
