@@ -94,7 +94,10 @@ def _print_limits(summary: Summary, console: Console) -> None:
 def _snapshot_table(summary: Summary) -> Table:
     parts = words.snapshots(summary)
     compare = summary["kind"] == "compare"
-    kind = words.short_kind(next(iter(parts[0][1]["parameters"].values())))
+    # The direct route answers even where the ringing gives no amplitude.
+    kind = words.short_kind(
+        parts[0][1]["amplitude_rpm"] or next(iter(parts[0][1]["parameters"].values()))
+    )
     answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
     places = max((words.decimals(d, 1e3) for d in answered), default=3)
     table = new_table(
