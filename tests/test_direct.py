@@ -226,6 +226,25 @@ def test_speed_alone_is_less_sharp_than_speed_and_current():
     assert abs(single.point[0] - math.log(8e-4)) < 4.0 * single.bound[0]
 
 
+def test_excluded_samples_do_not_count():
+    whole = record(bench(), 8e-4, 17)
+    lost = np.zeros(whole.samples, dtype=bool)
+    lost[[100, 101, 1500]] = True
+    broken = {n: np.where(lost, v + 100.0, v) for n, v in whole.channels.items()}
+    model = fitted(bench(), whole).model
+    points = np.array([[math.log(8e-4), 1.0], [math.log(9e-4), 2.0]])
+    kept = [
+        SimulatedSignals(bench(), [observed(r, bench())], model.unknowns, model.noise)
+        for r in (
+            replace(whole, excluded=lost),
+            replace(whole, channels=broken, excluded=lost),
+        )
+    ]
+    assert np.array_equal(kept[0].whitened(points), kept[1].whitened(points))
+    gone = np.count_nonzero(kept[0].whitened(points)[0] == 0.0)
+    assert gone == 2 * (2 * (model.noise[0].order + 1) + 1)
+
+
 def test_a_missing_effect_is_refused_and_a_known_one_is_not():
     recording = record(bench().with_effects(FRICTION), 8e-4, 12)
     assert not agrees(disagreements(fitted(bench(), recording)))

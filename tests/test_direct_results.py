@@ -84,6 +84,7 @@ def test_a_fit_answers_with_the_keys_of_the_contract(fit):
     assert found["noise"]["sd_a"] == pytest.approx(0.05, rel=0.1)
     assert found["diagnostics"]["outcome"] == "converged"
     assert found["probability_above_limit"] == 0.0
+    assert found["excluded_samples"] == 0
     # Flat prior: as wide as the bound; the sd of 1000 draws scatters by 2.3 %.
     ratio = found["posterior_sd"]["delta_rad"] / found["cramer_rao_sd"]["delta_rad"]
     assert ratio == pytest.approx(1.0, abs=0.1)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
 from bayesbl.inference.channel_noise import ChannelNoise
@@ -20,7 +21,7 @@ from bayesbl.physics.effects import effect_named
 from bayesbl.physics.kernel import CURRENT, SPEED, Slot
 from bayesbl.physics.parameters import rotation_period_s
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
-from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
@@ -39,6 +40,8 @@ class Observed:
         Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
     reference_speed_rpm
         Of the motor, negative for reverse.
+    excluded
+        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     """
 
     name: str
@@ -46,6 +49,7 @@ class Observed:
     sampling_hz: float
     reference_speed_rpm: float
     rotation_period_s: float
+    excluded: BoolArray | None = None
 
     @property
     def samples(self) -> int:
@@ -109,7 +113,9 @@ def observed(
     rows = [speed]
     if MOTOR_CURRENT in recording.channels:
         rows.append(recording.channels[MOTOR_CURRENT])
-    return Observed(recording.name, np.stack(rows), 1.0 / period, reference, rotation)
+    return Observed(
+        recording.name, np.stack(rows), 1.0 / period, reference, rotation, recording.excluded
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,9 +277,13 @@ class SimulatedSignals:
         return np.concatenate(parts, axis=1)
 
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
-        """Whitened residuals of one recording, (m, d) to (m, c (n − p))."""
-        difference = self.recordings[recording].signals - self.signals(points, recording)
-        return self.noise[recording].whiten(difference).reshape(len(difference), -1)
+        """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
+        seen, noise = self.recordings[recording], self.noise[recording]
+        white = noise.whiten(seen.signals - self.signals(points, recording))
+        if seen.excluded is not None:
+            touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
+            white[..., touched] = 0.0
+        return white.reshape(len(white), -1)
 
     def log_prior(self, points: FloatArray) -> FloatArray:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""

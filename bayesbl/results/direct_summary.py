@@ -40,6 +40,7 @@ def direct_snapshot(
         "predictive_check": _check(groups["predictive_check"]),
         "amplitude_route": beside,
         "rotations": float(diagnostics["rotations"]),
+        "excluded_samples": int(np.nansum(groups["observed_data"]["excluded"].values)),
         "budget": {
             str(source): float(share)
             for source, share in zip(gap["source"].data, gap["budget"].data, strict=True)

@@ -230,8 +230,13 @@ def _amplitude_route(
     return routes
 
 
-def direct_verdict(found: DirectMeasurement, recording: Observed) -> dict[str, Any]:
-    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld."""
+def direct_verdict(
+    found: DirectMeasurement, recording: Observed, notes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld.
+
+    ``notes``: what was done to the recording.
+    """
     diagnostics: Diagnostics = found.posterior.diagnostics
     outcome, reasons = diagnostics.outcome, list(diagnostics.reasons)
     repeating = found.repeating(recording.name)
@@ -243,6 +248,7 @@ def direct_verdict(found: DirectMeasurement, recording: Observed) -> dict[str, A
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
         )
+    reasons += notes
     return {
         "outcome": outcome,
         "reasons": reasons,
@@ -285,7 +291,10 @@ def _tree(
         )
         for i, recording in enumerate(recordings)
     }
-    verdicts = {seen.name: direct_verdict(found, seen) for seen in posterior.fit.model.recordings}
+    verdicts = {
+        seen.name: direct_verdict(found, seen, recording.notes)
+        for seen, recording in zip(posterior.fit.model.recordings, recordings, strict=True)
+    }
     reasons = {name: route.reason for name, route in zip(names, beside, strict=True)}
     if config.kind == "compare":
         whole = stack_snapshots(groups)
