@@ -296,6 +296,39 @@ def sweep_command(
     _run(loaded, force, json)
 
 
+@app.command("diagnose")
+def diagnose_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Find what a bench lacks that recordings show."""
+    from bayesbl.workflows.run import load_run
+
+    loaded = load_run(config, kind="diagnose", out=out, seed=seed, workers=workers)
+    _run(loaded, force, json)
+
+
+@app.command("effects")
+def effects_command(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="An effect to show in full.")
+    ] = None,
+) -> None:
+    """Print the catalogue of physical effects, or one entry in full."""
+    from bayesbl.physics.effects import EFFECTS, effect_named
+    from bayesbl.report.catalogue import print_catalogue, print_effect
+    from bayesbl.report.console import make_console
+
+    if name is None:
+        print_catalogue(EFFECTS, make_console())
+    else:
+        print_effect(effect_named(name), make_console())
+
+
 @app.command("figures")
 def figures_command(result: ResultPath) -> None:
     """Draw the figures of a result again."""

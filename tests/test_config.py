@@ -303,7 +303,6 @@ def test_all_problems_of_a_file_are_reported_at_once_in_the_order_of_its_lines(
         ("x = " + "[" * 5000, None, "TOML|nested"),
         ("", "kind", "kind of run is missing"),
         ('schema = 1\nkind = "compair"\n', "line 2, kind", 'Did you mean "compare"'),
-        ('schema = 1\nkind = "diagnose"\n', "line 2, kind", "comes later"),
         (COMPARE.replace("schema = 1\n", ""), "schema", "required key is missing"),
         (COMPARE.replace("schema = 1", "schema = 2"), "line 1, schema", "Found: 2. Expected: 1"),
         (COMPARE.replace('"compare"', '"fit"'), "line 3, [[recordings]]", "exactly 1"),

@@ -211,8 +211,14 @@ class BenchFile(Section):
         BenchError
             If its parameters make no physical sense together.
         """
+        given = {name: entry.parameter() for name, entry in self.parameters.items()}
+        idle = {
+            name: BenchParameter(info.idle)
+            for name, info in PARAMETER_INFO.items()
+            if self.drive == "rigid" and info.idle is not None and name not in given
+        }
         return Bench(
-            {name: entry.parameter() for name, entry in self.parameters.items()},
+            given | idle,
             gap_form=self.gap_form,
             drive=self.drive,
             measurement=self.measurement.measurement(),
@@ -223,6 +229,7 @@ class BenchFile(Section):
                 )
                 for effect in self.effects
             ),
+            assumed=frozenset(idle),
         )
 
 
@@ -329,6 +336,7 @@ def dump_bench(bench: Bench) -> str:
         "parameters": {
             name: {"value": item.value} | ({"tolerance": item.tolerance} if item.tolerance else {})
             for name, item in bench.parameters.items()
+            if name not in bench.assumed
         },
         "measurement": {
             "speed_source": measurement.speed_source,

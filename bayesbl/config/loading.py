@@ -20,6 +20,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED
+from bayesbl.config.kinds import KINDS
 from bayesbl.config.problems import (
     Location,
     Problem,
@@ -30,7 +31,7 @@ from bayesbl.config.problems import (
     location_of,
     problems_of,
 )
-from bayesbl.config.schema import KINDS, RunConfig
+from bayesbl.config.schema import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
 
@@ -52,7 +53,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 _PATH_OPTIONS = frozenset({"curve", "bench", "out"})
 
 _COMES_LATER: tuple[tuple[Location, str], ...] = (
-    (("kind",), "diagnose"),
+    (("comparison", "method"), "forward"),
     (("estimator", "noise", "kind"), "student_t"),
 )
 """What the schema names but this version does not do; delete a line when it does."""
@@ -228,10 +229,7 @@ def _wrong_kind(document: _Document) -> Problem:
     expected = "one of " + ", ".join(f'"{name}"' for name in KINDS)
     if "kind" not in document.tables:
         return Problem("The kind of run is missing.", "kind", "nothing", expected)
-    if (("kind",), kind) in _COMES_LATER:
-        problem = "This kind of run comes later: it is not available in this version."
-    else:
-        problem = "There is no such kind of run." + did_you_mean(kind, KINDS)
+    problem = "There is no such kind of run." + did_you_mean(kind, KINDS)
     return Problem(problem, "kind", repr(document.tables["kind"]), expected, line)
 
 

@@ -1,17 +1,15 @@
 """What a configuration may say: one frozen model per section, one per kind of run.
 
 Defaults stand here and nowhere else. Paths are resolved against the folder that the validation
-context names, and must exist. A new kind is one class in :data:`KINDS`. Only pydantic is imported,
-so that ``bayesbl check`` answers at once.
+context names, and must exist. A new kind is one class in ``kinds.KINDS``. Only pydantic is
+imported, so that ``bayesbl check`` answers at once.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from datetime import date as Date
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -231,19 +229,10 @@ class RunConfig(Section):
     run: Run
 
 
-class SnapshotConfig(RunConfig):
-    """A run over measured recordings of one joint."""
+class RecordedConfig(RunConfig):
+    """A run over recordings whose columns may have other names and units."""
 
-    least_recordings: ClassVar[int] = 1
-    most_recordings: ClassVar[int | None] = None
-
-    joint: Joint = Field(default_factory=Joint)
     columns: dict[ChannelName, ColumnEntry] = Field(default_factory=dict)
-    recordings: Annotated[tuple[SnapshotRecording, ...], BeforeValidator(as_tuple)]
-    estimator: Estimator = Field(default_factory=Estimator)
-    posterior: Posterior = Field(default_factory=Posterior)
-    interval: Interval = Field(default_factory=Interval)
-    curve: Curve = Field(default_factory=Curve)
 
     @property
     def column_specs(self) -> dict[str, ColumnSpec]:
@@ -270,6 +259,20 @@ class SnapshotConfig(RunConfig):
                 expected="a column for each channel",
             )
         return columns
+
+
+class SnapshotConfig(RecordedConfig):
+    """A run over measured recordings of one joint."""
+
+    least_recordings: ClassVar[int] = 1
+    most_recordings: ClassVar[int | None] = None
+
+    joint: Joint = Field(default_factory=Joint)
+    recordings: Annotated[tuple[SnapshotRecording, ...], BeforeValidator(as_tuple)]
+    estimator: Estimator = Field(default_factory=Estimator)
+    posterior: Posterior = Field(default_factory=Posterior)
+    interval: Interval = Field(default_factory=Interval)
+    curve: Curve = Field(default_factory=Curve)
 
     @field_validator("recordings")
     @classmethod
@@ -394,9 +397,3 @@ class StudyConfig(RunConfig):
         if len(set(names)) < len(names):
             refuse("Two rows have the same name.", found=names, expected="different names")
         return rows
-
-
-KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
-    {"fit": FitConfig, "compare": CompareConfig, "sweep": SweepConfig, "study": StudyConfig}
-)
-"""Kind to the model of its configuration."""

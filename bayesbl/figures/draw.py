@@ -14,6 +14,7 @@ from bayesbl.figures.convergence import convergence
 from bayesbl.figures.corner import corners
 from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
+from bayesbl.figures.diagnosis import diagnosed
 from bayesbl.figures.direct_gap import direct_change, direct_gap
 from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.gap import gap
@@ -32,7 +33,8 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
     Parameters
     ----------
     tree
-        A fit, a comparison or a sweep, as :func:`bayesbl.results.store.read_tree` gives it.
+        A fit, a comparison, a sweep or a diagnosis, as
+        :func:`bayesbl.results.store.read_tree` gives it.
     folder
         Is made if it is missing.
 
@@ -46,19 +48,19 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
         If the result is of another kind.
     """
     kind = tree.attrs["kind"]
-    if kind not in ("fit", "compare", "sweep"):
+    if kind not in _FIGURES:
         raise ResultError(
             "There are no figures for a result of this kind.",
             found=kind,
-            expected="a fit, a comparison or a sweep",
+            expected="a fit, a comparison, a sweep or a diagnosis",
         )
-    if kind == "sweep":
-        figures = _sweep_figures(tree)
-    elif tree.attrs.get("route") == "direct":
-        figures = _direct_figures(tree)
-    else:
-        figures = _snapshot_figures(tree)
-    return [path for name, figure in figures for path in save(figure, folder, name)]
+    draw = _direct_figures if tree.attrs.get("route") == "direct" else _FIGURES[kind]
+    return [path for name, figure in draw(tree) for path in save(figure, folder, name)]
+
+
+def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    for recording, figure in diagnosed(tree).items():
+        yield f"diagnosis_{recording.replace(' ', '_')}", figure
 
 
 def _sweep_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
@@ -84,3 +86,12 @@ def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
         for snapshot, figure in found.items():
             alone = tree.attrs["kind"] != "compare"
             yield (name if alone else f"{name}_{snapshot.replace(' ', '_')}"), figure
+
+
+_FIGURES = {
+    "fit": _snapshot_figures,
+    "compare": _snapshot_figures,
+    "sweep": _sweep_figures,
+    "diagnose": _diagnosis_figures,
+}
+"""Kind of a result to what draws its figures, one at a time."""

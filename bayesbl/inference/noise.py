@@ -115,7 +115,7 @@ def estimate_noise(
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
     sd = math.sqrt(float(np.nansum(d**2)) / (2.0 * count))
-    fits = _burg(d, HIGHEST_ORDER)
+    fits = burg(d, HIGHEST_ORDER)
     variances = np.array([variance for variance, _ in fits])
     orders = np.arange(HIGHEST_ORDER + 1)
     bic = count * np.log(np.maximum(variances, 1e-300)) + orders * math.log(count)
@@ -125,13 +125,13 @@ def estimate_noise(
     elif kind == "ar":
         best = order if order is not None else 1 + int(np.argmin(bic[1:]))
         if best > HIGHEST_ORDER:
-            fits = _burg(d, best)
+            fits = burg(d, best)
     else:
         best = int(np.argmin(bic))
     return Noise(sd, fits[best][1], bic, count, kind == "auto")
 
 
-def _burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
+def burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
     """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975).
 
     NaN in ``x`` spreads to the predictions that would need it, and those are left out.

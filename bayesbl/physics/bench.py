@@ -98,6 +98,8 @@ class Bench:
     """Two masses, a gap between them, gravity and a speed loop (design.md section 3).
 
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
+    ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
+    with recordings but not simulated in steady rotation.
     """
 
     parameters: Mapping[str, BenchParameter]
@@ -105,6 +107,7 @@ class Bench:
     drive: Drive = "two_mass"
     measurement: Measurement = Measurement()
     effects: tuple[BenchEffect, ...] = ()
+    assumed: frozenset[str] = frozenset()
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -115,6 +118,8 @@ class Bench:
                 found=unknown[0],
                 expected="one of " + ", ".join(PARAMETER_INFO),
             )
+        if self.assumed and self.drive != "rigid":
+            raise BenchError("A bench of two masses needs this.", where=min(self.assumed))
         complete: dict[str, BenchParameter] = {}
         for name, info in PARAMETER_INFO.items():
             if name in self.parameters:
@@ -131,7 +136,7 @@ class Bench:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings and arrays do not cross process boundaries as they are.
         plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        return Bench, plain
+        return Bench, (*plain, self.assumed)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -254,7 +259,21 @@ class Bench:
     def samples(
         self, rotations: float, sampling_hz: float, reference_speed_rpm: float | None = None
     ) -> int:
-        """Number of samples in so many load rotations, both ends included."""
+        """Number of samples in so many load rotations, both ends included.
+
+        Raises
+        ------
+        BenchError
+            If the bench leaves out what a steady rotation needs.
+        """
+        missing = [name for name in sorted(self.assumed) if not name.startswith("shaft_")]
+        if missing:
+            raise BenchError(
+                "This bench leaves out what drives it, so it cannot be simulated in steady "
+                "rotation; it can be compared with recordings.",
+                where="[parameters]",
+                found="no " + ", ".join(missing),
+            )
         period = self.rotation_period_s(reference_speed_rpm)
         count = round(rotations * period * sampling_hz, 6)
         if not count >= 1:

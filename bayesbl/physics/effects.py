@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 from bayesbl.errors import BenchError
 from bayesbl.physics.kernel import Slot
+from bayesbl.recording.channels import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +315,7 @@ def effect_named(name: str) -> Effect:
     """
     if name not in EFFECT_BY_NAME:
         raise BenchError(
-            "There is no such effect.",
+            "There is no such effect." + did_you_mean(name, EFFECT_BY_NAME),
             found=name,
             expected="one of " + ", ".join(EFFECT_BY_NAME),
         )

@@ -103,6 +103,8 @@ ANTI_WINDUP_BAND = 0.01
 LOCAL_SHARE = 0.004
 # Longest step in radians of the fastest oscillation: what the dense output still follows.
 LONGEST_PHASE = 1.0
+# rad/s: pace of a rigid bench that nothing drives.
+SLOWEST_RATE = 0.1
 
 DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
@@ -582,7 +584,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
     fastest = math.sqrt(motor_rate**2 + load_rate**2)
     if c.rigid:
-        fastest = loop_rate
+        # Let go, it is gravity that sets the pace.
+        swing = math.sqrt(c.gravity * c.per_ratio * c.per_ratio / inertia)
+        fastest = max(loop_rate, swing, SLOWEST_RATE)
     torque = speed * inertia * max(fastest, loop_rate)
     scale[MOTOR_SPEED] = 1.0 / speed
     scale[MOTOR_ANGLE] = fastest / speed

@@ -21,6 +21,8 @@ class ParameterInfo:
 
     ``positive``: it must be above zero; otherwise zero is allowed, and negative values only where
     ``signed``. ``default``: value in a bench file that does not give it, ``None`` if it must.
+    ``idle``: value in the file of a rigid bench that does not give it and is only compared with
+    recordings, never driven.
     """
 
     name: str
@@ -29,6 +31,7 @@ class ParameterInfo:
     positive: bool = True
     signed: bool = False
     default: float | None = None
+    idle: float | None = None
 
 
 BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
@@ -36,13 +39,17 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ParameterInfo("motor_inertia_kg_m2", "kg m²", "inertia of the motor J_m"),
     ParameterInfo("load_inertia_kg_m2", "kg m²", "inertia of the load J_l"),
     ParameterInfo(
-        "shaft_stiffness_nm_per_rad", "N m/rad", "torsional stiffness K_s, seen at the load"
+        "shaft_stiffness_nm_per_rad",
+        "N m/rad",
+        "torsional stiffness K_s, seen at the load",
+        idle=1.0,
     ),
     ParameterInfo(
         "shaft_damping_nm_s_per_rad",
         "N m s/rad",
         "torsional damping D_s, seen at the load",
         positive=False,
+        idle=0.0,
     ),
     ParameterInfo(
         "gravity_torque_nm",
@@ -51,9 +58,15 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         positive=False,
         default=0.0,
     ),
-    ParameterInfo("speed_gain_nm_s_per_rad", "N m s/rad", "speed controller, proportional K_p"),
     ParameterInfo(
-        "integral_gain_nm_per_rad", "N m/rad", "speed controller, integral K_i", positive=False
+        "speed_gain_nm_s_per_rad", "N m s/rad", "speed controller, proportional K_p", idle=1.0
+    ),
+    ParameterInfo(
+        "integral_gain_nm_per_rad",
+        "N m/rad",
+        "speed controller, integral K_i",
+        positive=False,
+        idle=0.0,
     ),
     ParameterInfo(
         "position_gain_per_s",
@@ -62,10 +75,16 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         positive=False,
         default=0.0,
     ),
-    ParameterInfo("torque_constant_nm_per_a", "N m/A", "motor torque per current K_t"),
-    ParameterInfo("current_limit_a", "A", "largest current the controller asks for i_max"),
+    ParameterInfo("torque_constant_nm_per_a", "N m/A", "motor torque per current K_t", idle=1.0),
     ParameterInfo(
-        "reference_speed_rpm", "rpm", "reference speed ω_ref, negative for reverse", signed=True
+        "current_limit_a", "A", "largest current the controller asks for i_max", idle=1.0
+    ),
+    ParameterInfo(
+        "reference_speed_rpm",
+        "rpm",
+        "reference speed ω_ref, negative for reverse",
+        signed=True,
+        idle=1.0,
     ),
     ParameterInfo(
         "stiffness_sharpness_per_rad",

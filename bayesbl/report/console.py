@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import UserError
 from bayesbl.report import words
+from bayesbl.report.diagnosed import print_diagnosis
 from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
@@ -46,6 +47,8 @@ def print_result(summary: Summary, folder: Path | None, console: Console) -> Non
     """
     if summary["kind"] == "sweep":
         print_sweep(summary, console)
+    elif summary["kind"] == "diagnose":
+        print_diagnosis(summary, console)
     else:
         _print_snapshots(summary, console)
     _print_limits(summary, console)
@@ -75,7 +78,7 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
     summary = summarise(tree)
     print_result(summary, None, console)
-    for name, part in [] if summary["kind"] == "sweep" else words.snapshots(summary):
+    for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
         if words.is_direct(summary):
             print_direct_details(name, part, console)
         else:
@@ -85,10 +88,15 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
 def _print_limits(summary: Summary, console: Console) -> None:
     """Reasons against the answer, then what the interval leaves out."""
-    for label, sentence in [] if summary["kind"] == "sweep" else words.reasons(summary):
+    for label, sentence in words.reasons(summary) if _has_snapshots(summary) else ():
         say(console, sentence, "yellow", label=label)
+    label = "Note" if summary["kind"] == "diagnose" else "Warning"
     for warning in summary["warnings"]:
-        say(console, warning, "yellow", label="Warning")
+        say(console, warning, "yellow", label=label)
+
+
+def _has_snapshots(summary: Summary) -> bool:
+    return summary["kind"] in ("fit", "compare")
 
 
 def _snapshot_table(summary: Summary) -> Table:
@@ -195,7 +203,7 @@ def _print_origin(attributes: Mapping[Any, Any], summary: Summary, console: Cons
         "Version": f"{summary['version']}, commit {summary['commit']}",
         "Made": attributes.get("created_utc"),
         "Seed": summary["seed"],
-        "Gap curve": summary["curve"],
+        "Gap curve": summary.get("curve"),
         **{f"SHA-256 of {file}": digest for file, digest in inputs.items()},
     }
     for label, content in lines.items():

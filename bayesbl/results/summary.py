@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.direct_summary import amplitude_reasons, direct_snapshot
 from bayesbl.results.intervals import interval
 from bayesbl.signal.parameters import SYMBOLS
@@ -18,10 +19,12 @@ SOURCE_PREFIX = "source_"
 
 
 def summarise(tree: xr.DataTree) -> dict[str, Any]:
-    """The summary of a fit, of compared snapshots, or of a sweep.
+    """The summary of a fit, of compared snapshots, of a sweep or of a diagnosis.
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
+    if tree.attrs["kind"] == "diagnose":
+        return summarise_diagnosis(tree)
     if tree.attrs["kind"] == "sweep":
         return _sweep(tree)
     if tree.attrs["kind"] == "compare":

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import config_from_options, dump_config, load_config
 from bayesbl.config.schema import (
     RunConfig,
@@ -101,6 +102,10 @@ def run(
         from bayesbl.workflows.sweep import run_sweep
 
         tree = run_sweep(config, progress)
+    elif isinstance(config, DiagnoseConfig):
+        from bayesbl.workflows.diagnose import run_diagnose
+
+        tree = run_diagnose(config, progress)
     elif isinstance(config, SnapshotConfig) and config.estimator.route == "direct":
         from bayesbl.workflows.direct import measure_direct
 
@@ -169,6 +174,8 @@ def check(path: str | Path) -> Plan:
         plan.add("study", lambda: describe(config))
     if isinstance(config, SnapshotConfig):
         _check_snapshots(plan, config)
+    if isinstance(config, DiagnoseConfig):
+        plan.add("comparison", partial(_check_diagnosis, config))
     if isinstance(config, SweepConfig):
         _check_bench(plan, config.bench)
         gap = config.sweep.gap_rad
@@ -188,6 +195,14 @@ def _check_bench(plan: Plan, path: Path) -> None:
 
     bench = load_bench(path)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
+
+
+def _check_diagnosis(config: DiagnoseConfig) -> str:
+    from bayesbl.workflows.diagnose import problem_of
+
+    comparison = problem_of(config).comparison
+    names = ", ".join(candidate.name for candidate in comparison.candidates)
+    return f"{config.comparison.method}, {comparison.pieces[0].channel}; candidates {names}"
 
 
 def _check_simulation(plan: Plan, path: Path) -> None:

@@ -1,0 +1,138 @@
+"""``kind = "diagnose"``: recordings, the bench believed to describe them, what is unknown."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+
+from bayesbl.config.fields import (
+    ChannelName,
+    InputPath,
+    Positive,
+    Range,
+    Section,
+    as_tuple,
+    refuse,
+)
+from bayesbl.config.schema import Interval, RecordedConfig, SnapshotRecording
+from bayesbl.recording.channels import did_you_mean
+
+Method = Literal["forward", "inverse", "free_motion"]
+
+
+def _effect(name: str) -> str:
+    # Imported here: the catalogue stands on the compiled simulator, which takes a second.
+    from bayesbl.physics.effects import EFFECT_BY_NAME
+
+    if name not in EFFECT_BY_NAME:
+        refuse(
+            "There is no such effect." + did_you_mean(name, EFFECT_BY_NAME),
+            expected="one of " + ", ".join(EFFECT_BY_NAME),
+        )
+    return name
+
+
+def _bench_parameter(name: str) -> str:
+    from bayesbl.physics.parameters import PARAMETER_INFO
+
+    if name not in PARAMETER_INFO:
+        refuse(
+            "There is no such bench parameter." + did_you_mean(name, PARAMETER_INFO),
+            expected="one of " + ", ".join(PARAMETER_INFO),
+        )
+    return name
+
+
+class Compared(Section):
+    """``[comparison]``: how simulation and recordings are put side by side.
+
+    Without ``channels`` the method takes what the recordings hold. ``known_torque`` names columns
+    that are added to the torque the bench asks for, N m at the motor. ``cutoff_hz`` belongs to the
+    zero-phase filter behind the derivatives of the inverse method.
+    """
+
+    method: Method = "forward"
+    channels: Annotated[tuple[ChannelName, ...], BeforeValidator(as_tuple)] = ()
+    known_torque: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
+    load_angle_known: bool = False
+    motor_angle_known: bool = False
+    cutoff_hz: Positive = 20.0
+
+    @field_validator("known_torque")
+    @classmethod
+    def _in_newton_metres(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if not name.endswith("_nm"):
+                refuse(
+                    "A known torque is given in N m at the motor.",
+                    found=f'"{name}"',
+                    expected="a name ending in _nm; map the column to one under [columns]",
+                )
+        return names
+
+
+class Unknowns(Section):
+    """``[unknowns]``: what is fitted whatever is missing."""
+
+    gap_rad: Range | None = None
+    bench_parameters: Annotated[
+        tuple[Annotated[str, AfterValidator(_bench_parameter)], ...], BeforeValidator(as_tuple)
+    ] = ()
+
+
+class DiagnosedRecording(SnapshotRecording):
+    """An entry of ``[[recordings]]``; ``split`` fits on its first half and predicts the second."""
+
+    use: Literal["fit", "hold_out", "split"] = "fit"
+
+
+class Candidates(Section):
+    """``[candidates]``: effects that may be named, how many, and how often one falsely."""
+
+    effects: (
+        Literal["all"]
+        | Annotated[
+            tuple[Annotated[str, AfterValidator(_effect)], ...],
+            Field(min_length=1),
+            BeforeValidator(as_tuple),
+        ]
+    ) = "all"
+    max_effects: int = Field(default=3, ge=1, le=10)
+    false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
+
+
+class DiagnoseConfig(RecordedConfig):
+    """``kind = "diagnose"``."""
+
+    kind: Literal["diagnose"]
+    bench: InputPath
+    comparison: Compared = Field(default_factory=Compared)
+    unknowns: Unknowns = Field(default_factory=Unknowns)
+    recordings: Annotated[tuple[DiagnosedRecording, ...], BeforeValidator(as_tuple)]
+    candidates: Candidates = Field(default_factory=Candidates)
+    interval: Interval = Field(default_factory=Interval)
+
+    @field_validator("recordings")
+    @classmethod
+    def _different_names(
+        cls, recordings: tuple[DiagnosedRecording, ...]
+    ) -> tuple[DiagnosedRecording, ...]:
+        names = [recording.name for recording in recordings]
+        if len(set(names)) < len(names):
+            refuse("Two recordings have the same name.", found=names, expected="different names")
+        return recordings
+
+    @model_validator(mode="after")
+    def _something_held_out(self) -> Self:
+        uses = {recording.use for recording in self.recordings}
+        if "split" not in uses and uses != {"fit", "hold_out"}:
+            missing = "held out" if "fit" in uses else "to fit on"
+            refuse(
+                f"There is nothing {missing}: an effect is named only if it also predicts what it "
+                "was not fitted on.",
+                found=", ".join(f'{r.name}: use = "{r.use}"' for r in self.recordings)
+                or "no recordings",
+                expected='use = "hold_out" for one recording, or "split"',
+            )
+        return self

@@ -1,0 +1,126 @@
+"""What a comparison of bench and recordings hands to naming, whatever the method behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+Use = Literal["used", "held_out"]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A recording, or a part of one, as it is compared.
+
+    Attributes
+    ----------
+    name, channel
+        Of the recording, and of what is compared.
+    use
+        ``used``: effects are fitted on it. ``held_out``: only start, phases and offsets are.
+    time_s, measured
+        Shape (n,), evenly spaced; the channel's unit.
+    """
+
+    name: str
+    channel: str
+    use: Use
+    time_s: FloatArray
+    measured: FloatArray
+
+    @property
+    def period_s(self) -> float:
+        """Sampling period, s."""
+        return float(self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect that may be missing.
+
+    Attributes
+    ----------
+    name, amplitude
+        Of the catalogue; its parameter that is zero when the effect is absent.
+    freedom
+        Parameters that vanish from the model with the effect: degrees of freedom of its test.
+    same_as
+        Effects that are the same law in this comparison, only named for another place.
+    contains
+        A simpler effect that this one holds as a special case, and replaces.
+    not_negative
+        The amplitude has a sign: friction brakes.
+    """
+
+    name: str
+    amplitude: str
+    freedom: int = 1
+    same_as: tuple[str, ...] = ()
+    contains: str | None = None
+    not_negative: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Least squares with a set of effects in the bench.
+
+    Attributes
+    ----------
+    effects
+        Catalogue name to its parameters, units as in the catalogue.
+    bench
+        Declared unknown bench parameters, fitted.
+    predictions
+        For every piece, shape (n,), in the unit of its channel.
+    columns
+        For every used piece, ∂prediction/∂parameter, shape (n, p).
+    names
+        The p parameters: ``effect.parameter``, a bench parameter, or a nuisance (start, offset,
+        phase) with the recording's name behind ``@``.
+    trials
+        Effect to the number of independent shapes that were tried to find it.
+    at_edge
+        Effects with a parameter at the end of its range: not an optimum, so not to be believed.
+    """
+
+    effects: Mapping[str, Mapping[str, float]]
+    bench: Mapping[str, float]
+    predictions: tuple[FloatArray, ...]
+    columns: tuple[FloatArray, ...]
+    names: tuple[str, ...]
+    trials: Mapping[str, float] = field(default_factory=dict)
+    at_edge: frozenset[str] = frozenset()
+
+
+class Comparison(Protocol):
+    """Recordings and a bench, ready to be fitted with any effects."""
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Everything compared, in the order of a fit's predictions."""
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Effects that these recordings can show."""
+
+    def fit(self, effects: tuple[str, ...], start: Fit | None) -> Fit:
+        """Fit on the used pieces; what ``start`` has found is where the search starts."""
+
+
+def residuals(comparison: Comparison, fit: Fit, use: Use) -> list[FloatArray]:
+    """Measured less predicted, for the pieces of one use."""
+    return [
+        piece.measured - prediction
+        for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
+        if piece.use == use
+    ]
+
+
+def sum_of_squares(parts: list[FloatArray]) -> float:
+    """Over all pieces."""
+    return float(sum(np.dot(part, part) for part in parts))

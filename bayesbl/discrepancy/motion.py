@@ -1,0 +1,153 @@
+"""Measured motion as the inverse comparison needs it: angle, speed and acceleration of the motor.
+
+Derivatives come from a zero-phase low pass: Butterworth of order 4, run forward and backward
+(scipy's ``filtfilt``), so that −6 dB lie at the cut-off and nothing is delayed. Recordings with
+uneven time stamps are first brought to an even grid of the same mean period by cubic splines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, filtfilt
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray, Recording
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+ComplexArray = NDArray[np.complex128]
+
+FILTER_ORDER = 4
+END_PERIODS = 2.0
+"""Of the cut-off frequency: how far the ends of a recording disturb what is filtered."""
+
+UNEVEN = 1e-3
+"""Departure of a time stamp from the even grid, in periods, up to which it is even."""
+
+
+@dataclass(frozen=True, slots=True)
+class LowPass:
+    """The stated zero-phase filter and the derivatives behind it."""
+
+    cutoff_hz: float
+    period_s: float
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Low-passed, same shape."""
+        numerator, denominator = butter(FILTER_ORDER, 2.0 * self.cutoff_hz * self.period_s)
+        return np.asarray(filtfilt(numerator, denominator, values))
+
+    def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
+        """Derivative of the low-passed values by central differences."""
+        smooth = self(values)
+        for _ in range(times):
+            smooth = np.gradient(smooth, self.period_s)
+        return smooth
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion of the motor, each of shape (n,), SI.
+
+    ``sway`` is d²/dt² exp(i θ_m), differentiated as the rest: what an eccentric encoder adds.
+    ``source``: ``position`` or ``speed``, whichever the derivatives come from; from speed alone the
+    angle is its integral, known but for where it starts.
+    """
+
+    time_s: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    sway: ComplexArray
+    source: str
+
+    def shifted(self, time_s: float) -> Motion:
+        """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording."""
+        when = np.clip(self.time_s - time_s, self.time_s[0], self.time_s[-1])
+        return self._each(lambda values: np.interp(when, self.time_s, values))
+
+    def part(self, rows: slice) -> Motion:
+        """Some of the samples."""
+        return replace(self._each(lambda values: values[rows]), time_s=self.time_s[rows])
+
+    def _each(self, change: Callable[[Any], Any]) -> Motion:
+        names = ("angle", "speed", "acceleration", "sway")
+        return replace(self, **{name: change(getattr(self, name)) for name in names})
+
+
+def even(recording: Recording) -> Recording:
+    """The recording on an even grid; itself where it already is."""
+    n = recording.samples
+    grid = recording.time_s[0] + np.arange(n) * (
+        (recording.time_s[-1] - recording.time_s[0]) / (n - 1)
+    )
+    if np.max(np.abs(recording.time_s - grid)) <= UNEVEN * recording.sampling_period_s:
+        return replace(recording, time_s=grid)
+    channels = {
+        name: CubicSpline(recording.time_s, values)(grid)
+        for name, values in recording.channels.items()
+    }
+    return replace(recording, time_s=grid, channels=channels)
+
+
+def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
+    """Motion from position, or from speed where there is none.
+
+    Raises
+    ------
+    RecordingError
+        If there is neither, or the cut-off lies beyond what the sampling shows.
+    """
+    period = recording.sampling_period_s
+    if not cutoff_hz < 0.45 / period:
+        raise _error(
+            recording,
+            "The cut-off of the derivatives' filter lies beyond what the sampling shows.",
+            found=f"{cutoff_hz:g} Hz at {1.0 / period:.4g} samples per second",
+            expected=f"below {0.45 / period:.4g} Hz",
+        )
+    low_pass = LowPass(cutoff_hz, period)
+    position = recording.channels.get(MOTOR_POSITION)
+    if position is not None:
+        angle, speed = low_pass(position), low_pass.derivative(position)
+        acceleration = low_pass.derivative(position, 2)
+        sway = _sway(angle, low_pass)
+        return Motion(recording.time_s, angle, speed, acceleration, sway, "position")
+    measured = recording.channels.get(MOTOR_SPEED)
+    if measured is None:
+        raise _error(
+            recording,
+            "There is neither position nor speed of the motor, so no motion to start from.",
+            found=", ".join(recording.channels),
+            expected=f"{MOTOR_POSITION} or {MOTOR_SPEED}",
+        )
+    speed = measured / RPM_PER_RAD_PER_S
+    smooth = low_pass(speed)
+    steps = 0.5 * (smooth[1:] + smooth[:-1]) * period
+    angle = np.concatenate(([0.0], np.cumsum(steps)))
+    acceleration = low_pass.derivative(speed)
+    return Motion(recording.time_s, angle, smooth, acceleration, _sway(angle, low_pass), "speed")
+
+
+def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
+    sine, cosine = (low_pass.derivative(wave(angle), 2) for wave in (np.sin, np.cos))
+    return cosine + 1j * sine
+
+
+def settled(recording: Recording, cutoff_hz: float) -> slice:
+    """Samples that the filter's ends do not reach: all but :data:`END_PERIODS` of the cut-off."""
+    ends = math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
+    return slice(ends, recording.samples - ends)
+
+
+def _error(
+    recording: Recording, problem: str, *, found: str | None = None, expected: str | None = None
+) -> RecordingError:
+    file = recording.source.file if recording.source else recording.name
+    return RecordingError(problem, file=file, found=found, expected=expected)
