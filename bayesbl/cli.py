@@ -82,10 +82,11 @@ Workers = Annotated[
         "--workers",
         parser=_whole_number,
         metavar="N",
-        help="Processes; the numbers do not depend on them.",
+        help="Most processes at a time, where there is work for them; the numbers do not "
+        "depend on it. [default: all cores]",
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace a finished result.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
 Curve = Annotated[
     str | None,
@@ -102,6 +103,20 @@ Route = Annotated[
         metavar="amplitude|direct",
         help="From the ringing's amplitude by a curve, or from the simulated bench. "
         "[default: amplitude]",
+    ),
+]
+StartFrom = Annotated[
+    Path | None,
+    typer.Option(
+        "--start-from",
+        metavar="RESULT",
+        help="Earlier result of this joint, from whose optimum the search starts.",
+    ),
+]
+CheckSampler = Annotated[
+    bool,
+    typer.Option(
+        "--check-sampler", help="Sample again by a nested sampler, and tell where both differ."
     ),
 ]
 LimitRad = Annotated[
@@ -234,11 +249,14 @@ def fit_command(
     gear_ratio: GearRatio = None,
     level: Level = None,
     workers: Workers = None,
+    start_from: StartFrom = None,
+    check_sampler: CheckSampler = False,
 ) -> None:
     """Measure the gap in one recording."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("fit", [recording], config, options, force, json)
 
 
@@ -260,11 +278,14 @@ def compare_command(
     gear_ratio: GearRatio = None,
     level: Level = None,
     workers: Workers = None,
+    start_from: StartFrom = None,
+    check_sampler: CheckSampler = False,
 ) -> None:
     """Measure each gap, and the change from first to last."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("compare", [first, *later], config, options, force, json)
 
 

@@ -3,9 +3,10 @@
     python experiments/benchmark.py
 
 Prints, for 18 s of the disturbance model at 1 kHz: one evaluation of the sum of squares by the
-kernel and by the formula in plain NumPy, the search, the posterior; then the whole
-``bayesbl compare`` of the example recordings and ``bayesbl --help``, each in a fresh process. Times
-are the best of several after a warm-up, but for fresh processes: the median.
+kernel and by the formula in plain NumPy, the search, the posterior, both once more from the optimum
+of an earlier recording; then the whole ``bayesbl compare`` of the example recordings,
+``bayesbl fit`` with its peak memory, and ``bayesbl --help``, each in a fresh process. Times are the
+best of several after a warm-up, but for fresh processes: the median.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from pathlib import Path
 import numpy as np
 
 from bayesbl.inference.estimator import Estimator
-from bayesbl.inference.optimum import find_optimum
+from bayesbl.inference.optimum import Optimum, find_optimum
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
+from bayesbl.inference.warm import EarlierOptimum, warm_optimum
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import Recording
 from bayesbl.signal.model import model_speed
@@ -73,6 +75,11 @@ def main() -> None:
     search, posterior = fit_seconds()
     show("search, at most 1 s", search, "s")
     show("posterior, four ensembles until converged, at most 6 s", posterior, "s")
+    search, posterior = warm_seconds()
+    show("optimum from an earlier one, at most 50 ms", 1e3 * search, "ms")
+    show("posterior around it, at most 2 s", posterior, "s")
+    with tempfile.TemporaryDirectory() as folder:
+        show("bayesbl fit, peak memory, below 400 MB", fit_megabytes(Path(folder)), "MB")
     with tempfile.TemporaryDirectory() as folder:
         show("bayesbl compare, figures included, at most 15 s", compare_seconds(Path(folder)), "s")
     with tempfile.TemporaryDirectory() as folder:
@@ -89,12 +96,12 @@ def main() -> None:
     show("bayesbl --help, below 0.4 s", process_seconds(["--help"], 7), "s")
 
 
-def recording(harmonics: int) -> Recording:
+def recording(harmonics: int, seed: int = 1, **changes: float) -> Recording:
     """18 s at 1 kHz with AR(1) noise."""
     return synthetic_recording(
-        TRUTH,
+        {**TRUTH, **changes},
         NoiseModel(1.5, (0.6,)),
-        np.random.default_rng(1),
+        np.random.default_rng(seed),
         baseline_rpm=(5.0, -3.0)[: 2 * harmonics],
     )
 
@@ -135,6 +142,40 @@ def fit_seconds() -> tuple[float, float]:
         )
 
     return best_seconds(search, 3), best_seconds(sample, 3)
+
+
+def warm_seconds() -> tuple[float, float]:
+    """Seconds from a recording to its optimum, and of the sampling, a month after another one."""
+    old = Estimator().estimate(recording(1), np.random.SeedSequence(1)).optimum
+    earlier = EarlierOptimum("the old optimum", old.symbols, old.rmse_rpm)
+    measured = recording(1, 2, **{AMPLITUDE: 36.0, START: 2.9})
+
+    def search() -> Optimum:
+        objective = Objective(old.model, measured.time_s, measured.motor_speed_rpm)
+        return warm_optimum(objective, earlier)
+
+    objective = Objective(old.model, measured.time_s, measured.motor_speed_rpm)
+    point = Estimator().around(measured, objective, search())
+
+    def sample() -> object:
+        return sample_posterior(
+            objective, point.optimum, point.spread, SamplerSettings(), np.random.SeedSequence(1)
+        )
+
+    return best_seconds(search), best_seconds(sample, 3)
+
+
+def fit_megabytes(folder: Path) -> float:
+    """Largest resident memory of ``bayesbl fit`` on an example recording, in MB (10⁶ bytes)."""
+    program = Path(sys.executable).with_name("bayesbl")
+    arguments = ["fit", str(RECORDINGS / "wear_before.csv"), "--out", str(folder / "fit")]
+    with subprocess.Popen([program, *arguments], stdout=subprocess.DEVNULL) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"bayesbl fit ended with status {process.returncode}")
+    unit = 1 if sys.platform == "darwin" else 1024
+    return 1e-6 * unit * float(usage.ru_maxrss)
 
 
 def compare_seconds(folder: Path) -> float:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from datetime import date
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -377,11 +378,13 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "seed": 0,
         "workers": 1,
         "out": folder / "out",
+        "start_from": folder / "curve.nc",
+        "check_sampler": True,
     }
     assert set(values) == set(OPTIONS)
     config = config_from_options("fit", [folder / "before.csv"], None, **values)
-    for option, (section, key) in OPTIONS.items():
-        assert getattr(getattr(config, str(section)), str(key)) == values[option]
+    for option, location in OPTIONS.items():
+        assert attrgetter(".".join(map(str, location)))(config) == values[option]
 
 
 @pytest.mark.parametrize(

@@ -140,8 +140,7 @@ def test_current_says_as_much_as_torque_and_speed_as_much_as_position(folder: Pa
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('method = "inverse"', 'method = "forward"', "comes later"),
-        ('method = "inverse"\n', "", "comes later"),
+        ('method = "inverse"\n', "", "two masses with a gap"),
         ('use = "split"', "", "nothing held out"),
         ('use = "split"', 'use = "splat"', "one of"),
         ('file = "a.csv"', 'file = "absent.csv"', "There is no such file"),

@@ -18,6 +18,7 @@ from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.inference import optimum as optimum_module
 from bayesbl.inference.covariance import Covariance, covariance
 from bayesbl.inference.diagnostics import (
+    Contender,
     Diagnostics,
     integrated_time,
     judge,
@@ -608,14 +609,17 @@ def test_ensembles_in_different_modes_are_withheld_though_each_mixes_well() -> N
     [
         ({"steps": 800}, "usable", "chain is short"),
         ({"steps": 300}, "withheld", "chain is short"),
-        ({"autocorrelation_steps": math.inf}, "withheld", "chain is short"),
-        ({"autocorrelation_steps": math.nan}, "withheld", "chain is short"),
+        ({"autocorrelation_steps": math.inf}, "withheld", "never moved"),
+        ({"autocorrelation_steps": math.nan}, "withheld", "never moved"),
+        ({"acceptance": np.array([0.4, 0.01])}, "withheld", "Ensemble 2 of 2 is stuck"),
         ({"r_hat": {AMPLITUDE: 1.03}}, "usable", "below 1.01"),
         ({"r_hat": {AMPLITUDE: math.nan}}, "withheld", "ensembles disagree"),
         ({"ess_bulk": {AMPLITUDE: 90.0}}, "usable", "effective draws"),
         ({"bounds_stable": False}, "usable", "still moved"),
         ({"signal_to_noise": 5.9}, "withheld", "too weak"),
-        ({"at_bound": {DECAY: 0.2}}, "usable", "the range, not the recording"),
+        ({"at_bound": {DECAY: 0.1}}, "usable", "the range, not the recording"),
+        ({"at_bound": {DECAY: 0.24}}, "withheld", "the range, not the recording"),
+        ({"other_answer": Contender(12.0, -1.0)}, "withheld", "another optimum, A = 12 rpm"),
     ],
 )
 def test_each_flaw_is_judged_and_said(changes: dict[str, Any], outcome: str, said: str) -> None:

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from bayesbl.recording.channels import CHANNELS, TIME, did_you_mean, is_mappable
+from bayesbl.results.folder import RESULT_FILE
 from bayesbl.signal.parameters import SYMBOLS
 
 BASE_DIRECTORY = "base_directory"
@@ -49,6 +50,11 @@ def _input_path(value: object, info: ValidationInfo) -> Path:
 
 def _curve_source(value: object, info: ValidationInfo) -> Path | str:
     return PUBLISHED if value == PUBLISHED else _input_path(value, info)
+
+
+def _result_file(value: object, info: ValidationInfo) -> Path:
+    path = _output_path(value, info)
+    return _input_path(path / RESULT_FILE if path.is_dir() else path, info)
 
 
 def as_tuple(value: object) -> object:
@@ -97,6 +103,8 @@ def column_entry(value: object) -> object:
 OutputPath = Annotated[Path, BeforeValidator(_output_path)]
 InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
+ResultFile = Annotated[Path, BeforeValidator(_result_file)]
+"""A ``result.nc``, or the output folder that holds it."""
 Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
 SymbolName = Annotated[str, AfterValidator(_symbol)]
 ChannelName = Annotated[str, AfterValidator(_channel)]

@@ -30,6 +30,7 @@ from bayesbl.config.fields import (
     OutputPath,
     Positive,
     Range,
+    ResultFile,
     Section,
     SymbolName,
     as_tuple,
@@ -140,9 +141,10 @@ class Model(Section):
 
 
 class Search(Section):
-    """``[estimator.search]``: how the optimum is found."""
+    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first."""
 
     method: Literal["guess", "paper"] = "guess"
+    start_from: ResultFile | None = None
 
 
 class Noise(Section):
@@ -205,6 +207,7 @@ class Posterior(Section):
 
     ensembles: int = Field(default=4, ge=2, le=64)
     max_steps: int = Field(default=20_000, ge=100)
+    check_sampler: bool = False
 
 
 class Interval(Section):

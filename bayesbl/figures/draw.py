@@ -16,6 +16,7 @@ from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
 from bayesbl.figures.diagnosis import diagnosed
 from bayesbl.figures.direct_gap import direct_change, direct_gap
+from bayesbl.figures.discrepancy import discrepancy
 from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
@@ -59,6 +60,12 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
 
 
 def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    if tree.attrs.get("method") == "forward":
+        before, after = (tree[f"located_{s}"].to_dataset() for s in ("before", "after"))
+        for recording in before["recording"].values:
+            figure = discrepancy(before, str(recording), after)
+            yield f"diagnosis_{str(recording).replace(' ', '_')}", figure
+        return
     for recording, figure in diagnosed(tree).items():
         yield f"diagnosis_{recording.replace(' ', '_')}", figure
 

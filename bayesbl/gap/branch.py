@@ -13,8 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.gap.curve import GapCurve, Ringing
+from bayesbl.inference.diagnostics import Contender
 from bayesbl.inference.estimator import Estimator, PointEstimate
 from bayesbl.inference.optimum import promoted
+from bayesbl.signal.parameters import AMPLITUDE
 
 LARGEST_DEFICIT = 15.0
 """Log likelihood below the optimum's at which a rival is no longer considered."""
@@ -30,7 +32,7 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
     ringing = curve.ringing
     if ringing is None:
         return point
-    best, evidence = point, _log_prior(curve, ringing, point)
+    weighed = [(_log_prior(curve, ringing, point), point)]
     for rival in point.optimum.rivals:
         excess = rival.sum_of_squares - point.optimum.sum_of_squares
         deficit = 0.5 * excess / point.spread.scale
@@ -39,17 +41,21 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         other = estimator.around(
             point.recording, point.objective, promoted(point.objective, point.optimum, rival)
         )
-        found = _log_prior(curve, ringing, other) - deficit
-        if found > evidence:
-            best, evidence = other, found
+        weighed.append((_log_prior(curve, ringing, other) - deficit, other))
+    evidence, best = max(weighed, key=lambda pair: pair[0])
+    contenders = tuple(
+        Contender(other.optimum.symbols[AMPLITUDE], found - evidence)
+        for found, other in weighed
+        if other is not best
+    )
     if best is point:
-        return point
+        return replace(point, contenders=contenders)
     note = (
         "The optimum of least RMSE rings unlike this bench at any gap; the one that does, "
         f"{100.0 * (best.optimum.rmse_rpm / point.optimum.rmse_rpm - 1.0):.2g} % larger in RMSE, "
         "was taken in its place."
     )
-    return replace(best, notes=(*best.notes, note))
+    return replace(best, notes=(*best.notes, note), start=point.start, contenders=contenders)
 
 
 def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:

@@ -19,7 +19,34 @@ R_HAT_BAD = 1.05
 FEWEST_EFFECTIVE = 400.0
 STEPS_PER_AUTOCORRELATION = 50.0
 WEAKEST_SIGNAL_TO_NOISE = 6.0
-AT_BOUND_SHARE = 0.05
+AT_BOUND_SHARE, AT_BOUND_TOO_MUCH = 0.05, 0.2
+"""Share of draws beside a bound that is said, and that at which the answer is withheld.
+
+Half a standard deviation beside a bound hold 7 % of a normal posterior cut two standard deviations
+from its peak, 14 % of one cut at one, 24 % of one cut at its peak.
+"""
+STUCK_ACCEPTANCE = 0.05
+OTHER_ANSWER_SHARE = 0.05
+"""Probability of another optimum, with another amplitude, above which the answer is withheld."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """Another optimum, which the sampler does not reach.
+
+    Attributes
+    ----------
+    log_odds
+        ln of its probability over that of the optimum taken.
+    """
+
+    amplitude_rpm: float
+    log_odds: float
+
+    @property
+    def share(self) -> float:
+        """Its probability beside the optimum alone."""
+        return 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +115,7 @@ def judge(
     bounds_stable: bool,
     signal_to_noise: float,
     at_bound: Mapping[str, float],
+    other_answer: Contender | None = None,
 ) -> Diagnostics:
     """Turn the numbers into an outcome with its reasons.
 
@@ -99,6 +127,8 @@ def judge(
         A / √V_AA.
     at_bound
         By symbol, the share of draws at a bound of its range.
+    other_answer
+        The likeliest optimum with another amplitude, if there is one.
     """
     doubts: list[str] = []
     failures: list[str] = []
@@ -110,7 +140,16 @@ def judge(
         )
     elif r_hat[worst] > R_HAT_GOOD:
         doubts.append(f"R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_GOOD} is good).")
-    if not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
+    slowest = int(np.argmin(acceptance))
+    if acceptance[slowest] < STUCK_ACCEPTANCE:
+        failures.append(
+            f"Ensemble {slowest + 1} of {len(acceptance)} is stuck: it took "
+            f"{acceptance[slowest]:.1%} of its proposals ({STUCK_ACCEPTANCE:.0%} at least are "
+            "needed)."
+        )
+    if not math.isfinite(autocorrelation_steps):
+        failures.append("A walker never moved: it is stuck, and its ensemble cannot be trusted.")
+    elif not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
         text = (
             f"The chain is short: {steps} steps for an autocorrelation time of "
             f"{autocorrelation_steps:.0f} (more than {STEPS_PER_AUTOCORRELATION:.0f} times that "
@@ -125,10 +164,17 @@ def judge(
         doubts.append("The interval's bounds still moved at the last check.")
     for name, share in at_bound.items():
         if share > AT_BOUND_SHARE:
-            doubts.append(
+            (failures if share > AT_BOUND_TOO_MUCH else doubts).append(
                 f"{share:.0%} of the draws of {name} lie at a bound of its range: "
                 "the range, not the recording, decides there."
             )
+    if other_answer is not None and other_answer.share > OTHER_ANSWER_SHARE:
+        failures.append(
+            f"The posterior has several modes: another optimum, A = "
+            f"{other_answer.amplitude_rpm:.3g} rpm, explains the recording nearly as well "
+            f"(probability {other_answer.share:.0%} beside the one taken). Record more rotations, "
+            "or use a curve swept for this bench, which can tell them apart."
+        )
     if signal_to_noise < WEAKEST_SIGNAL_TO_NOISE:
         failures.append(
             f"The impact ringing is too weak: its amplitude is {signal_to_noise:.1f} standard "

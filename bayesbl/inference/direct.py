@@ -20,10 +20,10 @@ from bayesbl.inference.diagnostics import (
     judge,
     rank_r_hat_and_ess,
 )
+from bayesbl.inference.ensemble import Ensemble
 from bayesbl.inference.posterior import (
     BOUND_TOLERANCE_SD,
     STEPS_BETWEEN_CHECKS,
-    Ensemble,
     Progress,
     SamplerSettings,
     burn_in,
@@ -82,7 +82,6 @@ class _LogDensity:
     """log posterior by the surrogate."""
 
     def __init__(self, model: SimulatedSignals, surrogate: Surrogate) -> None:
-        self.low, self.high = model.low, model.high
         self._model, self._surrogate = model, surrogate
 
     def __call__(self, points: FloatArray) -> FloatArray:
@@ -198,7 +197,10 @@ def _walk(
 ) -> _Walk:
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
-    ensembles = [Ensemble(target, centre, covariance, s) for s in seed.spawn(settings.ensembles)]
+    ensembles = [
+        Ensemble(target, centre, covariance, (model.low, model.high), s)
+        for s in seed.spawn(settings.ensembles)
+    ]
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
     sd = np.sqrt(np.diag(covariance))[gaps]
     tail = 0.5 - 0.5 * settings.level

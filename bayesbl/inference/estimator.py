@@ -9,17 +9,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from bayesbl.errors import ConfigError
-from bayesbl.inference.covariance import Covariance, covariance
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.inference.covariance import Covariance, covariance, signal_to_noise
+from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE, Contender
+from bayesbl.inference.memory import Forgetful, Memory, pack_optimum, unpack_optimum
 from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
 from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.inference.second_opinion import SamplerCheck, check_sampler
+from bayesbl.inference.warm import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.recording.checks import ready_for_fit, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.signal.objective import Objective
@@ -36,6 +40,10 @@ class PointEstimate:
         Recording minus optimum, shape (n,), rpm; NaN at samples left out.
     notes
         What the reader should know of how the optimum was come by.
+    start
+        What the search started from, in a sentence; empty for the full search alone.
+    contenders
+        Other optima weighed against this one; by their likelihood alone where ``None``.
     """
 
     recording: Recording
@@ -45,6 +53,8 @@ class PointEstimate:
     spread: Covariance
     residual_rpm: FloatArray
     notes: tuple[str, ...] = ()
+    start: str = ""
+    contenders: tuple[Contender, ...] | None = None
 
     @property
     def misfit(self) -> RepeatingMisfit:
@@ -75,10 +85,11 @@ class PointEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A point estimate with its posterior."""
+    """A point estimate with its posterior, and what a second sampler says of that, if asked."""
 
     point: PointEstimate
     posterior: Posterior
+    check: SamplerCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +140,14 @@ class Estimator:
         recording: Recording,
         seed: np.random.SeedSequence,
         gear_ratio: float | None = None,
+        earlier: EarlierOptimum | None = None,
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
+
+        Parameters
+        ----------
+        earlier
+            Optimum to start from; where it no longer fits, the full search is made.
 
         Raises
         ------
@@ -138,16 +155,43 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         recording = ready_for_fit(recording, gear_ratio)
-        objective = Objective(
+        objective = self._objective(recording)
+        point, start = None, ""
+        if earlier is not None:
+            try:
+                point = self._warm(recording, objective, earlier)
+                start = f"The search started from {earlier.told}."
+            except NoLongerFits as reason:
+                start = (
+                    f"{earlier.told[:1].upper()}{earlier.told[1:]} no longer fits: {reason}. "
+                    "The full search was made."
+                )
+        if point is None:
+            optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
+            _require_rotations(recording, optimum, gear_ratio)
+            point = self.around(recording, objective, optimum)
+        return replace(point, start=start)
+
+    def _objective(self, recording: Recording) -> Objective:
+        return Objective(
             self.model,
             recording.time_s,
             recording.motor_speed_rpm,
             excluded=recording.excluded,
         )
-        optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
-        if gear_ratio is None:
-            require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
-        return self.around(recording, objective, optimum)
+
+    def _warm(
+        self, recording: Recording, objective: Objective, earlier: EarlierOptimum
+    ) -> PointEstimate:
+        """The optimum from an earlier one, if its ringing also stands out of the noise."""
+        try:
+            point = self.around(recording, objective, warm_optimum(objective, earlier))
+        except RecordingError as error:
+            raise NoLongerFits(error.problem) from None
+        ratio = signal_to_noise(point.optimum, point.spread)
+        if not ratio >= WEAKEST_SIGNAL_TO_NOISE:
+            raise NoLongerFits(f"the ringing is only {ratio:.1f} standard deviations strong")
+        return point
 
     def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
         """Noise and covariance around an optimum already found."""
@@ -170,6 +214,10 @@ class Estimator:
         gear_ratio: float | None = None,
         progress: Progress | None = None,
         choose: Callable[[PointEstimate], PointEstimate] | None = None,
+        *,
+        earlier: EarlierOptimum | None = None,
+        memory: Memory | None = None,
+        check: bool = False,
     ) -> Fit:
         """Optimum and posterior; one child seed for each.
 
@@ -177,12 +225,62 @@ class Estimator:
         ----------
         choose
             Picks among the optimum and its rivals; the optimum itself by default.
+        earlier
+            Optimum to start from.
+        memory
+            Keeps what is finished; what it recalls is not computed again.
+        check
+            Whether a nested sampler samples the posterior too.
+
+        Raises
+        ------
+        RecordingError
+            As :meth:`estimate`.
+        ResultError
+            If ``memory`` recalls an optimum that does not agree with the recording.
         """
-        search_seed, sample_seed = seed.spawn(2)
-        point = self.estimate(recording, search_seed, gear_ratio)
-        if choose is not None:
-            point = choose(point)
+        memory = Forgetful() if memory is None else memory
+        search_seed, sample_seed, check_seed = seed.spawn(3)
+        point = self._recalled(recording, gear_ratio, memory)
+        if point is None:
+            point = self.estimate(recording, search_seed, gear_ratio, earlier)
+            if choose is not None:
+                point = choose(point)
+            memory.remember(
+                "optimum", pack_optimum(point.optimum, point.notes, point.start, point.contenders)
+            )
         posterior = sample_posterior(
-            point.objective, point.optimum, point.spread, self.sampler, sample_seed, progress
+            point.objective,
+            point.optimum,
+            point.spread,
+            self.sampler,
+            sample_seed,
+            progress,
+            contenders=point.contenders,
+            memory=memory,
         )
-        return Fit(point, posterior)
+        if not check:
+            return Fit(point, posterior)
+        second = check_sampler(
+            point.objective, point.optimum, point.spread, posterior, check_seed, memory
+        )
+        return Fit(point, posterior, second)
+
+    def _recalled(
+        self, recording: Recording, gear_ratio: float | None, memory: Memory
+    ) -> PointEstimate | None:
+        """The point estimate around a remembered optimum, evaluated again."""
+        stored = memory.recall("optimum")
+        if stored is None:
+            return None
+        recording = ready_for_fit(recording, gear_ratio)
+        objective = self._objective(recording)
+        optimum, notes, start, contenders = unpack_optimum(stored, objective)
+        point = self.around(recording, objective, optimum)
+        return replace(point, notes=notes, start=start, contenders=contenders)
+
+
+def _require_rotations(recording: Recording, optimum: Optimum, gear_ratio: float | None) -> None:
+    """Enough rotations by the optimum's period, where no gear ratio could tell before."""
+    if gear_ratio is None:
+        require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])

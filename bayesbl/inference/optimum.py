@@ -36,6 +36,8 @@ from bayesbl.signal.parameters import (
 )
 
 SearchMethod = Literal["guess", "paper"]
+FoundBy = Literal["guess", "paper", "warm"]
+"""How an optimum was found: by one of the searches, or from an earlier optimum."""
 
 GUESSES_REFINED = 4
 POPULATION = 20
@@ -97,7 +99,7 @@ class Optimum:
     rivals: tuple[Rival, ...]
     evaluations: int
     seconds: float
-    method: SearchMethod
+    method: FoundBy
 
     @property
     def rmse_rpm(self) -> float:
@@ -135,6 +137,29 @@ def find_optimum(
         ends, history, evaluations = _paper_search(objective, generator)
     else:
         ends, history, evaluations = _guess_search(objective, generator)
+    return settled(objective, ends, history, evaluations, began, method)
+
+
+def settled(
+    objective: Objective,
+    ends: FloatArray,
+    history: SearchHistory,
+    evaluations: int,
+    began: float,
+    method: FoundBy,
+) -> Optimum:
+    """The best end of a search, shape (m, d), in canonical form, the others as its rivals.
+
+    Parameters
+    ----------
+    began
+        Reading of ``time.perf_counter()`` when the search began.
+
+    Raises
+    ------
+    RecordingError
+        If the sum of squares is finite at none of them.
+    """
     sse = objective.sum_of_squares(ends)
     ends, sse = ends[np.isfinite(sse)], sse[np.isfinite(sse)]
     if not len(ends):

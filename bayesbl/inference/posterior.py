@@ -9,20 +9,22 @@ A, v_t and the baseline, linear, are integrated out exactly and drawn afterwards
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from bayesbl.inference.covariance import Covariance, signal_to_noise
 from bayesbl.inference.diagnostics import (
     STEPS_PER_AUTOCORRELATION,
+    Contender,
     Diagnostics,
     integrated_time,
     judge,
     rank_r_hat_and_ess,
 )
+from bayesbl.inference.ensemble import Ensemble
+from bayesbl.inference.memory import Forgetful, Memory
 from bayesbl.inference.optimum import Optimum, bounds
 from bayesbl.recording.types import FloatArray
 from bayesbl.signal.objective import Objective
@@ -76,16 +78,6 @@ class Posterior:
     diagnostics: Diagnostics
 
 
-class LogDensity(Protocol):
-    """What an ensemble walks on: a log density with the ranges of its coordinates, shape (d,)."""
-
-    low: FloatArray
-    high: FloatArray
-
-    def __call__(self, points: FloatArray) -> FloatArray:
-        """Shape (m, d) to (m,), up to a constant; −inf outside the ranges."""
-
-
 class LogPosterior:
     """log p(searched symbols | recording), A, v_t and the baseline integrated out."""
 
@@ -111,6 +103,9 @@ def sample_posterior(
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
+    *,
+    contenders: Sequence[Contender] | None = None,
+    memory: Memory | None = None,
 ) -> Posterior:
     """Sample until converged or ``settings.max_steps`` is reached.
 
@@ -121,22 +116,29 @@ def sample_posterior(
         depend on how the work is spread.
     progress
         Called with (steps made, steps allowed) at every check.
+    contenders
+        Other optima weighed against this one; the optimum's rivals by their likelihood where
+        ``None``.
+    memory
+        Keeps every stretch of steps; what it recalls is not run again.
     """
+    memory = Forgetful() if memory is None else memory
     *ensemble_seeds, linear_seed = seed.spawn(settings.ensembles + 1)
     target = LogPosterior(objective, optimum, spread.scale)
     searched = np.array([spread.names.index(n) for n in objective.searched])
     local = spread.scale * spread.inverse_curvature[np.ix_(searched, searched)]
-    ensembles = [Ensemble(target, optimum.searched, local, s) for s in ensemble_seeds]
+    box = (target.low, target.high)
+    ensembles = [Ensemble(target, optimum.searched, local, box, s) for s in ensemble_seeds]
 
     steps, tau, stable = 0, math.inf, False
     last: FloatArray | None = None
     while steps < settings.max_steps:
         count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
-        for ensemble in ensembles:
-            ensemble.run(count)
+        _go_on(ensembles, count, f"steps-{steps:07d}", memory)
         steps += count
-        tau = max(integrated_time(e.chain[steps // 4 :]) for e in ensembles)
-        edges = _interval_edges(objective, ensembles, steps // 4, settings.level)
+        chains = [e.chain[steps // 4 :] for e in ensembles]
+        tau = max(integrated_time(chain) for chain in chains)
+        edges = _interval_edges(objective, chains, settings.level)
         sd = math.sqrt(spread.sandwich[0, 0])
         stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
         last = edges
@@ -149,8 +151,10 @@ def sample_posterior(
     burn = burn_in(tau, steps)
     generator = np.random.default_rng(linear_seed)
     points = np.stack([thinned(e.chain[burn:]) for e in ensembles])
-    draws, baseline, log_likelihood = _complete(objective, optimum, spread, points, generator)
+    draws, baseline, log_likelihood = complete(objective, optimum, spread, points, generator)
     r_hat, ess = rank_r_hat_and_ess(draws)
+    if contenders is None:
+        contenders = weighed_by_likelihood(target, optimum)
     diagnostics = judge(
         r_hat,
         ess,
@@ -160,54 +164,47 @@ def sample_posterior(
         stable,
         signal_to_noise(optimum, spread),
         _at_bound(objective, points),
+        _other_answer(contenders, optimum, spread),
     )
     return Posterior(draws, baseline, log_likelihood, diagnostics)
 
 
-class Ensemble:
-    """One emcee ensemble with a random state of its own."""
+def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Contender, ...]:
+    """The optimum's rivals, weighed by the height of the posterior there.
 
-    def __init__(
-        self,
-        target: LogDensity,
-        centre: FloatArray,
-        local_covariance: FloatArray,
-        seed: np.random.SeedSequence,
-    ) -> None:
-        import emcee
+    The peaks are taken to be equally wide; a rival outside the ranges has no weight.
+    """
+    if not optimum.rivals:
+        return ()
+    names = optimum.model.searched
+    points = np.array([[r.symbols[name] for name in names] for r in optimum.rivals])
+    odds = target(points) - target(optimum.searched[None])[0]
+    return tuple(
+        Contender(r.symbols[AMPLITUDE], float(o)) for r, o in zip(optimum.rivals, odds, strict=True)
+    )
 
-        start_seed, walk_seed = seed.spawn(2)
-        d = centre.size
-        walkers = max(32, 4 * d)
-        generator = np.random.default_rng(start_seed)
-        root = np.linalg.cholesky(local_covariance)
-        start = centre + 1.5 * generator.standard_normal((walkers, d)) @ root.T
-        width = target.high - target.low
-        margin = 1e-6 * np.where(np.isfinite(width), width, 0.0)
-        start = np.clip(start, target.low + margin, target.high - margin)
-        self._sampler = emcee.EnsembleSampler(
-            walkers,
-            d,
-            target,
-            moves=emcee.moves.DEMove(),  # DESnookerMove of 3.1.6 is biased
-            vectorize=True,
+
+def _other_answer(
+    contenders: Sequence[Contender], optimum: Optimum, spread: Covariance
+) -> Contender | None:
+    """The likeliest contender whose amplitude is another than the optimum's."""
+    sd = math.sqrt(spread.sandwich[0, 0])
+    others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
+    return max(others, key=lambda c: c.log_odds, default=None)
+
+
+def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory) -> None:
+    """Every ensemble by a number of steps, recalled where they were already made."""
+    stored = memory.recall(stage)
+    if stored is None:
+        made = [ensemble.run(count) for ensemble in ensembles]
+        memory.remember(
+            stage, {f"{key}_{i}": x for i, m in enumerate(made) for key, x in m.items()}
         )
-        bits = np.random.MT19937(walk_seed)
-        state = np.random.RandomState(bits).get_state()
-        self._state = emcee.State(start, random_state=state)
-
-    def run(self, steps: int) -> None:
-        """Go on for a number of steps."""
-        self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
-
-    @property
-    def chain(self) -> FloatArray:
-        """All steps so far, shape (step, walker, d)."""
-        return np.asarray(self._sampler.get_chain())
-
-    @property
-    def acceptance(self) -> float:
-        return float(np.mean(self._sampler.acceptance_fraction))
+        return
+    for i, ensemble in enumerate(ensembles):
+        end = f"_{i}"
+        ensemble.put_back({k.removesuffix(end): x for k, x in stored.items() if k.endswith(end)})
 
 
 def burn_in(tau: float, steps: int) -> int:
@@ -222,23 +219,31 @@ def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
     return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
 
 
-def _interval_edges(
-    objective: Objective, ensembles: list[Ensemble], burn: int, level: float
-) -> FloatArray:
+def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:
     """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([thinned(e.chain[burn:]) for e in ensembles])
+    points = np.concatenate([thinned(chain) for chain in chains])
     amplitude = objective.solve(points).coefficients[:, -1]
     return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 
 
-def _complete(
+def complete(
     objective: Objective,
     optimum: Optimum,
     spread: Covariance,
     points: FloatArray,
     generator: np.random.Generator,
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
-    """Linear symbols drawn given the searched ones, then every width made the noise's own."""
+    """Linear symbols drawn given the searched ones, then every width made the noise's own.
+
+    Parameters
+    ----------
+    points
+        Of the searched symbols, shape (chain, draw, d).
+
+    Returns
+    -------
+    Draws by name, baseline and log likelihood, as :class:`Posterior` holds them.
+    """
     chains, count, d = points.shape
     flat = points.reshape(-1, d)
     solution = objective.solve(flat)
@@ -264,12 +269,11 @@ def _complete(
 
 
 def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
-    """By symbol, the share of draws at a bound of its range.
+    """By symbol, the share of draws within half a standard deviation of a bound of its range.
 
-    That is within one percent of the range, and within half a standard deviation: a narrow
-    posterior beside a bound is not cut by it.
+    A posterior that ends before its bound has hardly any; one that is cut at its peak a quarter.
     """
     low, high = bounds(objective)
-    near = np.minimum(0.01 * (high - low), 0.5 * points.std(axis=(0, 1)))
+    near = 0.5 * points.std(axis=(0, 1))
     close = (points < low + near) | (points > high - near)
     return dict(zip(objective.searched, close.mean(axis=(0, 1)).tolist(), strict=True))

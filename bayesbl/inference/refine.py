@@ -34,7 +34,7 @@ def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray
     inverse = np.linalg.pinv(design)
     centre = start
     best = float(objective.sum_of_squares(centre[None])[0])
-    root = _scatter_root(objective, centre)
+    root = scatter_root(objective, centre)
     radius = FIRST_RADIUS_RPM
     for _ in range(MOST_ROUNDS):
         step = radius * root
@@ -88,8 +88,8 @@ def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
     return np.asarray(move if length <= edge else move * (edge / length)), inside
 
 
-def _scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
-    """Cholesky factor of the covariance of the searched symbols per rpm² of white noise."""
+def scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
+    """Cholesky factor of the covariance of the searched symbols per rpm² of white noise, (d, d)."""
     solution = objective.solve(point[None])
     symbols = {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
     names = jacobian_columns(objective.model)

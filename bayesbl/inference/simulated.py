@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -40,6 +40,8 @@ class Observed:
         Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
     reference_speed_rpm
         Of the motor, negative for reverse.
+    known
+        What else is known of this recording, named as :meth:`Bench.vector` takes it.
     excluded
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     """
@@ -49,6 +51,7 @@ class Observed:
     sampling_hz: float
     reference_speed_rpm: float
     rotation_period_s: float
+    known: Mapping[str, float] = field(default_factory=dict)
     excluded: BoolArray | None = None
 
     @property
@@ -114,7 +117,12 @@ def observed(
     if MOTOR_CURRENT in recording.channels:
         rows.append(recording.channels[MOTOR_CURRENT])
     return Observed(
-        recording.name, np.stack(rows), 1.0 / period, reference, rotation, recording.excluded
+        recording.name,
+        np.stack(rows),
+        1.0 / period,
+        reference,
+        rotation,
+        excluded=recording.excluded,
     )
 
 
@@ -250,7 +258,7 @@ class SimulatedSignals:
             for i, unknown in enumerate(self.unknowns)
             if unknown.recording in (None, seen.name)
         }
-        known = {"reference_speed_rpm": seen.reference_speed_rpm} | self.settings
+        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known} | self.settings
         matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)

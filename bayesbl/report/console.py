@@ -64,6 +64,10 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
         if sentence:
             say(console, sentence)
     print_table(_snapshot_table(summary), console)
+    for name, part in words.snapshots(summary):
+        checked = words.sampler_check(part)
+        if checked:
+            say(console, checked, "dim", label=name)
     say(console, words.GAP_EXPLAINED, "dim")
     told = words.budget(summary)
     if told:
@@ -141,6 +145,7 @@ def _print_details(name: str, part: Summary, rivals: list[str], console: Console
     say(console, f"Snapshot {name}" if name else "Fit", "bold")
     print_table(_parameter_table(part), console)
     lines = {
+        **({"Search": part["start"]} if "start" in part else {}),
         "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
         "Noise": words.noise(part),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ def print_diagnosis(summary: Summary, console: Console) -> None:
     for sentence in (*effects(summary), *parameter_errors(summary)):
         say(console, sentence)
     print_table(_gap_table(summary), console)
-    for sentence in remaining(summary):
+    for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
         say(console, sentence)
 
 
@@ -75,10 +76,56 @@ def remaining(summary: Summary) -> Iterator[str]:
     """What still repeats after naming."""
     unit = summary["gap"]["unit"]
     for line in summary["remaining"]:
+        if "dependence" in line:
+            yield f"Still there: {_phrase(line)}."
+            continue
         yield (
             f"What is left repeats {line['order']:.2f} times per turn of the motor, with "
             f"{words.significant(line['amplitude'])} {unit}."
         )
+
+
+def wear(summary: Summary) -> Iterator[str]:
+    """The gap with the bench as believed and with what was named: what the effect does to it."""
+    before, after = summary["delta_rad_before"], summary["delta_rad_after"]
+    if before is None or after is None:
+        return
+    told = (
+        f"{1e3 * after['median']:.4g} mrad ({1e3 * after['low']:.4g} to {1e3 * after['high']:.4g})"
+    )
+    if summary["effects"] or summary["parameter_errors"]:
+        away = 100.0 * (before["median"] / after["median"] - 1.0)
+        yield (
+            f"The gap is {told}; the bench as believed gives {1e3 * before['median']:.4g} mrad, "
+            f"{words.number(away, 1)} % off."
+        )
+    else:
+        yield f"The gap is {told}."
+
+
+def suggestion(summary: Summary) -> Iterator[str]:
+    """The recording that would tell apart what these cannot."""
+    found = summary["suggested_recording"]
+    if found is None:
+        return
+    load = (
+        "" if found["payload_share"] == 1.0 else f" with {found['payload_share']:g} times the load"
+    )
+    names = " from ".join(in_words(name) for name in found["separates"][0][:2])
+    yield (
+        f"A recording at {found['reference_speed_rpm']:g} rpm{load} would tell {names} "
+        f"({found['distance']:.0f} standard deviations apart)."
+    )
+
+
+def _phrase(line: dict[str, Any]) -> str:
+    """As it was before JSON, which knows no NaN and no tuples, in words."""
+    # Imported here: they stand on the compiled simulator, which takes a second.
+    from bayesbl.discrepancy.unexplained import Unexplained
+    from bayesbl.report.located import unexplained_phrase
+
+    values = {key: math.nan if value is None else value for key, value in line.items()}
+    return unexplained_phrase(Unexplained(**values | {"recordings": tuple(line["recordings"])}))
 
 
 def _value(interval: dict[str, Any]) -> str:
@@ -88,19 +135,22 @@ def _value(interval: dict[str, Any]) -> str:
 
 
 def _gap_table(summary: Summary) -> Table:
+    from bayesbl.recording.types import CHANNELS  # numpy is behind it
+
     unit = summary["gap"]["unit"]
     table = new_table(
         ("Recording", "left"),
         ("Use", "left"),
-        (f"Gap before\n({unit})", "right"),
-        (f"after\n({unit})", "right"),
-        (f"Noise floor\n({unit})", "right"),
+        (f"Gap before\n({unit})" if unit else "Gap before", "right"),
+        (f"after\n({unit})" if unit else "after", "right"),
+        (f"Noise floor\n({unit})" if unit else "Noise floor", "right"),
         ("Closed", "right"),
     )
     for recording, channels in summary["gap"]["recordings"].items():
-        for uses in channels.values():
+        for channel, uses in channels.items():
+            name = recording if unit else f"{recording}, {CHANNELS.get(channel, channel)}"
             for use, gap in uses.items():
-                _add_gap(table, recording, use, gap)
+                _add_gap(table, name, use, gap)
     for use, gap in summary["gap"]["over_all"].items():
         _add_gap(table, "all", use, gap)
     return table
@@ -112,6 +162,10 @@ def _add_gap(table: Table, recording: str, use: str, gap: dict[str, Any]) -> Non
         table,
         recording,
         _USES[use],
-        *(f"{gap[name]:.3g}" for name in ("before", "after", "noise_floor")),
+        *(f"{gap[name]:.3g}{_own_unit(gap)}" for name in ("before", "after", "noise_floor")),
         "" if closed is None else f"{100.0 * closed:.1f} %",
     )
+
+
+def _own_unit(gap: dict[str, Any]) -> str:
+    return f" {gap['unit']}" if "unit" in gap else ""

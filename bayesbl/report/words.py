@@ -314,6 +314,19 @@ def sampling(part: Summary) -> str:
     )
 
 
+def sampler_check(part: Summary) -> str | None:
+    """What the second sampler says of every parameter; ``None`` where it was not asked."""
+    check = part.get("sampler_check")
+    if check is None:
+        return None
+    told = "; ".join(
+        f"{symbol} {number(found['difference_sd'], 2)} sd, width × {found['width_ratio']:.2f}"
+        for symbol, found in check["symbols"].items()
+    )
+    verdict = "agrees with" if check["agrees"] else "disagrees with"
+    return f"Nested sampling {verdict} emcee (difference, width over emcee's): {told}."
+
+
 def written(folder: object) -> str:
     """Where everything is."""
     return f"Written to {folder}"

@@ -71,7 +71,7 @@ def _answer(found: Diagnosis, level: float) -> dict[str, Any]:
         "effects": [
             {
                 "name": effect.name,
-                "parameters": {k: _interval(v, level) for k, v in effect.parameters.items()},
+                "parameters": {k: interval_of(v, level) for k, v in effect.parameters.items()},
                 "probability": effect.probability,
                 "z": effect.z,
                 "indistinguishable_from": list(effect.indistinguishable_from),
@@ -83,11 +83,11 @@ def _answer(found: Diagnosis, level: float) -> dict[str, Any]:
                 "name": error.name,
                 "believed": error.believed,
                 "tolerance": error.tolerance,
-                "fitted": _interval(error.fitted, level),
+                "fitted": interval_of(error.fitted, level),
             }
             for error in found.parameter_errors
         ],
-        "bench_parameters": {k: _interval(v, level) for k, v in found.bench.items()},
+        "bench_parameters": {k: interval_of(v, level) for k, v in found.bench.items()},
         "remaining": [
             {
                 "channel": line.channel,
@@ -113,8 +113,8 @@ def _gap(gap: Gap) -> dict[str, float | None]:
     return {name: getattr(gap, name) for name in GAP_WORDS}
 
 
-def _interval(estimate: Estimate, level: float) -> dict[str, Any]:
-    """Of a normal distribution; bounds are ``None`` where the value was held."""
+def interval_of(estimate: Estimate, level: float) -> dict[str, Any]:
+    """Interval of a normal distribution; bounds are ``None`` where the value was held."""
     known = math.isfinite(estimate.sd)
     reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * estimate.sd if known else 0.0
     return {

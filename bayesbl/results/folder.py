@@ -24,8 +24,11 @@ RESULT_FILE = "result.nc"
 SUMMARY_FILE = "summary.json"
 CONFIG_FILE = "config.toml"
 FIGURES = "figures"
+AUGMENTED_BENCH = "augmented_bench.toml"
 
-OWN_NAMES = frozenset({RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, FIGURES, "report.html"})
+OWN_NAMES = frozenset(
+    {RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, FIGURES, AUGMENTED_BENCH, "report.html"}
+)
 """What a result consists of; anything else in its folder is the user's."""
 
 _STAGING = ".staging"

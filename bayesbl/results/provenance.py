@@ -61,6 +61,12 @@ def file_sha256(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
+def code_versions() -> dict[str, str]:
+    """All that may make the same problem come out otherwise: this code, Python, dependencies."""
+    own = f"{bayesbl.__version__}, commit {git_commit()}"
+    return {"bayesbl": own, "python": platform.python_version(), **dependency_versions()}
+
+
 def dependency_versions() -> dict[str, str]:
     """Version of each of :data:`DEPENDENCIES`."""
     return {name: _version(name) for name in DEPENDENCIES}

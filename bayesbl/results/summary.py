@@ -93,6 +93,21 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         },
         "reason": verdict["reason"],
     }
+    start = str(optimum["start"].item()) if "start" in optimum else ""
+    if start:
+        result["start"] = start
+    if "sampler_check" in tree:
+        check = group("sampler_check")
+        result["sampler_check"] = {
+            "agrees": not np.any(check["differs"].values > 0.0),
+            "symbols": {
+                str(s): {
+                    "difference_sd": float(check["difference_sd"].sel(symbol=s)),
+                    "width_ratio": float(check["width_ratio"].sel(symbol=s)),
+                }
+                for s in check["symbol"].values
+            },
+        }
     return result | _above_limit(tree, delta, withheld)
 
 

@@ -1,9 +1,10 @@
 """Results as xarray trees: the layout of ``result.nc`` for a fit and for compared snapshots.
 
 A fit has arviz's groups at the root (``posterior``, ``sample_stats``, ``observed_data``) and beside
-them ``predictive``, ``optimum``, ``search_history``, ``noise``, ``misfit``, ``diagnostics`` and
-``gap``. A comparison has the same groups with a ``snapshot`` dimension in front, shorter ones
-padded with NaN, and ``change``. ``curve`` holds the gap curve over its range in both.
+them ``predictive``, ``optimum``, ``search_history``, ``noise``, ``misfit``, ``diagnostics``,
+``gap`` and, where it was asked for, ``sampler_check``. A comparison has the same groups with a
+``snapshot`` dimension in front, shorter ones padded with NaN, and ``change``. ``curve`` holds the
+gap curve over its range in both.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import xarray as xr
 from bayesbl.gap.change import Change, Gap
 from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.estimator import Fit
+from bayesbl.inference.second_opinion import SamplerCheck
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.signal.jacobian import jacobian_columns
 from bayesbl.signal.parameters import ROTATION, SYMBOLS
@@ -40,7 +42,9 @@ def dataset(variables: Variables, coordinates: Mapping[str, object] | None = Non
 
 def fit_groups(fit: Fit, gap: Gap, level: float) -> dict[str, xr.Dataset]:
     """All groups of one fit, without a ``snapshot`` dimension."""
+    checked = {} if fit.check is None else {"sampler_check": _sampler_check(fit.check)}
     return {
+        **checked,
         "posterior": _posterior(fit, gap),
         "sample_stats": _sample_stats(fit, gap),
         "observed_data": observed_group(fit.point.recording),
@@ -276,6 +280,7 @@ def _optimum(fit: Fit) -> xr.Dataset:
     names = list(spread.names)
     result = dataset(variables, {"parameter": names, "parameter_": names})
     result.attrs["method"] = optimum.method
+    result["start"] = ((), fit.point.start, {"units": "", "long_name": "start of the search"})
     return result
 
 
@@ -372,6 +377,39 @@ def _diagnostics(fit: Fit) -> xr.Dataset:
                 np.array(fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]),
                 "1",
                 "load rotations in the recording",
+            ),
+        },
+        {"symbol": names},
+    )
+
+
+def _sampler_check(check: SamplerCheck) -> xr.Dataset:
+    names = list(check.width_ratio)
+    return dataset(
+        {
+            "difference_sd": (
+                ("symbol",),
+                np.array([check.difference_sd[n] for n in names]),
+                "1",
+                "mean of the nested sampler less emcee's, in standard deviations",
+            ),
+            "width_ratio": (
+                ("symbol",),
+                np.array([check.width_ratio[n] for n in names]),
+                "1",
+                "standard deviation of the nested sampler over emcee's",
+            ),
+            "differs": (
+                ("symbol",),
+                np.array([float(n in check.differing) for n in names]),
+                "1",
+                "1 where the samplers disagree",
+            ),
+            "evaluations": (
+                (),
+                np.array(float(check.evaluations)),
+                "1",
+                "posterior evaluations by the nested sampler",
             ),
         },
         {"symbol": names},

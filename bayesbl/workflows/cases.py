@@ -8,31 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
-import signal
-import sys
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bayesbl.errors import ResultError, UserError
+from bayesbl.errors import UserError
+from bayesbl.results.checkpoint import locked_sibling
+from bayesbl.workflows.processes import processes
 from bayesbl.workflows.study_file import Study, Table, load_study
-
-_THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,17 +69,7 @@ class CaseStore:
         ResultError
             If another run of the same study is under way, or no folder can be made there.
         """
-        folder = output.with_name(f".{output.name}.cases")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ResultError(
-                "The output folder cannot be made.",
-                file=output,
-                found=error.strerror,
-                expected="a place that can be written to",
-            ) from None
-        with _locked(folder, output):
+        with locked_sibling(output, ".cases") as folder:
             if fresh:
                 for file in folder.glob("*.jsonl"):
                     file.unlink()
@@ -136,44 +116,19 @@ def run_cases(
     """
     if not jobs:
         return
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        min(workers, len(jobs)),
-        multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(study.path,),
-    )
-    try:
-        with _single_threaded():
-            # All processes start with the first submission, and keep the environment of now.
-            rows = {pool.submit(_run_job, job, commit): str(job.table["name"]) for job in jobs}
+    with processes(min(workers, len(jobs)), _load, study.path) as pool:
+        rows = {pool.submit(_run_job, job, commit): str(job.table["name"]) for job in jobs}
         for future in as_completed(rows):
             yield rows[future], future.result()
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - before:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 _loaded: Study | None = None
 """The study of this worker process."""
 
 
-def _start_worker(path: Path) -> None:
+def _load(path: Path) -> None:
     global _loaded
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     _loaded = load_study(path)
-
-
-def _end_with_parent() -> None:
-    """Workers of a run that was killed would wait for work for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _run_job(job: Job, commit: str) -> Case:
@@ -190,21 +145,6 @@ def _run_job(job: Job, commit: str) -> Case:
     return Case(job.index, values, time.perf_counter() - start, commit, message)
 
 
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Processes that start meanwhile use one thread each."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _whole_lines(file: Path) -> list[bytes]:
     """Lines of a file; one that was cut by a kill is taken off the file first."""
     if not file.exists():
@@ -214,23 +154,3 @@ def _whole_lines(file: Path) -> list[bytes]:
     if len(whole) < len(data):
         os.truncate(file, len(whole))
     return whole.splitlines()
-
-
-@contextmanager
-def _locked(folder: Path, output: Path) -> Iterator[None]:
-    if sys.platform == "win32":
-        yield  # folders cannot be locked there
-        return
-    import fcntl
-
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ResultError(
-                "Another run of this study is under way.", file=output, expected="one at a time"
-            ) from None
-        yield
-    finally:
-        os.close(handle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import xarray as xr
 
@@ -17,7 +18,8 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.diagnosis import diagnosis_tree
 from bayesbl.results.provenance import file_sha256, provenance
-from bayesbl.workflows.compared import Problem, refused
+from bayesbl.workflows.compared import Problem
+from bayesbl.workflows.forward import forward_diagnosis, forward_problem
 from bayesbl.workflows.rigid import rigid_problem
 
 Progress = Callable[[str, int, int], None]
@@ -33,30 +35,43 @@ def run_diagnose(config: DiagnoseConfig, progress: Progress | None = None) -> xr
     UserError
         If bench or recordings cannot be used for this comparison.
     """
-    problem = problem_of(config)
-    settings = Settings(config.candidates.max_effects, config.candidates.false_alarm)
-    found = diagnose(
-        problem.comparison, problem.bench, settings, problem.remaining, problem.notes, progress
-    )
+    if config.comparison.method == "forward":
+        tree = forward_diagnosis(
+            config,
+            load_bench(config.bench),
+            list(_recordings(config)),
+            None if progress is None else partial(progress, "candidates"),
+        )
+    else:
+        problem = problem_of(config)
+        settings = Settings(config.candidates.max_effects, config.candidates.false_alarm)
+        found = diagnose(
+            problem.comparison, problem.bench, settings, problem.remaining, problem.notes, progress
+        )
+        tree = diagnosis_tree(found, config.interval.level)
     inputs = {str(entry.file): file_sha256(entry.file) for entry in config.recordings}
     inputs[str(config.bench)] = file_sha256(config.bench)
-    tree = diagnosis_tree(found, config.interval.level)
     tree.attrs |= provenance(dump_config(config), config.run.seed, inputs)
     return tree
 
 
 def problem_of(config: DiagnoseConfig) -> Problem:
-    """Recordings read and checked, and put beside the bench."""
-    if config.comparison.method == "forward":
-        raise refused(
-            "This comes later: it is not available in this version.",
-            "[comparison] method",
-            '"forward"',
-            '"inverse" or "free_motion", with a rigid bench',
-        )
+    """Recordings read and checked, and put beside a rigid bench."""
     bench = load_bench(config.bench)
     recordings = [even(recording) for recording in _recordings(config)]
     return rigid_problem(config, bench, recordings)
+
+
+def describe_problem(config: DiagnoseConfig) -> str:
+    """What would be compared, without comparing it."""
+    if config.comparison.method == "forward":
+        bench, recordings = load_bench(config.bench), list(_recordings(config))
+        used, held_out, unknowns, _ = forward_problem(config, bench, recordings)
+        free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
+        return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
+    comparison = problem_of(config).comparison
+    names = ", ".join(candidate.name for candidate in comparison.candidates)
+    return f"{config.comparison.method}, {comparison.pieces[0].channel}; candidates {names}"
 
 
 def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:

@@ -5,30 +5,34 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.loading import dump_config
 from bayesbl.config.schema import SnapshotConfig, SnapshotRecording
 from bayesbl.errors import ConfigError, CurveError
-from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
+from bayesbl.inference.memory import Forgetful
 from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.inference.second_opinion import require_second_sampler
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
+from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
 from bayesbl.results.curve_file import read_curve
-from bayesbl.results.provenance import provenance
+from bayesbl.results.earlier import read_earlier
+from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
 from bayesbl.signal.parameters import AMPLITUDE, DisturbanceModel
+from bayesbl.workflows.fits import FitJob, StageProgress, earlier_of, run_fits
 
-StageProgress = Callable[[str, int, int], None]
-"""Called with (recording, steps made, steps allowed)."""
+__all__ = ["StageProgress", "measure"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,33 +50,57 @@ class Seeds:
         return cls(curve, gap, tuple(fits.spawn(recordings)))
 
 
-def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr.DataTree:
+def measure(
+    config: SnapshotConfig,
+    progress: StageProgress | None = None,
+    checkpoint: Checkpoint | None = None,
+    say: Callable[[str], None] = lambda sentence: None,
+) -> xr.DataTree:
     """Run a fit or a comparison as configured.
+
+    Parameters
+    ----------
+    checkpoint
+        Keeps what is finished, and gives back what an earlier run had finished.
+    say
+        Told, in a sentence, what each search started from, if from an earlier optimum.
 
     Returns
     -------
-    The whole result (see :mod:`bayesbl.results.tree`); nothing is written.
+    The whole result (see :mod:`bayesbl.results.tree`); nothing is written but the checkpoint.
 
     Raises
     ------
     UserError
-        If a recording cannot be read or used, or the curve does not belong to the estimator.
+        If a recording cannot be read or used, the curve does not belong to the estimator, there
+        is nothing to start from in the earlier result, or the second sampler is not installed.
     """
     estimator, curve = estimator_of(config), curve_of(config)
+    start_from, check = config.estimator.search.start_from, config.posterior.check_sampler
+    earlier = {} if start_from is None else read_earlier(start_from)
+    if check:
+        require_second_sampler()
     recordings = read_recordings(config)
     for recording in recordings:
         require_same_estimator(curve, estimator, recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
-    fits = [
-        estimator.fit(
+    jobs = [
+        FitJob(
+            estimator,
+            curve,
             recording,
             seed,
             config.joint.gear_ratio,
-            None if progress is None else _named(progress, recording.name),
-            partial(likeliest_branch, curve, estimator),
+            earlier_of(recording.name, earlier),
+            Forgetful() if checkpoint is None else checkpoint.part(recording.name),
+            check,
         )
         for recording, seed in zip(recordings, seeds.recordings, strict=True)
     ]
+    fits = run_fits(jobs, config.run.workers, progress)
+    for fit in fits:
+        if fit.point.start:
+            say(f"{fit.point.recording.name}: {fit.point.start}")
     found = gaps(
         curve,
         [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits],
@@ -81,6 +109,21 @@ def measure(config: SnapshotConfig, progress: StageProgress | None = None) -> xr
         level=config.interval.level,
     )
     return _tree(config, curve, recordings, fits, found, seeds)
+
+
+def inputs_of(config: SnapshotConfig) -> dict[str, str]:
+    """Every file that the numbers come from, with the SHA-256 of its bytes."""
+    files: list[Path | str] = [entry.file for entry in config.recordings]
+    files += [x for x in (config.curve.source, config.estimator.search.start_from) if x is not None]
+    return {str(file): file_sha256(file) for file in files if file != PUBLISHED}
+
+
+def problem_of_run(config: SnapshotConfig) -> Problem:
+    """What decides the numbers of a run: configuration, inputs, versions."""
+    settings = config.model_dump(
+        mode="json", by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
+    )
+    return problem_of(settings, inputs_of(config))
 
 
 def read_recordings(config: SnapshotConfig) -> list[Recording]:
@@ -143,10 +186,6 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
         )
 
 
-def _named(progress: StageProgress, name: str) -> Callable[[int, int], None]:
-    return lambda done, allowed: progress(name, done, allowed)
-
-
 def _tree(
     config: SnapshotConfig,
     curve: GapCurve,
@@ -173,7 +212,6 @@ def _tree(
     whole["diagnostics"].attrs["verdicts"] = json.dumps(verdicts, ensure_ascii=False)
     whole["curve"] = curve_group(curve, level, seeds.curve)
     tree = xr.DataTree.from_dict(whole)
-    inputs = {r.source.file: r.source.sha256 for r in recordings if r.source}
     tree.attrs = {
         "kind": config.kind,
         "recordings": [r.name for r in recordings],
@@ -186,7 +224,7 @@ def _tree(
             if v["reason"]
         ),
         "warnings": list(curve.warnings),
-        **provenance(dump_config(config), config.run.seed, inputs),
+        **provenance(dump_config(config), config.run.seed, inputs_of(config)),
     }
     if config.joint.limit_rad is not None:
         tree.attrs["limit_rad"] = config.joint.limit_rad
@@ -196,14 +234,16 @@ def _tree(
 def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
     """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld."""
     diagnostics = fit.posterior.diagnostics
+    disagreement = None if fit.check is None else fit.check.reason
     notes = (*fit.point.notes, *gap.notes)
     reasons = [*diagnostics.reasons, *notes]
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"
-    if gap.reason:
-        outcome = "withheld"
-        reasons.insert(0, gap.reason)
+    for reason in (disagreement, gap.reason):
+        if reason:
+            outcome = "withheld"
+            reasons.insert(0, reason)
     return {
         "outcome": outcome,
         "reasons": [*reasons, *fit.point.recording.notes],

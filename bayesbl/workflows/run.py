@@ -20,6 +20,7 @@ from bayesbl.config.schema import (
 )
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.results.folder import (
+    AUGMENTED_BENCH,
     CONFIG_FILE,
     FIGURES,
     RESULT_FILE,
@@ -83,9 +84,10 @@ def run(
     Parameters
     ----------
     force
-        Replace a finished result; a study starts over.
+        Replace a finished result; start over where a run was left unfinished.
     say
-        Told, in a sentence, what a study takes over or computes again.
+        Told, in a sentence, what a study takes over or computes again, what a run goes on from,
+        and what a search starts from.
 
     Raises
     ------
@@ -96,7 +98,7 @@ def run(
         from bayesbl.workflows.study import run_study
 
         return run_study(config, force=force, progress=progress, say=say)
-    require_free(config.run.output, force=force)
+    _require_free(config, force)
     # Imported after the questions that can be answered at once: numba and xarray take a second.
     if isinstance(config, SweepConfig):
         from bayesbl.workflows.sweep import run_sweep
@@ -111,12 +113,43 @@ def run(
 
         tree = measure_direct(config, progress)
     elif isinstance(config, SnapshotConfig):
-        from bayesbl.workflows.measure import measure
-
-        tree = measure(config, progress)
+        return _measure(config, draw, force, progress, say)
     else:
         raise TypeError(f"no workflow for kind {config.kind!r}")
     return write_result(tree, config, draw, force=force)
+
+
+def _measure(
+    config: SnapshotConfig,
+    draw: Draw,
+    force: bool,
+    progress: StageProgress | None,
+    say: Callable[[str], None],
+) -> Summary:
+    """Measure, going on where an unfinished run of the same problem was left."""
+    from bayesbl.results.checkpoint import Checkpoint
+    from bayesbl.workflows.measure import measure, problem_of_run
+
+    problem = problem_of_run(config)
+    with Checkpoint.beside(config.run.output, problem, fresh=force) as checkpoint:
+        if checkpoint.resumes:
+            say("This goes on where an unfinished run was left.")
+        try:
+            tree = measure(config, progress, checkpoint, say)
+        except UserError:
+            checkpoint.clear()  # it would end the same way again
+            raise
+        summary = write_result(tree, config, draw, force=force)
+        checkpoint.clear()
+    return summary
+
+
+def _require_free(config: RunConfig, force: bool) -> None:
+    if is_finished(config.run.output):
+        from bayesbl.results.checkpoint import forget
+
+        forget(config.run.output)
+    require_free(config.run.output, force=force)
 
 
 def write_result(
@@ -131,6 +164,8 @@ def write_result(
         write_tree(tree, folder / RESULT_FILE)
         write_json(summary, folder / SUMMARY_FILE)
         write_text(dump_config(config), folder / CONFIG_FILE)
+        if tree.attrs.get("augmented_bench"):
+            write_text(tree.attrs["augmented_bench"], folder / AUGMENTED_BENCH)
         draw(tree, folder / FIGURES)
     return summary
 
@@ -198,11 +233,9 @@ def _check_bench(plan: Plan, path: Path) -> None:
 
 
 def _check_diagnosis(config: DiagnoseConfig) -> str:
-    from bayesbl.workflows.diagnose import problem_of
+    from bayesbl.workflows.diagnose import describe_problem
 
-    comparison = problem_of(config).comparison
-    names = ", ".join(candidate.name for candidate in comparison.candidates)
-    return f"{config.comparison.method}, {comparison.pieces[0].channel}; candidates {names}"
+    return describe_problem(config)
 
 
 def _check_simulation(plan: Plan, path: Path) -> None:

@@ -7,9 +7,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +30,7 @@ from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.store import replacing
 from bayesbl.results.tree import curve_group, dataset
 from bayesbl.signal.parameters import DECAY, FREQUENCY, DisturbanceModel
+from bayesbl.workflows.processes import processes
 
 Progress = Callable[[str, int, int], None]
 
@@ -201,8 +200,7 @@ def _mapped(
     if workers == 1 or len(jobs) < 2 * workers:
         yield from map(function, jobs)
         return
-    # A forked child would inherit the state of numba's and the simulator's threads.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with processes(workers) as pool:
         yield from pool.map(function, jobs)
 
 

@@ -116,35 +116,39 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
 def channel_gaps(recordings: Sequence[Compared]) -> list[ChannelGap]:
     """One entry for each recording and channel."""
     return [
-        _gap(item.seen.name, channel, item.use, [(item, k)])
+        _gap(item.seen.name, channel, item.use, [(item, k, 1.0)])
         for item in recordings
         for k, channel in enumerate(item.seen.channels)
     ]
 
 
-def overall_gaps(recordings: Sequence[Compared]) -> list[ChannelGap]:
-    """One entry for each channel and use, all recordings together."""
+def whitened_gaps(recordings: Sequence[Compared]) -> list[ChannelGap]:
+    """One entry for each use, all recordings and channels together, in units of the noise."""
     found = []
     uses: tuple[Use, ...] = ("used", "held_out")
     for use in uses:
-        items = [item for item in recordings if item.use == use]
-        for channel in dict.fromkeys(c for item in items for c in item.seen.channels):
-            parts = [
-                (item, item.seen.channels.index(channel))
-                for item in items
-                if channel in item.seen.channels
-            ]
-            found.append(_gap("all", channel, use, parts))
+        parts = [
+            (item, k, 1.0 / item.noise.sd[k])
+            for item in recordings
+            if item.use == use
+            for k in range(len(item.seen.channels))
+        ]
+        if parts:
+            found.append(_gap("all", "all", use, parts))
     return found
 
 
-def _gap(name: str, channel: str, use: Use, parts: Sequence[tuple[Compared, int]]) -> ChannelGap:
-    size = sum(item.seen.samples for item, _ in parts)
-    before = sum(_squares(item.seen.signals[k] - item.before[k]) for item, k in parts) / size
-    after = sum(_squares(item.seen.signals[k] - item.after[k]) for item, k in parts) / size
-    floor = sum(item.seen.samples * item.noise.sd[k] ** 2 for item, k in parts) / size
+def _gap(
+    name: str, channel: str, use: Use, parts: Sequence[tuple[Compared, int, float]]
+) -> ChannelGap:
+    """From recordings, their channel's place and the scale put to it."""
+    size = sum(item.seen.samples for item, _, _ in parts)
+    before = sum(_squares(s * (item.seen.signals[k] - item.before[k])) for item, k, s in parts)
+    after = sum(_squares(s * (item.seen.signals[k] - item.after[k])) for item, k, s in parts)
+    floor = sum(item.seen.samples * (s * item.noise.sd[k]) ** 2 for item, k, s in parts)
+    before, after, floor = before / size, after / size, floor / size
     independent = sum(
-        item.seen.samples / _inflation(item.seen.signals[k] - item.after[k]) for item, k in parts
+        item.seen.samples / _inflation(item.seen.signals[k] - item.after[k]) for item, k, _ in parts
     )
     excess = before - floor
     # Of a mean square of noise, taken twice, and of its product with the misfit.

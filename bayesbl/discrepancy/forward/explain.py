@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,6 +12,7 @@ from scipy.stats import chi2
 from bayesbl.discrepancy.forward.candidates import Candidate, is_periodic, quadrant_phases, wrapped
 from bayesbl.errors import BenchError
 from bayesbl.inference.alignment import aligned_starts
+from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.inference.simulated import GAP, SimulatedSignals, Unknown
 from bayesbl.inference.simulated_fit import SimulatedFit, fit_simulated
 from bayesbl.recording.types import FloatArray
@@ -59,6 +61,16 @@ class Explanation:
 def nominal_explanation(fit: SimulatedFit) -> Explanation:
     """Nothing added."""
     return Explanation((), fit)
+
+
+def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Explanation:
+    """The same explanation, fitted again under another noise."""
+    old = explanation.fit.model
+    model = SimulatedSignals(
+        old.bench, old.recordings, old.unknowns, noise, old.workers, old.settings
+    )
+    fit = fit_simulated(model, explanation.fit.point, explanation.fit.steps)
+    return replace(explanation, fit=fit)
 
 
 def distance(a: Explanation, b: Explanation) -> float:

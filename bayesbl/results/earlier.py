@@ -1,0 +1,53 @@
+"""Optima of an earlier result, to start a search from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from bayesbl.errors import ResultError
+from bayesbl.inference.warm import EarlierOptimum
+from bayesbl.results.store import read_tree
+from bayesbl.signal.parameters import SYMBOLS
+
+KINDS = ("fit", "compare")
+
+
+def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
+    """Optima of a fit or a comparison by the names of their recordings, in order.
+
+    Raises
+    ------
+    ResultError
+        If the result cannot be read, or is of another kind.
+    """
+    tree = read_tree(path)
+    kind = tree.attrs.get("kind")
+    if kind not in KINDS:
+        raise ResultError(
+            "This result holds no optimum to start from.",
+            file=path,
+            found=f'kind = "{kind}"',
+            expected="the result of bayesbl fit or bayesbl compare",
+        )
+    optimum = tree["optimum"].to_dataset()
+    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
+    if kind == "compare":
+        parts = {str(n): optimum.sel(snapshot=n) for n in optimum["snapshot"].values}
+    else:
+        (name,) = _texts(tree.attrs["recordings"])
+        parts, verdicts = {name: optimum}, {name: verdicts["fit"]}
+    return {
+        name: EarlierOptimum(
+            f'the optimum of "{name}" in {path}',
+            {symbol: float(part[symbol]) for symbol in SYMBOLS},
+            float(part["rmse_rpm"]),
+            withheld=verdicts[name]["outcome"] == "withheld",
+        )
+        for name, part in parts.items()
+    }
+
+
+def _texts(value: object) -> list[str]:
+    """A list of texts, which NetCDF gives back as one text if it held one."""
+    return [value] if isinstance(value, str) else [str(x) for x in value]  # type: ignore[attr-defined]

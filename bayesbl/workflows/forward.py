@@ -1,0 +1,163 @@
+"""Diagnosis of a two-mass bench in its closed loop: speed and current beside the simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import xarray as xr
+
+from bayesbl.config.bench import dump_bench
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.discrepancy.forward.diagnosis import ForwardSettings, diagnose_forward, halves
+from bayesbl.discrepancy.forward.naming import Progress
+from bayesbl.errors import ConfigError
+from bayesbl.inference.simulated import (
+    START_ANGLE,
+    Observed,
+    Unknown,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+)
+from bayesbl.physics.bench import Bench
+from bayesbl.recording.checks import require_channels
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    Recording,
+)
+from bayesbl.results.forward_diagnosis import forward_tree
+from bayesbl.workflows.compared import refused
+
+CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
+DEFAULT_GAP_RAD = (1e-4, 4e-3)
+KNOWN_ANGLE_SD_RAD = 1e-3
+"""How well a load encoder tells the start angle."""
+
+SPEED_ALONE = (
+    "There is no motor current: friction, offsets and the torque constant cannot be told from one "
+    "another by the speed alone, as the controller's integral hides them."
+)
+
+
+def forward_diagnosis(
+    config: DiagnoseConfig,
+    bench: Bench,
+    recordings: Sequence[Recording],
+    progress: Progress | None = None,
+) -> xr.DataTree:
+    """Diagnose as configured; the result without its origin.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    used, held_out, unknowns, notes = forward_problem(config, bench, recordings)
+    asked = config.candidates.effects
+    settings = ForwardSettings(
+        None if asked == "all" else asked,
+        config.candidates.max_effects,
+        config.candidates.false_alarm,
+        config.comparison.load_angle_known,
+        config.comparison.motor_angle_known,
+        config.run.workers,
+    )
+    found = diagnose_forward(bench, used, held_out, unknowns, settings, progress)
+    augmented = "" if found.bench is None else dump_bench(found.bench)
+    tree = forward_tree(found, bench, augmented, config.interval.level)
+    tree.attrs["warnings"] = list(notes)
+    return tree
+
+
+def forward_problem(
+    config: DiagnoseConfig, bench: Bench, recordings: Sequence[Recording]
+) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
+    """Recordings to fit on and to predict, the unknowns, and what cannot be told."""
+    if bench.drive != "two_mass":
+        raise ConfigError(
+            "The forward comparison simulates two masses with a gap between them.",
+            file=config.bench,
+            where="drive",
+            found=f'"{bench.drive}"',
+            expected='"two_mass", or [comparison] method = "inverse" or "free_motion"',
+        )
+    if config.comparison.known_torque:
+        raise refused(
+            "The forward comparison knows no torque from outside.",
+            "[comparison] known_torque",
+            ", ".join(config.comparison.known_torque),
+            "none",
+        )
+    channels = _channels(config, recordings)
+    used, held_out = [], []
+    for entry, recording in zip(config.recordings, recordings, strict=True):
+        seen = observed(recording, bench, entry.reference_speed_rpm)
+        seen = replace(
+            seen,
+            name=entry.name,
+            signals=seen.signals[: len(channels)],
+            known=_known(config, recording),
+        )
+        if entry.use == "split":
+            first, second = halves(seen)
+            used.append(first)
+            held_out.append(second)
+        else:
+            (used if entry.use == "fit" else held_out).append(seen)
+    unknowns = _unknowns(config, bench, used, recordings)
+    return used, held_out, unknowns, [] if MOTOR_CURRENT in channels else [SPEED_ALONE]
+
+
+def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[str, ...]:
+    asked = config.comparison.channels or tuple(
+        c for c in CHANNELS if all(c in recording.channels for recording in recordings)
+    )
+    if MOTOR_SPEED not in asked or not set(asked) <= set(CHANNELS):
+        raise refused(
+            "The forward comparison stands on the motor speed, with or without the current.",
+            "[comparison] channels",
+            ", ".join(asked) or "none in every recording",
+            ", ".join(CHANNELS),
+        )
+    for recording in recordings:
+        require_channels(recording, asked)
+    return tuple(c for c in CHANNELS if c in asked)
+
+
+def _known(config: DiagnoseConfig, recording: Recording) -> dict[str, float]:
+    if not config.comparison.motor_angle_known:
+        return {}
+    require_channels(recording, (MOTOR_POSITION,))
+    return {"motor_start_angle_rad": float(recording.channels[MOTOR_POSITION][0])}
+
+
+def _unknowns(
+    config: DiagnoseConfig, bench: Bench, used: Sequence[Observed], recordings: Sequence[Recording]
+) -> list[Unknown]:
+    unknowns = [gap_unknown(*(config.unknowns.gap_rad or DEFAULT_GAP_RAD))]
+    measured = {entry.name: r for entry, r in zip(config.recordings, recordings, strict=True)}
+    for seen in used:
+        if config.comparison.load_angle_known:
+            require_channels(measured[seen.name], (LOAD_POSITION,))
+            angle = float(measured[seen.name].channels[LOAD_POSITION][0]) % (2.0 * math.pi)
+            known = Unknown(START_ANGLE, centre=angle, sd=KNOWN_ANGLE_SD_RAD, recording=seen.name)
+            unknowns.append(known)
+        else:
+            unknowns.append(start_angle_unknown(seen.name))
+    tolerances = bench.tolerances
+    for name in config.unknowns.bench_parameters:
+        if name not in tolerances:
+            raise refused(
+                "A parameter is free within its tolerance, and this one has none.",
+                "[unknowns] bench_parameters",
+                name,
+                f"a tolerance for {name} in {config.bench.name}",
+            )
+        value, half = bench.value(name), tolerances[name]
+        unknowns.append(Unknown(name, value - half, value + half))
+    return unknowns
