@@ -69,6 +69,8 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
         if checked:
             say(console, checked, "dim", label=name)
     say(console, words.GAP_EXPLAINED, "dim")
+    for sentence in words.outliers(summary):
+        say(console, sentence, "dim")
     told = words.budget(summary)
     if told:
         say(console, told, "dim")

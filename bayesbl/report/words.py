@@ -270,13 +270,36 @@ def power_of_amplitude(power: int) -> tuple[str, str]:
 
 
 def noise(part: Summary) -> str:
-    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600``."""
+    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
+    if found["differentiated"]:
+        kind = f"differentiated {kind}"
     text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm"
     if found["order"]:
         text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
+    if found["degrees_of_freedom"] is not None:
+        text += f", Student-t with {found['degrees_of_freedom']:g} degrees of freedom"
+    if found["student_t_evidence"] is not None:
+        text += f" (log evidence for Student-t: {number(found['student_t_evidence'], 0)})"
+    if found["repeating_rounding_sd_rpm"]:
+        text += (
+            f"; and rounding of {found['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
+            "rotation"
+        )
     return text
+
+
+def outliers(summary: Summary) -> Iterator[str]:
+    """A sentence for every snapshot whose noise is Student-t."""
+    for name, part in snapshots(summary):
+        freedom = part["noise"]["degrees_of_freedom"]
+        if freedom is not None:
+            evidence = number(part["noise"]["student_t_evidence"], 0)
+            yield (
+                f"The noise{_of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
+                f"(log evidence against normal noise: {evidence})."
+            )
 
 
 def joint_noise(part: Summary) -> str:

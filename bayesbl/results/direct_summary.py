@@ -91,6 +91,7 @@ def _noise(group: xr.Dataset) -> dict[str, Any]:
         "sd_rpm": sd[0],
         "sd_a": sd[1] if len(sd) > 1 else None,
         "coefficients": coefficients.tolist(),
+        "degrees_of_freedom": None,
     }
 
 

@@ -58,7 +58,6 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
     posterior, noise = group("posterior"), group("noise")
     diagnostics, optimum, gap = group("diagnostics"), group("optimum"), group("gap")
     verdict = _verdict(tree, name)
-    order = int(noise["order"])
     delta = posterior["delta_rad"].values
     withheld = bool(verdict["reason"])
     result: dict[str, Any] = {
@@ -71,12 +70,7 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         },
         "optimum": {symbol: float(optimum[symbol]) for symbol in SYMBOLS}
         | {"rmse_rpm": float(optimum["rmse_rpm"])},
-        "noise": {
-            "kind": "ar" if order else "white",
-            "order": order,
-            "sd_rpm": float(noise["sd_rpm"]),
-            "coefficients": noise["coefficients"].values[:order].tolist(),
-        },
+        "noise": _noise(noise),
         "misfit_rms_rpm": float(group("misfit")["rms_rpm"]),
         "rotations": float(diagnostics["rotations"]),
         "excluded_samples": int(group("observed_data").get("excluded", np.zeros(1)).sum()),
@@ -137,6 +131,23 @@ def _direct(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
     )
     draws = groups["posterior"]["delta_rad"].values
     return part | _above_limit(tree, draws, bool(verdict["reason"]))
+
+
+def _noise(noise: xr.Dataset) -> dict[str, Any]:
+    order, freedom = int(noise["order"]), float(noise["degrees_of_freedom"])
+    differentiated = bool(noise["differentiated"])
+    evidence = float(noise["student_t_evidence"])
+    coloured = "ar" if order or differentiated else "white"
+    return {
+        "kind": "student_t" if np.isfinite(freedom) else coloured,
+        "order": order,
+        "sd_rpm": float(noise["sd_rpm"]),
+        "coefficients": noise["coefficients"].values[:order].tolist(),
+        "degrees_of_freedom": freedom if np.isfinite(freedom) else None,
+        "student_t_evidence": evidence if np.isfinite(evidence) else None,
+        "differentiated": differentiated,
+        "repeating_rounding_sd_rpm": float(noise["hidden_sd_rpm"]),
+    }
 
 
 def _comparison(tree: xr.DataTree) -> dict[str, Any]:

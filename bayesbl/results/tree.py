@@ -303,6 +303,30 @@ def _noise(fit: Fit) -> xr.Dataset:
             "sd_rpm": ((), np.array(noise.sd_rpm), "rpm", "standard deviation of the noise"),
             "order": ((), np.array(float(noise.order)), "1", "autoregressive order, 0 is white"),
             "coefficients": (("lag",), noise.coefficients, "1", "autoregressive coefficients"),
+            "differentiated": (
+                (),
+                np.array(float(noise.differentiated)),
+                "1",
+                "1 where the noise is the change from sample to sample of such a process",
+            ),
+            "degrees_of_freedom": (
+                (),
+                np.array(noise.degrees_of_freedom or np.inf),
+                "1",
+                "of Student-t innovations, infinite for normal ones",
+            ),
+            "student_t_evidence": (
+                (),
+                np.array(noise.student_t_evidence),
+                "1",
+                "gain in log likelihood of Student-t over normal innovations, less 1/2 ln n",
+            ),
+            "hidden_sd_rpm": (
+                (),
+                np.array(noise.hidden_sd_rpm),
+                "rpm",
+                "standard deviation of the rounding that repeats every rotation",
+            ),
             "bic": (
                 ("candidate_order",),
                 noise.bic,
