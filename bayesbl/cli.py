@@ -92,6 +92,19 @@ Curve = Annotated[
     str | None,
     typer.Option("--curve", metavar="published|FILE", help="Gap curve. [default: published]"),
 ]
+BenchFile = Annotated[
+    Path | None,
+    typer.Option("--bench", metavar="FILE", help="Bench of the joint, for the direct route."),
+]
+Route = Annotated[
+    str | None,
+    typer.Option(
+        "--route",
+        metavar="amplitude|direct",
+        help="From the ringing's amplitude by a curve, or from the simulated bench. "
+        "[default: amplitude]",
+    ),
+]
 StartFrom = Annotated[
     Path | None,
     typer.Option(
@@ -230,6 +243,8 @@ def fit_command(
     force: Force = False,
     json: Json = False,
     curve: Curve = None,
+    route: Route = None,
+    bench: BenchFile = None,
     limit_rad: LimitRad = None,
     gear_ratio: GearRatio = None,
     level: Level = None,
@@ -239,6 +254,7 @@ def fit_command(
 ) -> None:
     """Measure the gap in one recording."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("fit", [recording], config, options, force, json)
@@ -256,6 +272,8 @@ def compare_command(
     force: Force = False,
     json: Json = False,
     curve: Curve = None,
+    route: Route = None,
+    bench: BenchFile = None,
     limit_rad: LimitRad = None,
     gear_ratio: GearRatio = None,
     level: Level = None,
@@ -265,6 +283,7 @@ def compare_command(
 ) -> None:
     """Measure each gap, and the change from first to last."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("compare", [first, *later], config, options, force, json)

@@ -222,6 +222,16 @@ WRONG = {
     ),
     "order without ar": ("[estimator.noise]\norder = 2\n", 'kind = "ar"', "[estimator.noise]"),
     "direct without bench": ('[estimator]\nroute = "direct"\n', "needs a bench", "[estimator]"),
+    "direct with a rangeless gap": (
+        "[estimator]\ngap_rad = [1e-3, 1e-3]\n",
+        "range is empty",
+        "[estimator] gap_rad",
+    ),
+    "direct from a gap of zero": (
+        "[estimator]\ngap_rad = [0.0, 1e-3]\n",
+        "must be positive",
+        "[estimator] gap_rad",
+    ),
     "paper with baseline": (
         '[estimator.search]\nmethod = "paper"\n',
         "baseline_harmonics = 0",

@@ -54,7 +54,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
 
-_COMES_LATER: tuple[tuple[Location, str], ...] = ((("estimator", "route"), "direct"),)
+_COMES_LATER: tuple[tuple[Location, str], ...] = ()
 """What the schema names but this version does not do; delete a line when it does."""
 
 _Tables = dict[str, Any]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.errors import UserError
 from bayesbl.report import words
 from bayesbl.report.diagnosed import print_diagnosis
+from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
@@ -73,6 +74,8 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
     told = words.budget(summary)
     if told:
         say(console, told, "dim")
+    if words.is_direct(summary):
+        print_other_route(summary, console)
 
 
 def print_summary(tree: xr.DataTree, console: Console) -> None:
@@ -82,7 +85,10 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
     summary = summarise(tree)
     print_result(summary, None, console)
     for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
-        _print_details(name, part, _rivals(tree, name), console)
+        if words.is_direct(summary):
+            print_direct_details(name, part, console)
+        else:
+            _print_details(name, part, _rivals(tree, name), console)
     _print_origin(tree.attrs, summary, console)
 
 
@@ -102,7 +108,10 @@ def _has_snapshots(summary: Summary) -> bool:
 def _snapshot_table(summary: Summary) -> Table:
     parts = words.snapshots(summary)
     compare = summary["kind"] == "compare"
-    kind = words.short_kind(parts[0][1]["amplitude_rpm"])
+    # The direct route answers even where the ringing gives no amplitude.
+    kind = words.short_kind(
+        parts[0][1]["amplitude_rpm"] or next(iter(parts[0][1]["parameters"].values()))
+    )
     answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
     places = max((words.decimals(d, 1e3) for d in answered), default=3)
     table = new_table(
@@ -119,7 +128,7 @@ def _snapshot_table(summary: Summary) -> Table:
             table,
             *([name] if compare else []),
             *_gap_cells(part["delta_rad"], places),
-            f"{part['amplitude_rpm']['median']:.1f}",
+            words.median_of(part["amplitude_rpm"], 1),
             f"{part['rotations']:.1f}",
             f"{part['noise']['sd_rpm']:.2f}",
             part["diagnostics"]["outcome"],

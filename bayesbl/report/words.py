@@ -19,6 +19,16 @@ RAREST = 1e-3
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
 
+BOUND_EXPLAINED = (
+    "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
+    "can have, what is known of the bench beforehand left out."
+)
+
+CHECK_EXPLAINED = (
+    "Power of the difference between recording and simulation that repeats every rotation, over "
+    "what noise would leave of it; the probability is that of as much from noise alone."
+)
+
 DEGREES_EXPLAINED = (
     "Departure of δ from a polynomial of that degree alone, fitted with relative weights. The log "
     "evidence is that of the degree with a smooth lack of fit beside it."
@@ -139,6 +149,16 @@ def snapshots(summary: Summary) -> list[tuple[str, Summary]]:
     if summary["kind"] == "compare":
         return [(part["name"], part) for part in summary["snapshots"]]
     return [("", summary)]
+
+
+def is_direct(summary: Summary) -> bool:
+    """Whether the answer comes from the simulated bench."""
+    return snapshots(summary)[0][1].get("route") == "direct"
+
+
+def median_of(interval: Summary | None, places: int) -> str:
+    """The median, or a dash where there are no draws."""
+    return "–" if interval is None else number(interval["median"], places)
 
 
 def above_limit(summary: Summary) -> str | None:
@@ -280,6 +300,32 @@ def outliers(summary: Summary) -> Iterator[str]:
                 f"The noise{_of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
                 f"(log evidence against normal noise: {evidence})."
             )
+
+
+def joint_noise(part: Summary) -> str:
+    """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
+    found = part["noise"]
+    kind = f"AR({found['order']})" if found["order"] else "white"
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
+    return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
+
+
+def corrected(part: Summary) -> str:
+    """How much the surrogate had to be corrected."""
+    found = part["diagnostics"]
+    return (
+        f"{found['effective_after_simulation']:.0f} effective of {found['simulated_draws']} draws, "
+        f"surrogate fitted again {found['surrogate_refits']} times"
+    )
+
+
+def by_amplitude(name: str, route: Summary) -> str:
+    """The amplitude route's δ, marked with the curve that it was read from."""
+    whose = f"For comparison{_of(name)}, by the ringing's amplitude and the curve {route['curve']}"
+    if route["delta_rad"] is None:
+        return f"{whose}: no answer. {route['reason'] or ''}".rstrip()
+    warning = " (that curve belongs to the paper's bench)" if route["curve"] == "published" else ""
+    return f"{whose}{warning}: {in_mrad(route['delta_rad'])}."
 
 
 def sampling(part: Summary) -> str:

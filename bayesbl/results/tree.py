@@ -18,7 +18,7 @@ from bayesbl.gap.change import Change, Gap
 from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.estimator import Fit
 from bayesbl.inference.second_opinion import SamplerCheck
-from bayesbl.recording.types import CHANNELS, FloatArray
+from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.signal.jacobian import jacobian_columns
 from bayesbl.signal.parameters import ROTATION, SYMBOLS
 from bayesbl.units import unit_of
@@ -47,7 +47,7 @@ def fit_groups(fit: Fit, gap: Gap, level: float) -> dict[str, xr.Dataset]:
         **checked,
         "posterior": _posterior(fit, gap),
         "sample_stats": _sample_stats(fit, gap),
-        "observed_data": _observed(fit),
+        "observed_data": observed_group(fit.point.recording),
         "predictive": _predictive(fit, level),
         "optimum": _optimum(fit),
         "search_history": _history(fit),
@@ -182,9 +182,8 @@ def _sample_stats(fit: Fit, gap: Gap) -> xr.Dataset:
     )
 
 
-def _observed(fit: Fit) -> xr.Dataset:
+def observed_group(recording: Recording) -> xr.Dataset:
     """Every channel that was recorded: later figures lay simulations over them."""
-    recording = fit.point.recording
     channels: dict[str, tuple[tuple[str, ...], FloatArray, str, str]] = {
         name: (("sample",), values, unit_of(name), CHANNELS.get(name, name))
         for name, values in recording.channels.items()
