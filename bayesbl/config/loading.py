@@ -25,7 +25,6 @@ from bayesbl.config.problems import (
     Location,
     Problem,
     config_error,
-    field_name,
     items_of,
     line_numbers,
     location_of,
