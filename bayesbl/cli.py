@@ -362,6 +362,14 @@ def figures_command(result: ResultPath) -> None:
         typer.echo(str(path))
 
 
+@app.command("report")
+def report_command(result: ResultPath) -> None:
+    """Write a result as one HTML page, report.html, that opens anywhere."""
+    from bayesbl.report.page.build import write_page
+
+    typer.echo(str(write_page(result, _draw)))
+
+
 @app.command("inspect")
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
@@ -377,6 +385,19 @@ def inspect_command(result: ResultPath, json: Json = False) -> None:
         _print_study(summarise_study(tree))
     else:
         print_summary(tree, make_console())
+
+
+@app.command("cite")
+def cite_command(
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
+) -> None:
+    """Print what to cite, as text and as BibTeX."""
+    from bayesbl.report.citations import all_bibtex, told_citations
+
+    if not bibtex:
+        for line in told_citations():
+            typer.echo(f"{line}\n")
+    typer.echo(all_bibtex())
 
 
 def _measure(

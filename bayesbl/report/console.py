@@ -84,12 +84,17 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
     summary = summarise(tree)
     print_result(summary, None, console)
+    print_details(tree, summary, console)
+    _print_origin(tree.attrs, summary, console)
+
+
+def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
+    """Parameters and diagnostics of every snapshot; nothing for other kinds of result."""
     for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
         if words.is_direct(summary):
             print_direct_details(name, part, console)
         else:
             _print_details(name, part, _rivals(tree, name), console)
-    _print_origin(tree.attrs, summary, console)
 
 
 def _print_limits(summary: Summary, console: Console) -> None:
