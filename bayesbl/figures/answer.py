@@ -16,15 +16,19 @@ _LONGEST_NAME = 18
 
 
 @publication_style()
-def answer(parts: Sequence[tuple[str, dict[str, Any]]]) -> Figure:
+def answer(parts: Sequence[tuple[str, dict[str, Any]]], decimals: int = 2) -> Figure:
     """A line per snapshot, large enough to be read on a phone.
 
     Parameters
     ----------
     parts
         (name, ``summary.json``'s part) of each snapshot in order; ``delta_rad`` may be ``None``.
+    decimals
+        Of the gaps written beside their marks, in mrad.
     """
-    mpl.rcParams.update({"font.size": 9.0, "xtick.labelsize": 8.0, "ytick.labelsize": 9.0})
+    mpl.rcParams.update(
+        {"font.size": 9.0, "axes.labelsize": 9.0, "xtick.labelsize": 8.0, "ytick.labelsize": 9.0}
+    )
     figure = new_figure(_WIDTH_IN, _MARGINS_IN + _ROW_IN * len(parts))
     panel = figure.add_subplot(grid(figure, 1, 1, left=1.15, right=0.2, top=0.3, bottom=0.48)[0, 0])
     limit = next((part["limit_rad"] for _, part in parts if part.get("limit_rad")), None)
@@ -39,8 +43,9 @@ def answer(parts: Sequence[tuple[str, dict[str, Any]]]) -> Figure:
         panel.plot([low, high], [row, row], color=style.colour, linewidth=5.0, alpha=0.45)
         panel.plot([middle], [row], color=style.colour, marker=style.marker, markersize=8.0)
         panel.annotate(
-            f"{middle:.2f}", (middle, row), (0.0, 7.0), textcoords="offset points", ha="center"
-        )
+            f"{middle:.{decimals}f}", (middle, row), (0.0, 7.0), textcoords="offset points", ha="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+        )  # fmt: skip
     if limit is not None:
         panel.axvline(1e3 * limit, color=LIMIT, linewidth=1.2, linestyle=(0.0, (6.0, 2.0)))
         panel.annotate(

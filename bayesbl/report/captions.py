@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 CAPTIONS: Mapping[str, str] = MappingProxyType(
@@ -37,8 +37,16 @@ def caption(name: str) -> str:
     return f"{rest}: {CAPTIONS[key][0].lower()}{CAPTIONS[key][1:]}" if rest else CAPTIONS[key]
 
 
-def reading_order(name: str) -> tuple[int, str]:
-    """Sorts figures as :data:`CAPTIONS` lists them, unknown ones last."""
-    key = _prefix(name)
-    order = list(CAPTIONS)
-    return (order.index(key) if key is not None else len(order), name)
+def reading_order(names: Iterable[str], snapshots: Sequence[str]) -> list[str]:
+    """Stems of figure files as :data:`CAPTIONS` lists them, then snapshot by snapshot."""
+    kinds = list(CAPTIONS)
+    stems = [snapshot.replace(" ", "_") for snapshot in snapshots]
+
+    def place(name: str) -> tuple[int, int, str]:
+        key = _prefix(name)
+        if key is None:
+            return len(kinds), 0, name
+        rest = name.removeprefix(key).removeprefix("_")
+        return kinds.index(key), stems.index(rest) if rest in stems else len(stems), name
+
+    return sorted(names, key=place)

@@ -7,6 +7,7 @@ import io
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,7 @@ def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["glued"] = words.glued
     style = environment.loader.get_source(environment, "page.css")[0]  # type: ignore[union-attr]
     return environment.get_template("page.html").render(style=style, **_content(tree, pictures))
 
@@ -113,11 +115,10 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "headline": _headline(summary),
         "advice": advice(summary),
         "cards": list(_cards(summary)),
-        "explained": words.GAP_EXPLAINED if snapshots else "",
+        "explained": words.GAP_IN_PLAIN_WORDS if snapshots else "",
         "answer": _answer_picture(summary) if snapshots else next(iter(pictures), None),
         "pictures": pictures,
-        "numbers": [b for b in numbers.blocks if b.text not in (_headline(summary), "")
-                    or b.kind == "table"],
+        "numbers": [block for block in numbers.blocks if block.text != _headline(summary)],
         "details": details.blocks,
         "budget": list(_budget(summary)),
         "assumptions": list(assumptions(summary)),
@@ -155,18 +156,24 @@ def _cards(summary: Summary) -> Iterator[Card]:
         yield from _gap_cards(summary)
     if summary["kind"] not in ("fit", "compare"):
         return
-    for name, part in words.snapshots(summary):
-        yield _card(f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"])
+    labelled = [
+        (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"])
+        for name, part in words.snapshots(summary)
+    ]
     if summary["kind"] == "compare":
-        yield _card("Change", summary["change_rad"], signed=True)
+        labelled.append(("Change", summary["change_rad"]))
+    places = words.common_decimals(found for _, found in labelled)
+    for label, found in labelled:
+        yield _card(label, found, places)
 
 
-def _card(label: str, found: Mapping[str, Any] | None, *, signed: bool = False) -> Card:
+def _card(label: str, found: Mapping[str, Any] | None, places: int) -> Card:
     if found is None:
         return Card(label, "withheld", "", "")
-    value = words.number(1e3 * found["median"], words.decimals(found, 1e3))
-    sign = "+" if signed and found["median"] > 0.0 else ""
-    return Card(label, sign + value, "mrad", f"{words.bounds(found, 1e3)} mrad")
+    value = words.number(1e3 * found["median"], places)
+    sign = "+" if label == "Change" and found["median"] > 0.0 else ""
+    told = f"{100.0 * found['level']:g} %: {words.bounds(found, 1e3, places)}"
+    return Card(label, sign + value, "mrad", told)
 
 
 def _gap_cards(summary: Summary) -> Iterator[Card]:
@@ -216,7 +223,8 @@ def _answer_picture(summary: Summary) -> Picture:
         for name, part in parts
     )
     buffer = io.BytesIO()
-    answer([(name, dict(part)) for name, part in parts]).savefig(
+    places = words.common_decimals(part["delta_rad"] for _, part in parts)
+    answer([(name, dict(part)) for name, part in parts], places).savefig(
         buffer, format="svg", metadata={"Date": None}
     )
     return Picture(told, _address(buffer.getvalue(), "svg+xml"))
@@ -224,20 +232,21 @@ def _answer_picture(summary: Summary) -> Picture:
 
 def _pictures(tree: xr.DataTree, stored: Path, draw: Draw) -> list[Picture]:
     """The stored figures, or fresh ones where there are none."""
-    files = sorted(stored.glob("*.png"), key=lambda path: reading_order(path.stem))
-    if files:
-        return [_picture(path) for path in files]
+    files = {path.stem: path for path in stored.glob("*.png")}
     with tempfile.TemporaryDirectory() as folder:
-        try:
-            drawn = draw(tree, Path(folder))
-        except UserError:
-            return []  # a study's figure is drawn by its study file, which may be gone
-        drawn = [path for path in drawn if path.suffix == ".png"]
-        return [_picture(path) for path in sorted(drawn, key=lambda p: reading_order(p.stem))]
+        if not files:
+            # A study's figure is drawn by its study file, which may be gone.
+            with suppress(UserError):
+                drawn = draw(tree, Path(folder))
+                files = {path.stem: path for path in drawn if path.suffix == ".png"}
+        order = reading_order(files, _snapshot_names(tree))
+        return [Picture(caption(name), _address(files[name].read_bytes(), "png")) for name in order]
 
 
-def _picture(path: Path) -> Picture:
-    return Picture(caption(path.stem), _address(path.read_bytes(), "png"))
+def _snapshot_names(tree: xr.DataTree) -> list[str]:
+    if tree.attrs["kind"] != "compare":
+        return []
+    return [str(name) for name in tree["posterior"].to_dataset()["snapshot"].values]
 
 
 def _address(data: bytes, kind: str) -> str:
