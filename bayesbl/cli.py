@@ -387,6 +387,33 @@ def inspect_command(result: ResultPath, json: Json = False) -> None:
         print_summary(tree, make_console())
 
 
+@app.command("init")
+def init_command(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING", help="One to be fitted, several to be compared."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The file to write. [default: RECORDING.toml]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write a first configuration for recordings, columns and units guessed."""
+    from bayesbl.report.console import error, make_console
+    from bayesbl.report.started import print_guess
+    from bayesbl.workflows.run import check
+    from bayesbl.workflows.start import start_config
+
+    path, guess = start_config(recordings, out, force=force)
+    print_guess(guess, path, make_console())
+    problems = check(path).problems
+    for problem in problems:
+        error(make_console(stderr=True), problem)
+    if problems:
+        raise typer.Exit(WRONG)
+
+
 @app.command("cite")
 def cite_command(
     bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,

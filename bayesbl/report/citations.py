@@ -125,8 +125,8 @@ def citations() -> tuple[Citation, ...]:
             "software",
             "this package",
             {
-                "title": "bayesbl: sensorless measurement of the backlash gap in robot joints, with "
-                "honest uncertainty",
+                "title": "bayesbl: sensorless measurement of the backlash gap in robot joints, "
+                "with honest uncertainty",
                 "version": __version__,
             },
         ),

@@ -117,8 +117,7 @@ def _snapshot_table(summary: Summary) -> Table:
     kind = words.short_kind(
         parts[0][1]["amplitude_rpm"] or next(iter(parts[0][1]["parameters"].values()))
     )
-    answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
-    places = max((words.decimals(d, 1e3) for d in answered), default=3)
+    places = words.common_decimals(part["delta_rad"] for _, part in parts)
     table = new_table(
         *([("Snapshot", "left")] if compare else []),
         ("Gap δ\n(mrad)", "right"),

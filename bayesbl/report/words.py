@@ -30,8 +30,8 @@ CHECK_EXPLAINED = (
 )
 
 GAP_IN_PLAIN_WORDS = (
-    "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point 1 m away "
-    "by 1 mm). The range beneath a number holds the true value with the probability stated."
+    "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point 1 m "
+    "away by 1 mm). The range beneath a number holds the true value with the probability stated."
 )
 
 DEGREES_EXPLAINED = (
