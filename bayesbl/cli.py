@@ -534,13 +534,9 @@ def _print_study(summary: dict[str, Any], folder: Path | None = None) -> None:
 
 
 def _draw(tree: xr.DataTree, folder: Path) -> list[Path]:
-    if tree.attrs["kind"] == "study":
-        from bayesbl.workflows.study import draw_study
+    from bayesbl.library import draw
 
-        return draw_study(tree, folder)
-    from bayesbl.figures import draw_all
-
-    return draw_all(tree, folder)
+    return draw(tree, folder)
 
 
 def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:

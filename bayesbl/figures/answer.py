@@ -43,8 +43,8 @@ def answer(parts: Sequence[tuple[str, dict[str, Any]]], decimals: int = 2) -> Fi
         panel.plot([low, high], [row, row], color=style.colour, linewidth=5.0, alpha=0.45)
         panel.plot([middle], [row], color=style.colour, marker=style.marker, markersize=8.0)
         panel.annotate(
-            f"{middle:.{decimals}f}", (middle, row), (0.0, 7.0), textcoords="offset points", ha="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+            f"{middle:.{decimals}f}", (middle, row), (0.0, 7.0), textcoords="offset points",
+            ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
         )  # fmt: skip
     if limit is not None:
         panel.axvline(1e3 * limit, color=LIMIT, linewidth=1.2, linestyle=(0.0, (6.0, 2.0)))

@@ -30,18 +30,20 @@ from bayesbl.recording.columns import Table
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor, spelled
 
-_WORDS: Mapping[str, frozenset[str]] = MappingProxyType(
+_NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
-        TIME: frozenset(["t", "time", "timestamp", "zeit", "temps", "tempo", "clock"]),
-        MOTOR_SPEED: frozenset(["speed", "velocity", "vel", "omega", "w", "rpm", "drehzahl", "n", "dq", "qd"]),
-        MOTOR_POSITION: frozenset(["position", "pos", "angle", "theta", "phi", "encoder", "enc", "winkel", "q"]),
-        MOTOR_CURRENT: frozenset(["current", "cur", "i", "iq", "strom", "amps"]),
-        MOTOR_TORQUE: frozenset(["torque", "tau", "trq", "moment", "drehmoment"]),
+        TIME: "t time timestamp zeit temps tempo clock",
+        MOTOR_SPEED: "speed velocity vel omega w rpm drehzahl n dq qd",
+        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel q",
+        MOTOR_CURRENT: "current cur i iq strom amps",
+        MOTOR_TORQUE: "torque tau trq moment drehmoment",
     }
 )
-_REFERENCE = frozenset(["ref", "reference", "set", "setpoint", "cmd", "command", "target", "desired", "soll", "sp"])
-_LOAD = frozenset(["load", "link", "joint", "output", "arm"])
-_MOTOR = frozenset(["motor", "mot", "m"])
+"""Channel to the words by which files call it, in small letters."""
+
+_REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
+_LOAD = "load link joint output arm"
+_MOTOR = "motor mot m"
 
 _USUAL_RATES_HZ = (100.0, 1e5)
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
@@ -77,6 +79,10 @@ class _Named:
     words: frozenset[str]
     unit: str | None
 
+    def is_called(self, words: str) -> bool:
+        """Whether any of these words stands in its name."""
+        return not self.words.isdisjoint(words.split())
+
 
 def guess_columns(path: str | Path, table: Table) -> Guess:
     """Guess the channels of a file.
@@ -98,12 +104,8 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {channel: _numbers(table, column) for channel, column in chosen.items()}
     held = {c: v for c, v in values.items() if c in (TIME, MOTOR_SPEED) or np.isfinite(v).any()}
-    guesses = [_stated(channel, chosen[channel]) for channel in held]
     units = _units(table, chosen, held)
-    columns = tuple(
-        g if g.sure or g.channel not in units else replace(g, **_dated(units[g.channel]))
-        for g in guesses
-    )
+    columns = tuple(_told(_stated(channel, chosen[channel]), units) for channel in held)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -112,8 +114,12 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     )
 
 
-def _dated(found: tuple[str, str]) -> dict[str, str]:
-    return {"unit": found[0], "reason": found[1]}
+def _told(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
+    """With the unit that the numbers tell, where the file states none."""
+    if stated.sure or stated.channel not in units:
+        return stated
+    unit, reason = units[stated.channel]
+    return replace(stated, unit=unit, reason=reason)
 
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:
@@ -151,14 +157,14 @@ def _channel(column: _Named) -> str | None:
     """The channel that a column may be, by its unit first and its words then."""
     if column.name in (TIME, *CHANNELS):
         return column.name
-    kinds = [c for c in _WORDS if column.unit in accepted_units(c)] if column.unit else []
-    kinds = kinds or [channel for channel, words in _WORDS.items() if words & column.words]
+    kinds = [c for c in _NAMES_OF if column.unit in accepted_units(c)] if column.unit else []
+    kinds = kinds or [c for c, words in _NAMES_OF.items() if column.is_called(words)]
     if not kinds:
         return None
     kind = kinds[0]
-    if column.words & _REFERENCE:
+    if column.is_called(_REFERENCE):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
-    if column.words & _LOAD and not column.words & _MOTOR:
+    if column.is_called(_LOAD) and not column.is_called(_MOTOR):
         return LOAD_POSITION if kind == MOTOR_POSITION else TIME if kind == TIME else None
     return kind
 
@@ -166,9 +172,8 @@ def _channel(column: _Named) -> str | None:
 def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
     """The likeliest column of each channel: named exactly, else the motor's, else the first."""
     chosen: dict[str, _Named] = {}
-    for column in sorted(
-        named, key=lambda c: (c.name not in (TIME, *CHANNELS), not c.words & _MOTOR)
-    ):
+    exact = (TIME, *CHANNELS)
+    for column in sorted(named, key=lambda c: (c.name not in exact, not c.is_called(_MOTOR))):
         channel = _channel(column)
         if channel is not None:
             chosen.setdefault(channel, column)

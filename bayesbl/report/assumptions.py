@@ -20,7 +20,7 @@ def assumptions(summary: Summary) -> Iterator[str]:
             yield "Measured recordings are fitted as these simulated ones were."
         case "diagnose":
             yield "What is missing, if anything, stands in the catalogue (bayesbl effects)."
-            yield "Noise does not repeat, and a named effect has to predict what it was not fitted on."
+            yield "Noise does not repeat; a named effect predicts what it was not fitted on."
             yield "The bench's other parameters hold what its file says, within their tolerances."
         case _:
             yield "Each case has random numbers of its own, from the seed, the row and its number."
