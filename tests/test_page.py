@@ -16,11 +16,13 @@ from bayesbl.report import words
 from bayesbl.report.advice import advice
 from bayesbl.report.captions import CAPTIONS, caption, reading_order
 from bayesbl.report.page.build import page
+from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.summary import summarise
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""
+CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'
 VOID = {"meta", "img", "br", "link", "input"}
 
 
@@ -49,7 +51,7 @@ class Reader(HTMLParser):
 
     @property
     def text(self) -> str:
-        return re.sub(r"\s+", " ", "".join(self.texts))
+        return re.sub(r"\s+", " ", " ".join(self.texts))
 
 
 def plain(text: str) -> str:
@@ -66,6 +68,13 @@ def compared(tmp_path_factory) -> Path:
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
         assert cli.status(["compare", *recordings, *out]) == 0
     return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def written(compared) -> str:
+    """The page that the command writes, figures and all."""
+    assert cli.status(["report", str(compared)]) == 0
+    return (compared / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -96,12 +105,8 @@ def hostile(tree: xr.DataTree) -> xr.DataTree:
     return tree
 
 
-def test_a_page_needs_no_network_no_script_and_no_other_file(compared, capsys):
-    assert cli.status(["report", str(compared)]) == 0
-    path = Path(capsys.readouterr().out.strip())
-    assert path == compared / "report.html"
-    page_text = path.read_text(encoding="utf-8")
-    reader = Reader(page_text)
+def test_a_page_needs_no_network_no_script_and_no_other_file(written):
+    reader = Reader(written)
     assert reader.open == []
     assert not {tag for tag, _ in reader.tags} & {"script", "link", "iframe", "object"}
     targets = {attributes["id"] for _, attributes in reader.tags if "id" in attributes}
@@ -109,7 +114,7 @@ def test_a_page_needs_no_network_no_script_and_no_other_file(compared, capsys):
         for name in ("src", "href"):
             address = attributes.get(name)
             assert address is None or address.startswith("data:image/") or address[1:] in targets
-    style = re.search(r"<style>(.*?)</style>", page_text, re.S)[1]
+    style = re.search(r"<style>(.*?)</style>", written, re.S)[1]
     assert "url(" not in style
     assert "@import" not in style
 
@@ -132,7 +137,7 @@ def test_the_page_says_what_the_terminal_says(tree, compared, capsys):
     told = Reader(page(tree, [])).text
     numbers = set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", printed))
     assert len(numbers) > 30
-    assert numbers <= set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", told))
+    assert numbers - set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", told)) == set()
 
 
 def test_every_section_is_there(tree):
@@ -148,11 +153,10 @@ def test_every_section_is_there(tree):
     }
 
 
-def test_every_picture_has_a_text_and_every_table_a_head(compared):
-    cli.status(["report", str(compared)])
-    reader = Reader((compared / "report.html").read_text(encoding="utf-8"))
+def test_every_picture_has_a_text_and_every_table_a_head(written):
+    reader = Reader(written)
     pictures = [attributes for tag, attributes in reader.tags if tag == "img"]
-    assert pictures
+    assert len(pictures) >= 6
     assert all(attributes["alt"] for attributes in pictures)
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("thead") == tags.count("table") > 0
@@ -174,7 +178,8 @@ def test_a_study_with_a_hostile_row_is_shown(tmp_path):
         attrs={"name": HOSTILE, "line": json.dumps(line), "commit": "abc", "seconds": 2.0},
     )
     tree = xr.DataTree.from_dict({"row_1": row})
-    tree.attrs = {"kind": "study", "study": "coverage", "outcome": "done", "seed": 1}
+    tree.attrs = {"kind": "study", "study": "coverage", "outcome": "done"}
+    tree.attrs |= provenance(CONFIG_OF_A_LOST_STUDY, 1, {})
     write_tree(tree, tmp_path / "result.nc")
     assert cli.status(["report", str(tmp_path)]) == 0
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
