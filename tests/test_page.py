@@ -54,6 +54,16 @@ class Reader(HTMLParser):
         return re.sub(r"\s+", " ", " ".join(self.texts))
 
 
+def require_closed(reader: Reader) -> None:
+    """Every tag is ended, every address is a picture's data or a place that is there."""
+    assert reader.open == []
+    targets = {attributes["id"] for _, attributes in reader.tags if "id" in attributes}
+    for _, attributes in reader.tags:
+        for name in ("src", "href"):
+            address = attributes.get(name)
+            assert address is None or address.startswith("data:image/") or address[1:] in targets
+
+
 def plain(text: str) -> str:
     return re.sub(r"\s+", " ", text)
 
@@ -107,13 +117,8 @@ def hostile(tree: xr.DataTree) -> xr.DataTree:
 
 def test_a_page_needs_no_network_no_script_and_no_other_file(written):
     reader = Reader(written)
-    assert reader.open == []
+    require_closed(reader)
     assert not {tag for tag, _ in reader.tags} & {"script", "link", "iframe", "object"}
-    targets = {attributes["id"] for _, attributes in reader.tags if "id" in attributes}
-    for _, attributes in reader.tags:
-        for name in ("src", "href"):
-            address = attributes.get(name)
-            assert address is None or address.startswith("data:image/") or address[1:] in targets
     style = re.search(r"<style>(.*?)</style>", written, re.S)[1]
     assert "url(" not in style
     assert "@import" not in style
@@ -153,6 +158,20 @@ def test_every_section_is_there(tree):
     }
 
 
+def test_a_withheld_gap_is_nowhere_on_the_page(tree):
+    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
+    for verdict in verdicts.values():
+        verdict["reason"] = "The sampler did not converge."
+        verdict["reasons"] = [verdict["reason"]]
+    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
+    tree.attrs["outcome"] = "withheld"
+    told = Reader(page(tree, [])).text
+    assert "Do not decide from these recordings." in told
+    assert "The sampler did not converge." in told
+    assert not re.search(r"\d mrad \(90", told)
+    assert "+0.2" not in told
+
+
 def test_every_picture_has_a_text_and_every_table_a_head(written):
     reader = Reader(written)
     pictures = [attributes for tag, attributes in reader.tags if tag == "img"]
@@ -184,6 +203,7 @@ def test_a_study_with_a_hostile_row_is_shown(tmp_path):
     assert cli.status(["report", str(tmp_path)]) == 0
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in text
+    require_closed(Reader(text))
     assert "Study coverage: 2 cases in 1 rows." in plain(Reader(text).text)
     assert "1 cases failed" in Reader(text).text
 

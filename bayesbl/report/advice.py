@@ -46,30 +46,26 @@ def advice(summary: Summary) -> Advice:
 
 
 def _of_snapshots(summary: Summary) -> Advice:
-    name, last = words.snapshots(summary)[-1]
+    last = words.snapshots(summary)[-1][1]
     if last["delta_rad"] is None:
         return Advice(
             "withheld",
             "Do not decide from these recordings.",
             (
                 *(sentence for _, sentence in words.reasons(summary)),
-                "Record the joint again, longer and at one constant speed; until then decide as "
-                "you would without this measurement.",
+                "Mend that, or record the joint again, longer and at one constant speed; until "
+                "then decide as you would without this measurement.",
             ),
         )
-    head = _by_limit(name, last) or _without_limit(summary)
+    head = _by_limit(summary, last) or _without_limit(summary)
     return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
 
 
-def _by_limit(name: str, last: Summary) -> Advice | None:
+def _by_limit(summary: Summary, last: Summary) -> Advice | None:
     """Repair or not, by the probability that the last gap is above its limit."""
-    above = last.get("probability_above_limit")
-    if above is None or last.get("limit_rad") is None:
+    above, told = last.get("probability_above_limit"), words.above_limit(summary)
+    if above is None or told is None:
         return None
-    limit = f"{1e3 * last['limit_rad']:g} mrad"
-    when = f" in {name}" if name else ""
-    told = f"The probability that the gap{when} is above its limit of {limit} is "
-    told += f"{words.probability(above)}."
     if above >= SURE:
         return Advice("act", "The joint is due for repair.", (told,))
     if above <= 1.0 - SURE:

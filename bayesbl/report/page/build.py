@@ -183,7 +183,7 @@ def _gap_cards(summary: Summary) -> Iterator[Card]:
     if use is None:
         return
     unit = summary["gap"]["unit"]
-    for label, key in (("Disagreement before", "before"), ("after", "after")):
+    for label, key in (("Disagreement before naming", "before"), ("after naming", "after")):
         yield Card(label, words.significant(gaps[use][key]), unit, diagnosed.use_in_words(use))
 
 
@@ -213,10 +213,13 @@ def _origin(attributes: Mapping[Any, Any]) -> Iterator[tuple[str, str]]:
             yield label, str(attributes[key])
 
 
-def _answer_picture(summary: Summary) -> Picture:
+def _answer_picture(summary: Summary) -> Picture | None:
+    """Every gap with its interval and the limit; nothing if all of them are withheld."""
     from bayesbl.figures.answer import answer
 
     parts = words.snapshots(summary)
+    if all(part["delta_rad"] is None for _, part in parts):
+        return None
     told = "; ".join(
         f"{name or 'gap'}: "
         + ("withheld" if part["delta_rad"] is None else words.in_mrad(part["delta_rad"]))
