@@ -42,6 +42,9 @@ _KINDS = {
 }
 
 
+_UNITS = {"noise": "× noise"}
+
+
 @dataclass(frozen=True, slots=True)
 class Picture:
     """A figure as the page holds it: no file beside it is needed."""
@@ -177,14 +180,17 @@ def _card(label: str, found: Mapping[str, Any] | None, places: int) -> Card:
 
 
 def _gap_cards(summary: Summary) -> Iterator[Card]:
-    """Before and after, on held-out recordings where there are any."""
+    """How far bench and measurement lie apart, on held-out recordings where there are any; δ."""
     gaps = summary["gap"]["over_all"]
     use = "held_out" if "held_out" in gaps else next(iter(gaps), None)
-    if use is None:
-        return
-    unit = summary["gap"]["unit"]
-    for label, key in (("Disagreement before naming", "before"), ("after naming", "after")):
-        yield Card(label, words.significant(gaps[use][key]), unit, diagnosed.use_in_words(use))
+    if use is not None:
+        unit = gaps[use].get("unit") or summary["gap"]["unit"]
+        for label, key in (("Disagreement before naming", "before"), ("after naming", "after")):
+            value = words.significant(gaps[use][key], 3)
+            yield Card(label, value, _UNITS.get(unit, unit), diagnosed.use_in_words(use))
+    found = summary["delta_rad_after"]
+    if found is not None:
+        yield _card("Gap δ", found, words.common_decimals([found]))
 
 
 def _budget(summary: Summary) -> Iterator[tuple[str, list[tuple[str, float, str]]]]:
