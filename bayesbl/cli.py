@@ -92,6 +92,19 @@ Curve = Annotated[
     str | None,
     typer.Option("--curve", metavar="published|FILE", help="Gap curve. [default: published]"),
 ]
+BenchFile = Annotated[
+    Path | None,
+    typer.Option("--bench", metavar="FILE", help="Bench of the joint, for the direct route."),
+]
+Route = Annotated[
+    str | None,
+    typer.Option(
+        "--route",
+        metavar="amplitude|direct",
+        help="From the ringing's amplitude by a curve, or from the simulated bench. "
+        "[default: amplitude]",
+    ),
+]
 StartFrom = Annotated[
     Path | None,
     typer.Option(
@@ -230,6 +243,8 @@ def fit_command(
     force: Force = False,
     json: Json = False,
     curve: Curve = None,
+    route: Route = None,
+    bench: BenchFile = None,
     limit_rad: LimitRad = None,
     gear_ratio: GearRatio = None,
     level: Level = None,
@@ -239,6 +254,7 @@ def fit_command(
 ) -> None:
     """Measure the gap in one recording."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("fit", [recording], config, options, force, json)
@@ -256,6 +272,8 @@ def compare_command(
     force: Force = False,
     json: Json = False,
     curve: Curve = None,
+    route: Route = None,
+    bench: BenchFile = None,
     limit_rad: LimitRad = None,
     gear_ratio: GearRatio = None,
     level: Level = None,
@@ -265,6 +283,7 @@ def compare_command(
 ) -> None:
     """Measure each gap, and the change from first to last."""
     options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     options |= {"start_from": start_from, "check_sampler": check_sampler or None}
     _measure("compare", [first, *later], config, options, force, json)
@@ -343,6 +362,14 @@ def figures_command(result: ResultPath) -> None:
         typer.echo(str(path))
 
 
+@app.command("report")
+def report_command(result: ResultPath) -> None:
+    """Write a result as one HTML page, report.html, that opens anywhere."""
+    from bayesbl.report.page.build import write_page
+
+    typer.echo(str(write_page(result, _draw)))
+
+
 @app.command("inspect")
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
@@ -358,6 +385,46 @@ def inspect_command(result: ResultPath, json: Json = False) -> None:
         _print_study(summarise_study(tree))
     else:
         print_summary(tree, make_console())
+
+
+@app.command("init")
+def init_command(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING", help="One to be fitted, several to be compared."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The file to write. [default: RECORDING.toml]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write a first configuration for recordings, columns and units guessed."""
+    from bayesbl.report.console import error, make_console
+    from bayesbl.report.started import print_guess
+    from bayesbl.workflows.run import check
+    from bayesbl.workflows.start import start_config
+
+    path, guess = start_config(recordings, out, force=force)
+    print_guess(guess, path, make_console())
+    problems = check(path).problems
+    for problem in problems:
+        error(make_console(stderr=True), problem)
+    if problems:
+        raise typer.Exit(WRONG)
+
+
+@app.command("cite")
+def cite_command(
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
+) -> None:
+    """Print what to cite, as text and as BibTeX."""
+    from bayesbl.report.citations import all_bibtex, told_citations
+
+    if not bibtex:
+        for line in told_citations():
+            typer.echo(f"{line}\n")
+    typer.echo(all_bibtex())
 
 
 def _measure(
@@ -467,13 +534,9 @@ def _print_study(summary: dict[str, Any], folder: Path | None = None) -> None:
 
 
 def _draw(tree: xr.DataTree, folder: Path) -> list[Path]:
-    if tree.attrs["kind"] == "study":
-        from bayesbl.workflows.study import draw_study
+    from bayesbl.library import draw
 
-        return draw_study(tree, folder)
-    from bayesbl.figures import draw_all
-
-    return draw_all(tree, folder)
+    return draw(tree, folder)
 
 
 def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:

@@ -90,6 +90,9 @@ def main() -> None:
             config = str(RECORDINGS.parent / f"{name}.toml")
             taken = process_seconds(["sweep", config, "--out", str(Path(folder) / name)], 1)
             show(f"bayesbl sweep {told}", taken, "s")
+    with tempfile.TemporaryDirectory() as folder:
+        for bench, told in (("bench", "bench known"), ("bench_tolerances", "seven tolerances")):
+            show(f"direct fit, {told}, at most 60 s", direct_seconds(Path(folder), bench), "s")
     show("bayesbl --help, below 0.4 s", process_seconds(["--help"], 7), "s")
 
 
@@ -180,6 +183,13 @@ def compare_seconds(folder: Path) -> float:
     files = [str(RECORDINGS / f"wear_{name}.csv") for name in ("before", "after")]
     process_seconds(["compare", *files, "--out", str(folder / "first")], 1)
     return process_seconds(["compare", *files, "--out", str(folder / "second")], 1)
+
+
+def direct_seconds(folder: Path, bench: str) -> float:
+    """Seconds of a fit by the direct route, amplitude route and figures included."""
+    options = ["--route", "direct", "--bench", str(RECORDINGS.parent / f"{bench}.toml")]
+    file = str(RECORDINGS / "wear_before.csv")
+    return process_seconds(["fit", file, *options, "--out", str(folder / bench)], 1)
 
 
 def best_seconds(run: Callable[[], object], batches: int = BATCHES) -> float:

@@ -3,13 +3,14 @@
 Recordings are simulated with a random start angle, fitted as any recording is, and put through a
 swept curve. A row holds the gap fixed or draws it from the default prior, log-uniform; it simulates
 single recordings or pairs, on the bench that the curve was swept on or on one drawn within the
-tolerances that the curve knows of.
+tolerances that the curve knows of. It may also spoil the recordings as real ones are.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,8 +27,9 @@ from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE
 from bayesbl.inference.estimator import Estimator
 from bayesbl.inference.posterior import SamplerSettings
-from bayesbl.physics.bench import Bench, Measurement
+from bayesbl.physics.bench import Bench, Measurement, SpeedSource
 from bayesbl.physics.noise import NoiseModel
+from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.curve_file import read_curve
 from bayesbl.signal.parameters import AMPLITUDE
 
@@ -40,6 +42,11 @@ class Row(BaseModel):
     ``gap_rad`` is one gap, or [low, high] of a log-uniform draw. ``bench_off`` draws the true bench
     within the tolerances of the bench file. ``posterior`` is sampled by ``emcee`` as shipped, or
     taken ``normal`` around the optimum with the same covariance, at a third of the time.
+
+    What real recordings suffer from: ``degrees_of_freedom`` of Student-t noise; ``missing_share``
+    of the samples lost, each on its own; ``speed_source`` ``encoder``, the speed differentiated
+    from ``encoder_counts``, with no other noise; ``drift_share``, the relative change of the speed
+    from begin to end.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -56,6 +63,11 @@ class Row(BaseModel):
     posterior: Literal["emcee", "normal"] = "emcee"
     rotations: float = 5.0
     sampling_hz: float = 1000.0
+    degrees_of_freedom: float | None = None
+    missing_share: float = Field(default=0.0, ge=0.0, lt=0.5)
+    encoder_counts: PositiveInt | None = None
+    speed_source: SpeedSource = "sensor"
+    drift_share: float = 0.0
 
 
 COLUMNS = {
@@ -135,13 +147,7 @@ def _gap(row: Row, generator: np.random.Generator) -> float:
 def _fit(
     row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator, seed: Any
 ) -> MeasuredRinging:
-    recording = bench.simulate(
-        gap_rad,
-        rotations=row.rotations,
-        sampling_hz=row.sampling_hz,
-        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
-        seed=generator,
-    )
+    recording = _spoiled(row, _recorded(row, bench, gap_rad, generator), generator)
     choose = partial(likeliest_branch, _curve(row.curve), Estimator())
     if row.posterior == "normal":
         point = choose(Estimator().estimate(recording, seed))
@@ -152,6 +158,46 @@ def _fit(
     settings = SamplerSettings(ensembles=2, max_steps=500)
     fit = Estimator(sampler=settings).fit(recording, seed, choose=choose)
     return MeasuredRinging(fit.posterior.draws[AMPLITUDE], *fit.point.ringing)
+
+
+def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator) -> Recording:
+    """A recording at constant speed, or of a speed that drifts, slowly against the ringing."""
+    start_angle_rad = generator.uniform(0.0, 2.0 * math.pi)
+    if not row.drift_share:
+        return bench.simulate(
+            gap_rad,
+            rotations=row.rotations,
+            sampling_hz=row.sampling_hz,
+            start_angle_rad=start_angle_rad,
+            seed=generator,
+        )
+    steady = bench.simulate(
+        gap_rad,
+        rotations=row.rotations + 0.1,
+        sampling_hz=10.0 * row.sampling_hz,
+        start_angle_rad=start_angle_rad,
+    )
+    samples = bench.samples(row.rotations, row.sampling_hz)
+    time_s = np.arange(samples) / row.sampling_hz
+    drift = row.drift_share * (time_s / time_s[-1] - 0.5)
+    # What the load angle decides comes when the angle is reached: the integral of the speed.
+    reached_s = time_s + np.concatenate(([0.0], np.cumsum(drift[1:] + drift[:-1]))) * (
+        0.5 / row.sampling_hz
+    )
+    speed = np.interp(reached_s - reached_s.min(), steady.time_s, steady.motor_speed_rpm)
+    speed = speed + drift * bench.value("reference_speed_rpm")
+    speed = speed + bench.measurement.speed_noise.draw(samples, generator)
+    return Recording("drifting", time_s, {MOTOR_SPEED: speed})
+
+
+def _spoiled(row: Row, recording: Recording, generator: np.random.Generator) -> Recording:
+    """The recording as it is read in after some of its samples were lost."""
+    if not row.missing_share:
+        return recording
+    kept = generator.uniform(size=recording.samples) >= row.missing_share
+    kept[[0, -1]] = True
+    speed = np.interp(recording.time_s, recording.time_s[kept], recording.motor_speed_rpm[kept])
+    return replace(recording, channels={MOTOR_SPEED: speed})
 
 
 def _of_gap(truth_rad: float, gap: Gap, ringing: MeasuredRinging) -> dict[str, float]:
@@ -194,11 +240,12 @@ def _curve(path: Path) -> GapCurve:
 @cache
 def _bench(row: Row) -> Bench:
     bench = load_bench(row.bench)
-    noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients)
+    noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients, row.degrees_of_freedom)
     seen: Measurement = bench.measurement
     return bench.with_measurement(
         Measurement(
-            encoder_counts=seen.encoder_counts,
+            encoder_counts=row.encoder_counts or seen.encoder_counts,
+            speed_source=row.speed_source,
             speed_noise=noise,
             current_noise=seen.current_noise,
         )

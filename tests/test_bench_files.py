@@ -12,6 +12,7 @@ import pytest
 import bayesbl.physics
 from bayesbl.config.bench import REFERENCE_BENCH, dump_bench, load_bench, reference_bench
 from bayesbl.errors import ConfigError, ResultError
+from bayesbl.physics.noise import NoiseModel
 from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.workflows.simulate import run_simulate
 
@@ -83,6 +84,16 @@ def test_a_dumped_bench_loads_back_equal(tmp_path: Path) -> None:
     assert load_bench(again).fingerprint() == bench.fingerprint()
 
 
+def test_noise_with_outliers_can_be_asked_for(tmp_path: Path) -> None:
+    old = 'kind = "ar", sd_rpm = 1.5'
+    new = 'kind = "student_t", degrees_of_freedom = 3.0, sd_rpm = 1.5'
+    bench = load_bench(bench_file(tmp_path, old, new))
+    assert bench.measurement.speed_noise == NoiseModel(1.5, (0.6,), 3.0)
+    again = tmp_path / "again.toml"
+    again.write_text(dump_bench(bench), encoding="utf-8")
+    assert load_bench(again) == bench
+
+
 def test_tolerances_are_relative_or_absolute(tmp_path: Path) -> None:
     for entry, expected in (
         ("{value = 20.0, relative_tolerance = 0.05}", 1.0),
@@ -106,6 +117,7 @@ def test_tolerances_are_relative_or_absolute(tmp_path: Path) -> None:
         ("value = 120.0}", "valu = 120.0}", ["valu", "line"]),
         ('drive = "two_mass"', 'drive = "twomass"', ["drive", "two_mass"]),
         ('kind = "ar", ', 'kind = "white", ', ["speed_noise", "oefficients"]),
+        ('kind = "ar", ', 'kind = "student_t", ', ["speed_noise", "Degrees of freedom"]),
         ("coefficients = [0.6]", "coefficients = [1.1]", ["grows without bound"]),
         ("encoder_counts = 16384", "encoder_count = 16384", ["encoder_count", "encoder_counts"]),
         (

@@ -25,6 +25,7 @@ from bayesbl.config.loading import (
 from bayesbl.config.schema import CompareConfig, FitConfig, SnapshotConfig, StudyConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.recording.channels import ColumnSpec
+from bayesbl.workflows.measure import estimator_of
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -83,6 +84,12 @@ def test_defaults_are_the_papers_model_with_a_baseline(folder: Path) -> None:
     assert config.interval.level == 0.9
     assert config.curve.source == "published"
     assert [recording.name for recording in config.recordings] == ["before", "after"]
+
+
+def test_every_kind_of_noise_can_be_asked_for(folder: Path) -> None:
+    for kind in ("auto", "white", "ar", "student_t"):
+        config = load(folder, f'[estimator.noise]\nkind = "{kind}"\n')
+        assert estimator_of(config).noise_kind == kind
 
 
 def test_paths_start_from_the_folder_of_the_configuration(
@@ -214,8 +221,17 @@ WRONG = {
         "[estimator.model]",
     ),
     "order without ar": ("[estimator.noise]\norder = 2\n", 'kind = "ar"', "[estimator.noise]"),
-    "Student-t, later": ('[estimator.noise]\nkind = "student_t"\n', "comes later", "noise] kind"),
     "direct without bench": ('[estimator]\nroute = "direct"\n', "needs a bench", "[estimator]"),
+    "direct with a rangeless gap": (
+        "[estimator]\ngap_rad = [1e-3, 1e-3]\n",
+        "range is empty",
+        "[estimator] gap_rad",
+    ),
+    "direct from a gap of zero": (
+        "[estimator]\ngap_rad = [0.0, 1e-3]\n",
+        "must be positive",
+        "[estimator] gap_rad",
+    ),
     "paper with baseline": (
         '[estimator.search]\nmethod = "paper"\n',
         "baseline_harmonics = 0",

@@ -173,7 +173,7 @@ def test_autocorrelation_of_first_order_noise_is_geometric() -> None:
 def test_autocorrelation_agrees_with_a_long_simulation() -> None:
     coefficients = np.array([0.7, -0.2, 0.3])
     noise = Noise(2.0, coefficients, np.zeros(16), 0, False)
-    x = noise.draw(1_000_000, seeded(4))
+    x = NoiseModel(2.0, tuple(coefficients)).draw(1_000_000, seeded(4))
     measured = [float(x[k:] @ x[: x.size - k]) / x.size for k in range(12)]
     # Standard errors are at most 0.5 % of the variance; four of them.
     np.testing.assert_allclose(measured, noise.autocovariance(12), atol=0.02 * 4.0)

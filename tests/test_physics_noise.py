@@ -53,6 +53,22 @@ def test_noise_has_the_stated_autocorrelation(noise: NoiseModel) -> None:
         assert abs(sample - around[centre + lag]) < LIMIT * error
 
 
+def test_student_t_noise_has_its_law_and_the_stated_standard_deviation() -> None:
+    drawn = NoiseModel(1.5, degrees_of_freedom=3.0).draw(20_000, np.random.default_rng(4))
+    assert stats.kstest(drawn / 1.5 * math.sqrt(3.0), stats.t(3.0).cdf).pvalue > 1e-4
+    coloured = NoiseModel(1.5, (0.6,), 8.0).draw(LENGTH, np.random.default_rng(5))
+    # A variance's relative error: √((kurtosis − 1) / n_eff), below 1 % here; half for the sd.
+    assert math.isclose(coloured.std(), 1.5, rel_tol=0.02)
+    innovations = coloured[1:] - 0.6 * coloured[:-1]
+    scaled = innovations[:20_000] / (1.5 * 0.8) * math.sqrt(8.0 / 6.0)
+    assert stats.kstest(scaled, stats.t(8.0).cdf).pvalue > 1e-4
+
+
+def test_noise_without_a_variance_is_refused() -> None:
+    with pytest.raises(BenchError, match="degrees of freedom"):
+        NoiseModel(1.0, degrees_of_freedom=2.0)
+
+
 def test_noise_is_stationary_from_the_first_sample_on() -> None:
     noise = NoiseModel(1.0, (1.2, -0.5))
     rng = np.random.default_rng(3)

@@ -46,7 +46,16 @@ def part(low=6.85e-4, high=7.31e-4, reasons=()):
         "delta_rad": None if reasons else between(low, high),
         "amplitude_rpm": between(30.8, 32.3),
         "rotations": 5.0,
-        "noise": {"kind": "ar", "order": 1, "sd_rpm": 1.51, "coefficients": [0.6]},
+        "noise": {
+            "kind": "ar",
+            "order": 1,
+            "sd_rpm": 1.51,
+            "coefficients": [0.6],
+            "degrees_of_freedom": None,
+            "student_t_evidence": -9.8,
+            "differentiated": False,
+            "repeating_rounding_sd_rpm": 0.0,
+        },
         "budget": {"noise": 0.97, "start_angle": 0.0, "rounding": 0.03},
         "diagnostics": {
             "r_hat": 1.001,
@@ -260,6 +269,26 @@ def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
     for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
         assert told in text
     assert text.startswith(words.headline(_summary(stored)).split(" (")[0])
+
+
+def test_noise_is_told_with_its_evidence():
+    found = part()
+    assert words.noise(found) == (
+        "AR(1), standard deviation 1.51 rpm, coefficients 0.600 (log evidence for Student-t: −10)"
+    )
+    assert list(words.outliers({"kind": "fit", **found})) == []
+    found["noise"] |= {
+        "kind": "student_t",
+        "degrees_of_freedom": 3.0,
+        "student_t_evidence": 3021.4,
+        "repeating_rounding_sd_rpm": 5.98,
+    }
+    assert "Student-t with 3 degrees of freedom (log evidence for Student-t: 3021)" in words.noise(
+        found
+    )
+    assert words.noise(found).endswith("and rounding of 5.98 rpm that repeats every rotation")
+    (sentence,) = words.outliers({"kind": "fit", **found})
+    assert "3 degrees of freedom (log evidence against normal noise: 3021)" in sentence
 
 
 def test_inspect_of_a_withheld_fit_gives_no_gap(stored):

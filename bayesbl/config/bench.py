@@ -89,12 +89,19 @@ class ParameterEntry(Section):
 
 
 class _NoiseEntry(Section):
-    kind: Literal["white", "ar"] = "white"
+    kind: Literal["white", "ar", "student_t"] = "white"
     coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    degrees_of_freedom: float | None = Field(default=None, gt=2.0)
 
     @model_validator(mode="after")
     def _coefficients_of_ar(self) -> Self:
-        if (self.kind == "ar") != bool(self.coefficients):
+        if (self.kind == "student_t") != (self.degrees_of_freedom is not None):
+            refuse(
+                "Degrees of freedom belong to Student-t noise.",
+                found=f'kind = "{self.kind}", degrees_of_freedom {self.degrees_of_freedom}',
+                expected='kind = "student_t" with degrees_of_freedom, or neither',
+            )
+        if self.kind != "student_t" and (self.kind == "ar") != bool(self.coefficients):
             refuse(
                 "Coefficients belong to autoregressive noise.",
                 found=f'kind = "{self.kind}" with {len(self.coefficients)} coefficients',
@@ -114,7 +121,7 @@ class SpeedNoise(_NoiseEntry):
 
     def model(self) -> NoiseModel:
         """As the bench takes it."""
-        return NoiseModel(self.sd_rpm, self.coefficients)
+        return NoiseModel(self.sd_rpm, self.coefficients, self.degrees_of_freedom)
 
 
 class CurrentNoise(_NoiseEntry):
@@ -124,7 +131,7 @@ class CurrentNoise(_NoiseEntry):
 
     def model(self) -> NoiseModel:
         """As the bench takes it."""
-        return NoiseModel(self.sd_a, self.coefficients)
+        return NoiseModel(self.sd_a, self.coefficients, self.degrees_of_freedom)
 
 
 class MeasurementSection(Section):
@@ -365,6 +372,8 @@ def _noise_table(noise: NoiseModel, sd_name: str) -> dict[str, Any]:
     table[sd_name] = noise.standard_deviation
     if noise.coefficients:
         table["coefficients"] = list(noise.coefficients)
+    if noise.degrees_of_freedom is not None:
+        table |= {"kind": "student_t", "degrees_of_freedom": noise.degrees_of_freedom}
     return table
 
 

@@ -25,7 +25,6 @@ from bayesbl.config.problems import (
     Location,
     Problem,
     config_error,
-    field_name,
     items_of,
     line_numbers,
     location_of,
@@ -53,12 +52,6 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 """Command-line option to the field it sets."""
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
-
-_COMES_LATER: tuple[tuple[Location, str], ...] = (
-    (("estimator", "noise", "kind"), "student_t"),
-    (("estimator", "route"), "direct"),
-)
-"""What the schema names but this version does not do; delete a line when it does."""
 
 _Tables = dict[str, Any]
 
@@ -211,12 +204,6 @@ def _validate(document: _Document) -> RunConfig:
         named = [_by_option(*pair, document) for pair in zip(problems, locations, strict=True)]
         from_file = any(new is old for new, old in zip(named, problems, strict=True))
         raise config_error(named, document.file if from_file else None) from None
-    later = [
-        (place, value) for place, value in _COMES_LATER if _get(document.tables, place) == value
-    ]
-    if later:
-        problems = [_comes_later(model, place, value, document) for place, value in later]
-        raise config_error(problems, document.file)
     return config
 
 
@@ -245,19 +232,6 @@ def _by_option(problem: Problem, location: Location, document: _Document) -> Pro
         if origin is not None:
             return replace(problem, where=origin, line=None)
     return problem
-
-
-def _comes_later(
-    model: type[RunConfig], location: Location, value: str, document: _Document
-) -> Problem:
-    problem = Problem(
-        "This comes later: it is not available in this version.",
-        where=field_name(model, location),
-        found=f'"{value}"',
-        expected="another choice",
-        line=line_numbers(document.text).get(location),
-    )
-    return _by_option(problem, location, document)
 
 
 def _entries(recordings: Sequence[str | Path]) -> list[_Tables]:

@@ -165,13 +165,25 @@ class Noise(Section):
 
 
 class Estimator(Section):
-    """``[estimator]``: from a recording to the symbols of the model."""
+    """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
+
+    ``bench`` and ``gap_rad``, the range of its log-uniform prior, belong to the direct route; the
+    rest to the amplitude route, which the direct one shows beside its own answer.
+    """
 
     route: Literal["amplitude", "direct"] = "amplitude"
     bench: InputPath | None = None
+    gap_rad: Range = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)
     noise: Noise = Field(default_factory=Noise)
+
+    @field_validator("gap_rad")
+    @classmethod
+    def _positive_gaps(cls, gap_rad: tuple[float, float]) -> tuple[float, float]:
+        if gap_rad[0] <= 0.0:
+            refuse("A gap must be positive.", found=gap_rad[0], expected="greater than 0")
+        return gap_rad
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

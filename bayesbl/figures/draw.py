@@ -15,11 +15,13 @@ from bayesbl.figures.corner import corners
 from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
 from bayesbl.figures.diagnosis import diagnosed
+from bayesbl.figures.direct_gap import direct_change, direct_gap
 from bayesbl.figures.discrepancy import discrepancy
 from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
 from bayesbl.figures.noise import noise
+from bayesbl.figures.overlay import overlay
 from bayesbl.figures.signal import signal
 from bayesbl.figures.style import publication_style, save
 from bayesbl.figures.trace import traces
@@ -53,7 +55,8 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
             found=kind,
             expected="a fit, a comparison, a sweep or a diagnosis",
         )
-    return [path for name, figure in _FIGURES[kind](tree) for path in save(figure, folder, name)]
+    draw = _direct_figures if tree.attrs.get("route") == "direct" else _FIGURES[kind]
+    return [path for name, figure in draw(tree) for path in save(figure, folder, name)]
 
 
 def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
@@ -72,6 +75,13 @@ def _sweep_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
         yield draw.__name__, draw(tree)
     if "bench_draws" in tree.children:
         yield bench_draws.__name__, bench_draws(tree)
+
+
+def _direct_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    yield "signal", overlay(tree)
+    yield "gap", direct_gap(tree)
+    if "change" in tree.children:
+        yield "change", direct_change(tree)
 
 
 def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:

@@ -46,8 +46,10 @@ def grid(
     )
 
 
-def one_panel_each(count: int, height_in: float = 2.1) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel per snapshot, at most two in a row, axes shared."""
+def one_panel_each(
+    count: int, height_in: float = 2.1, *, shared: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """A figure with one panel per snapshot, at most two in a row, with ``shared`` axes or not."""
     columns = min(count, MOST_COLUMNS)
     rows = math.ceil(count / columns)
     width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN
@@ -55,6 +57,6 @@ def one_panel_each(count: int, height_in: float = 2.1) -> tuple[Figure, list[Axe
     spec = grid(figure, rows, columns, between=(0.65, 0.35))
     axes: list[Axes] = []
     for i in range(count):
-        shared = axes[0] if axes else None
-        axes.append(figure.add_subplot(spec[divmod(i, columns)], sharex=shared, sharey=shared))
+        first = axes[0] if axes and shared else None
+        axes.append(figure.add_subplot(spec[divmod(i, columns)], sharex=first, sharey=first))
     return figure, axes

@@ -68,7 +68,10 @@ def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     difference = rotation_difference(
         snapshot.values("predictive", "residual_rpm"), snapshot.number("optimum", ROTATION), period
     )
-    model = autocorrelation(_coefficients(snapshot), min(_MOST_LAGS, difference.size // 4))
+    differentiated = bool(snapshot.number("noise", "differentiated"))
+    model = autocorrelation(
+        _coefficients(snapshot), min(_MOST_LAGS, difference.size // 4), differentiated
+    )
     lags = min(model.size, max(_FEWEST_LAGS, 2 * int(np.sum(np.abs(model) > 0.05))))
     shown = 1e3 * period * np.arange(lags)
     panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
@@ -85,6 +88,7 @@ def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
         label="rotation to rotation",
     )
     kind = f"AR({_coefficients(snapshot).size})" if _coefficients(snapshot).size else "white noise"
+    kind = f"differentiated {kind}" if differentiated else kind
     sd = snapshot.number("noise", "sd_rpm")
     panel.plot(shown, model[:lags], color=colour, label=f"{kind}, sd {sd:.2f} rpm")
     panel.set_xlabel("Lag (ms)")

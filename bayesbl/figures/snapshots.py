@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.summary import interval
+from bayesbl.results.intervals import interval
 from bayesbl.signal.parameters import SYMBOLS
 
 GAP = "delta_rad"

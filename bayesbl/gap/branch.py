@@ -55,7 +55,8 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         f"{100.0 * (best.optimum.rmse_rpm / point.optimum.rmse_rpm - 1.0):.2g} % larger in RMSE, "
         "was taken in its place."
     )
-    return replace(best, notes=(*best.notes, note), start=point.start, contenders=contenders)
+    notes = (*point.notes, note)
+    return replace(best, notes=notes, start=point.start, contenders=contenders, mended=point.mended)
 
 
 def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:

@@ -15,8 +15,10 @@ from scipy.stats import f as f_distribution
 from bayesbl.inference.simulated_fit import SimulatedFit
 from bayesbl.recording.types import FloatArray
 
-BANDS = (8, 32, 128, 512)
-"""Highest load order of each band; slow misfit stands out of few orders, fast out of many."""
+BANDS = (0, 8, 32, 128, 512)
+"""Highest load order of each band; slow misfit stands out of few orders, fast out of many.
+
+0 is the mean alone, which is in no other band: motor friction and offsets show there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +66,17 @@ def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
     """(highest order, ratio, probability) for each band."""
     rotations = row.size // lag
     turns = row[: rotations * lag].reshape(rotations, lag)
-    spectrum = np.fft.rfft(turns, axis=1)[:, 1:] / np.sqrt(lag / 2.0)
+    spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
     entries = []
     for highest in BANDS:
-        band = spectrum[:, : min(highest, lag // 2 - 1)]
+        if highest == 0:
+            band, degrees = spectrum[:, :1] / np.sqrt(2.0), 1  # real, half the power
+        else:
+            band = spectrum[:, 1 : 1 + min(highest, lag // 2 - 1)]
+            degrees = 2 * band.shape[1]
         mean = band.mean(axis=0)
         repeats = rotations * float(np.sum(np.abs(mean) ** 2))
         scatter = float(np.sum(np.abs(band - mean) ** 2))
-        degrees = 2 * band.shape[1]
         ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
         probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
         entries.append((highest, ratio, probability))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.inference.channel_noise import ChannelNoise, estimate_channel_noise
 from bayesbl.inference.simulated import (
@@ -63,6 +64,9 @@ def aligned_starts(
 ) -> list[FloatArray]:
     """Points to fit from, best first: gaps by scan, start angles by correlation.
 
+    Recordings with a gap of their own are scanned one by one, and begin together at the best of
+    each, the second best of each, …
+
     Parameters
     ----------
     grids
@@ -70,31 +74,50 @@ def aligned_starts(
         Other unknowns begin at their prior's centre, or the middle of their range.
     """
     names = [(u.name, u.recording) for u in model.unknowns]
-    scanned = dict(grids or {})
-    if (GAP, None) in names:
-        place = names.index((GAP, None))
-        scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
-    meshes = np.meshgrid(*scanned.values(), indexing="ij")
     start = np.array([_middle(u) for u in model.unknowns])
+    starts = np.repeat(start[None], STARTS_FITTED, axis=0)
+    by_gap: dict[int | None, list[int]] = {}
+    for i, seen in enumerate(model.recordings):
+        gaps = [k for k, (n, of) in enumerate(names) if n == GAP and of in (None, seen.name)]
+        by_gap.setdefault(gaps[0] if gaps else None, []).append(i)
+    for place, members in by_gap.items():
+        scanned = dict(grids or {})
+        if place is not None:
+            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
+        points, shape = _combinations(start, scanned)
+        aligned = [_align(model, points, i) for i in members]
+        chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0), shape)
+        for coordinate in scanned:
+            starts[:, coordinate] = points[chosen, coordinate]
+        for i, (angles, _) in zip(members, aligned, strict=True):
+            key = (START_ANGLE, model.recordings[i].name)
+            if key in names:
+                at = names.index(key)
+                starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
+    _, first = np.unique(starts, axis=0, return_index=True)
+    return [starts[k] for k in np.sort(first)]
+
+
+def _combinations(
+    start: FloatArray, scanned: Mapping[int, FloatArray]
+) -> tuple[FloatArray, tuple[int, ...]]:
+    """The start with every combination of the scanned values, (m, d), and their grid's shape."""
+    meshes = np.meshgrid(*scanned.values(), indexing="ij")
     points = np.repeat(start[None], meshes[0].size if meshes else 1, axis=0)
     for place, mesh in zip(scanned, meshes, strict=True):
         points[:, place] = mesh.ravel()
-    cost = np.zeros(len(points))
-    for i, seen in enumerate(model.recordings):
-        angles, left = _align(model, points, i)
-        cost += left
-        if (START_ANGLE, seen.name) in names:
-            place = names.index((START_ANGLE, seen.name))
-            points[:, place] = _nearest_turn(angles, model.unknowns[place])
-    order = [int(k) for k in np.argsort(cost, kind="stable")]
-    shape = meshes[0].shape if meshes else (1,)
+    return points, meshes[0].shape if meshes else (1,)
+
+
+def _best_apart(cost: FloatArray, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Places of the lowest costs, none beside another; repeated where there are too few."""
     chosen: list[int] = []
-    for k in order:
+    for k in map(int, np.argsort(cost, kind="stable")):
         if all(_far(np.unravel_index(k, shape), np.unravel_index(c, shape)) for c in chosen):
             chosen.append(k)
         if len(chosen) == STARTS_FITTED:
             break
-    return [points[k] for k in chosen]
+    return np.resize(np.array(chosen), STARTS_FITTED)
 
 
 def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:

@@ -20,6 +20,7 @@ from bayesbl.inference.noise import Noise
 from bayesbl.inference.optimum import Optimum
 from bayesbl.recording.types import FloatArray
 from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
+from bayesbl.signal.parameters import ROTATION
 
 SAFE_SHARE = 0.2
 """Least eigenvalue of H, as a share of that of JᵀJ, below which JᵀJ stands in for it."""
@@ -100,14 +101,29 @@ def covariance(
     known = np.where(left_out, 0.0, residual_rpm)
     bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
     inverse = _inverse_curvature(gram, bent / np.outer(norms, norms))
-    if noise.order:
+    if noise.order or noise.differentiated:
         noisy = matmul_toeplitz(noise.autocovariance(time_s.size), columns)
     else:
         noisy = noise.sd_rpm**2 * columns
     middle = columns.T @ noisy
+    if noise.hidden_sd_rpm:
+        turn = optimum.symbols[ROTATION] * (time_s.size - 1) / (time_s[-1] - time_s[0])
+        middle += _of_repeating_rounding(columns, round(turn), noise)
     sandwich = inverse @ middle @ inverse
     rescale = 1.0 / np.outer(norms, norms)
     return Covariance(names, _symmetric(sandwich) * rescale, _symmetric(inverse) * rescale)
+
+
+def _of_repeating_rounding(columns: FloatArray, lag: int, noise: Noise) -> FloatArray:
+    """JᵀΣJ of rounding that is white, or the change of one that is, and the same every rotation."""
+    variance = noise.hidden_sd_rpm**2
+    if noise.differentiated:
+        columns = np.diff(np.pad(columns, ((1, 1), (0, 0))), axis=0)
+        variance *= 0.5
+    rows = -(-len(columns) // lag) * lag
+    folded = np.pad(columns, ((0, rows - len(columns)), (0, 0)))
+    folded = folded.reshape(-1, lag, columns.shape[1]).sum(axis=0)
+    return np.asarray(variance * folded.T @ folded)
 
 
 def _inverse_curvature(gram: FloatArray, bent: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ class Ensemble:
     centre, local_covariance
         Where the walkers start and how far they scatter there, shapes (d,) and (d, d).
     box
-        Low and high end of every range, shapes (d,).
+        Low and high end of every range, shapes (d,); infinite where there is none.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Ensemble:
         root = np.linalg.cholesky(local_covariance)
         start = centre + START_SPREAD * generator.standard_normal((walkers, d)) @ root.T
         low, high = box
-        margin = 1e-6 * (high - low)
+        margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
         start = np.clip(start, low + margin, high - margin)
         self._sampler = emcee.EnsembleSampler(
             walkers,

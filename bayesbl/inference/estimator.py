@@ -18,10 +18,12 @@ from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.inference.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE, Contender
 from bayesbl.inference.memory import Forgetful, Memory, pack_optimum, unpack_optimum
+from bayesbl.inference.mending import FINDERS
 from bayesbl.inference.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.inference.noise import Noise, NoiseKind, estimate_noise
 from bayesbl.inference.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.inference.quantisation import speed_steps
 from bayesbl.inference.second_opinion import SamplerCheck, check_sampler
 from bayesbl.inference.warm import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.recording.checks import ready_for_fit, require_rotations
@@ -44,6 +46,8 @@ class PointEstimate:
         What the search started from, in a sentence; empty for the full search alone.
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
+    mended
+        Whether ``recording`` is not the one given: bursts, drift or unevenness were taken out.
     """
 
     recording: Recording
@@ -55,6 +59,7 @@ class PointEstimate:
     notes: tuple[str, ...] = ()
     start: str = ""
     contenders: tuple[Contender, ...] | None = None
+    mended: bool = False
 
     @property
     def misfit(self) -> RepeatingMisfit:
@@ -144,6 +149,9 @@ class Estimator:
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
 
+        Bursts of outliers, a drift of the speed and uneven rotations are taken out first where the
+        rotations show them; the notes tell.
+
         Parameters
         ----------
         earlier
@@ -155,22 +163,39 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         recording = ready_for_fit(recording, gear_ratio)
+        point = self._optimal(recording, seed, gear_ratio, earlier)
+        if point.noise.rounding_repeats:
+            return point  # rotations whose rounding is alike are alike
+        notes: list[str] = []
+        for find in FINDERS:
+            mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
+            if mended is not None:
+                point = self._optimal(mended.recording, seed, gear_ratio, earlier)
+                notes.append(mended.note)
+        return replace(point, notes=tuple(notes), mended=bool(notes))
+
+    def _optimal(
+        self,
+        recording: Recording,
+        seed: np.random.SeedSequence,
+        gear_ratio: float | None,
+        earlier: EarlierOptimum | None,
+    ) -> PointEstimate:
+        """The optimum of a recording as it is, from an earlier one where that still fits."""
         objective = self._objective(recording)
-        point, start = None, ""
+        start = ""
         if earlier is not None:
             try:
                 point = self._warm(recording, objective, earlier)
-                start = f"The search started from {earlier.told}."
+                return replace(point, start=f"The search started from {earlier.told}.")
             except NoLongerFits as reason:
                 start = (
                     f"{earlier.told[:1].upper()}{earlier.told[1:]} no longer fits: {reason}. "
                     "The full search was made."
                 )
-        if point is None:
-            optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
-            _require_rotations(recording, optimum, gear_ratio)
-            point = self.around(recording, objective, optimum)
-        return replace(point, start=start)
+        optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
+        _require_rotations(recording, optimum, gear_ratio)
+        return replace(self.around(recording, objective, optimum), start=start)
 
     def _objective(self, recording: Recording) -> Objective:
         return Objective(
@@ -203,6 +228,7 @@ class Estimator:
             objective.period_s,
             self.noise_kind,
             self.noise_order,
+            speed_steps(recording.motor_speed_rpm),
         )
         spread = covariance(optimum, objective.time_s, residual, noise)
         return PointEstimate(recording, objective, optimum, noise, spread, residual)
@@ -246,9 +272,11 @@ class Estimator:
             point = self.estimate(recording, search_seed, gear_ratio, earlier)
             if choose is not None:
                 point = choose(point)
-            memory.remember(
-                "optimum", pack_optimum(point.optimum, point.notes, point.start, point.contenders)
-            )
+            if not point.mended:  # else the recording behind the optimum would have to be kept too
+                memory.remember(
+                    "optimum",
+                    pack_optimum(point.optimum, point.notes, point.start, point.contenders),
+                )
         posterior = sample_posterior(
             point.objective,
             point.optimum,

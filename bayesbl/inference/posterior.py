@@ -144,13 +144,13 @@ def sample_posterior(
         last = edges
         if progress is not None:
             progress(steps, settings.max_steps)
-        kept = steps - _burn_in(tau, steps)
+        kept = steps - burn_in(tau, steps)
         if stable and kept > STEPS_PER_AUTOCORRELATION * tau:
             break
 
-    burn = _burn_in(tau, steps)
+    burn = burn_in(tau, steps)
     generator = np.random.default_rng(linear_seed)
-    points = np.stack([_thin(e.chain[burn:]) for e in ensembles])
+    points = np.stack([thinned(e.chain[burn:]) for e in ensembles])
     draws, baseline, log_likelihood = complete(objective, optimum, spread, points, generator)
     r_hat, ess = rank_r_hat_and_ess(draws)
     if contenders is None:
@@ -207,21 +207,21 @@ def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory
         ensemble.put_back({k.removesuffix(end): x for k, x in stored.items() if k.endswith(end)})
 
 
-def _burn_in(tau: float, steps: int) -> int:
+def burn_in(tau: float, steps: int) -> int:
     """Steps left out at the begin: five autocorrelation times, at most half of all."""
     half = steps // 2
     return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
 
 
-def _thin(chain: FloatArray) -> FloatArray:
-    """DRAWS_KEPT evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
+def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
+    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
     flat = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(flat[np.linspace(0, len(flat) - 1, DRAWS_KEPT).round().astype(int)])
+    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
 
 
 def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:
     """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([_thin(chain) for chain in chains])
+    points = np.concatenate([thinned(chain) for chain in chains])
     amplitude = objective.solve(points).coefficients[:, -1]
     return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 

@@ -12,16 +12,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
 from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.physics.bench import Bench
+from bayesbl.physics.effects import effect_named
 from bayesbl.physics.kernel import CURRENT, SPEED, Slot
+from bayesbl.physics.parameters import rotation_period_s
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
-from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
+PHASE = "phase_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
@@ -38,6 +42,8 @@ class Observed:
         Of the motor, negative for reverse.
     known
         What else is known of this recording, named as :meth:`Bench.vector` takes it.
+    excluded
+        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     """
 
     name: str
@@ -46,6 +52,7 @@ class Observed:
     reference_speed_rpm: float
     rotation_period_s: float
     known: Mapping[str, float] = field(default_factory=dict)
+    excluded: BoolArray | None = None
 
     @property
     def samples(self) -> int:
@@ -109,7 +116,14 @@ def observed(
     rows = [speed]
     if MOTOR_CURRENT in recording.channels:
         rows.append(recording.channels[MOTOR_CURRENT])
-    return Observed(recording.name, np.stack(rows), 1.0 / period, reference, rotation)
+    return Observed(
+        recording.name,
+        np.stack(rows),
+        1.0 / period,
+        reference,
+        rotation,
+        excluded=recording.excluded,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +187,24 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
     ]
 
 
+def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
+    """Effect parameters of the bench that carry a standard deviation, Gaussian; phases, flat.
+
+    The motor's angle at the first sample is another in every recording, and with it the phase.
+    """
+    found = []
+    for effect in bench.effects:
+        for item in effect_named(effect.name).parameters:
+            name = f"{effect.name}__{item.name}"
+            given = effect.parameters.get(item.name)
+            if item.name == PHASE:
+                found += [Unknown(name, recording=recording) for recording in recordings]
+            elif given is not None and given.sd:
+                low = item.low if item.low <= given.value else -math.inf
+                found.append(Unknown(name, low, centre=given.value, sd=given.sd))
+    return found
+
+
 class SimulatedSignals:
     """What the bench predicts for some recordings, at many points at once.
 
@@ -230,6 +262,9 @@ class SimulatedSignals:
         matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
+        # Points often differ in what belongs to other recordings only.
+        matrix, place = np.unique(matrix, axis=0, return_inverse=True)
+        place = place.ravel()
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         # A steady rotation whose samples fall alike in every turn is simulated once.
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
@@ -240,16 +275,23 @@ class SimulatedSignals:
         else:
             everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
             turn = everything[:, [SPEED, CURRENT]]
+        turn = turn[place]
         return turn if samples == seen.samples else turn[:, :, np.arange(seen.samples) % samples]
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
-        parts = [
-            noise.whiten(seen.signals - self.signals(points, i)).reshape(len(points), -1)
-            for i, (seen, noise) in enumerate(zip(self.recordings, self.noise, strict=True))
-        ]
+        parts = [self.whitened_of(points, i) for i in range(len(self.recordings))]
         return np.concatenate(parts, axis=1)
+
+    def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
+        """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
+        seen, noise = self.recordings[recording], self.noise[recording]
+        white = noise.whiten(seen.signals - self.signals(points, recording))
+        if seen.excluded is not None:
+            touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
+            white[..., touched] = 0.0
+        return white.reshape(len(white), -1)
 
     def log_prior(self, points: FloatArray) -> FloatArray:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
@@ -266,8 +308,8 @@ class SimulatedSignals:
 
 def _repeats(matrix: FloatArray, seen: Observed) -> bool:
     """Whether simulation and sampling are both periodic in the load rotation."""
-    turn = seen.rotation_period_s * seen.sampling_hz
-    if abs(turn - round(turn)) > 1e-6 or seen.lag >= seen.samples:
+    turns = rotation_period_s(matrix) * seen.sampling_hz
+    if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
         return False
     if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
         return False

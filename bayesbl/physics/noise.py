@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Stationary autoregressive Gaussian noise: n_t = Σ φ_k n_{t−k} + ε_t.
+    """Stationary autoregressive noise: n_t = Σ φ_k n_{t−k} + ε_t.
 
     Attributes
     ----------
@@ -24,21 +24,33 @@ class NoiseModel:
         Of the noise itself (not of ε), in its channel's unit.
     coefficients
         φ_1 … φ_p; empty for white noise. They belong to the sampling they are used at.
+    degrees_of_freedom
+        ε_t is Student-t with so many, above 2, scaled to its variance: outliers. Gaussian if
+        ``None``.
 
     Raises
     ------
     BenchError
-        If the standard deviation is negative or the coefficients are not stationary.
+        If the standard deviation is negative, the coefficients are not stationary or the variance
+        is infinite.
     """
 
     standard_deviation: float
     coefficients: tuple[float, ...] = ()
+    degrees_of_freedom: float | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.standard_deviation) and self.standard_deviation >= 0.0):
             raise BenchError(
                 "A noise's standard deviation is zero or a number above it.",
                 found=self.standard_deviation,
+            )
+        if self.degrees_of_freedom is not None and not self.degrees_of_freedom > 2.0:
+            raise BenchError(
+                "Student-t noise has a standard deviation only above 2 degrees of freedom.",
+                where="degrees_of_freedom",
+                found=self.degrees_of_freedom,
+                expected="above 2",
             )
         if self.coefficients:
             roots = np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients))))
@@ -70,6 +82,8 @@ class NoiseModel:
         order = len(self.coefficients)
         rho = self.autocorrelation(order)
         innovation = math.sqrt(1.0 - float(np.dot(self.coefficients, rho[1:])))
+        if self.degrees_of_freedom is not None:
+            return self._draw_with_outliers(size, rng, self.degrees_of_freedom, innovation)
         white = rng.standard_normal(size)
         if order == 0:
             return self.standard_deviation * white
@@ -81,6 +95,18 @@ class NoiseModel:
         noise, _ = signal.lfilter([1.0], denominator, innovation * white, zi=state)
         drawn: FloatArray = self.standard_deviation * noise
         return drawn
+
+    def _draw_with_outliers(
+        self, size: int, rng: np.random.Generator, freedom: float, innovation: float
+    ) -> FloatArray:
+        """As :meth:`draw`, run in from zero: its stationary law has no closed form."""
+        roots = np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients))))
+        slowest = float(np.max(np.abs(roots), initial=0.0))
+        run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0
+        white = rng.standard_t(freedom, run_in + size) * math.sqrt((freedom - 2.0) / freedom)
+        denominator = np.concatenate(([1.0], -np.asarray(self.coefficients)))
+        drawn = signal.lfilter([self.standard_deviation * innovation], denominator, white)
+        return np.asarray(drawn[run_in:])
 
 
 NO_NOISE = NoiseModel(0.0)

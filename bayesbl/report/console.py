@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.errors import UserError
 from bayesbl.report import words
 from bayesbl.report.diagnosed import print_diagnosis
+from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
@@ -68,9 +69,13 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
         if checked:
             say(console, checked, "dim", label=name)
     say(console, words.GAP_EXPLAINED, "dim")
+    for sentence in words.outliers(summary):
+        say(console, sentence, "dim")
     told = words.budget(summary)
     if told:
         say(console, told, "dim")
+    if words.is_direct(summary):
+        print_other_route(summary, console)
 
 
 def print_summary(tree: xr.DataTree, console: Console) -> None:
@@ -79,9 +84,17 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
     summary = summarise(tree)
     print_result(summary, None, console)
-    for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
-        _print_details(name, part, _rivals(tree, name), console)
+    print_details(tree, summary, console)
     _print_origin(tree.attrs, summary, console)
+
+
+def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
+    """Parameters and diagnostics of every snapshot; nothing for other kinds of result."""
+    for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
+        if words.is_direct(summary):
+            print_direct_details(name, part, console)
+        else:
+            _print_details(name, part, _rivals(tree, name), console)
 
 
 def _print_limits(summary: Summary, console: Console) -> None:
@@ -100,9 +113,11 @@ def _has_snapshots(summary: Summary) -> bool:
 def _snapshot_table(summary: Summary) -> Table:
     parts = words.snapshots(summary)
     compare = summary["kind"] == "compare"
-    kind = words.short_kind(parts[0][1]["amplitude_rpm"])
-    answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
-    places = max((words.decimals(d, 1e3) for d in answered), default=3)
+    # The direct route answers even where the ringing gives no amplitude.
+    kind = words.short_kind(
+        parts[0][1]["amplitude_rpm"] or next(iter(parts[0][1]["parameters"].values()))
+    )
+    places = words.common_decimals(part["delta_rad"] for _, part in parts)
     table = new_table(
         *([("Snapshot", "left")] if compare else []),
         ("Gap δ\n(mrad)", "right"),
@@ -117,7 +132,7 @@ def _snapshot_table(summary: Summary) -> Table:
             table,
             *([name] if compare else []),
             *_gap_cells(part["delta_rad"], places),
-            f"{part['amplitude_rpm']['median']:.1f}",
+            words.median_of(part["amplitude_rpm"], 1),
             f"{part['rotations']:.1f}",
             f"{part['noise']['sd_rpm']:.2f}",
             part["diagnostics"]["outcome"],

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 Summary = Mapping[str, Any]
@@ -18,6 +18,21 @@ RAREST = 1e-3
 """Probabilities closer than this to 0 or 1 are beyond what some thousand draws can tell."""
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
+
+BOUND_EXPLAINED = (
+    "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
+    "can have, what is known of the bench beforehand left out."
+)
+
+CHECK_EXPLAINED = (
+    "Power of the difference between recording and simulation that repeats every rotation, over "
+    "what noise would leave of it; the probability is that of as much from noise alone."
+)
+
+GAP_IN_PLAIN_WORDS = (
+    "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point 1 m "
+    "away by 1 mm). The range beneath a number holds the true value with the probability stated."
+)
 
 DEGREES_EXPLAINED = (
     "Departure of δ from a polynomial of that degree alone, fitted with relative weights. The log "
@@ -49,6 +64,11 @@ def decimals(interval: Summary, scale: float = 1.0, units: float = 5.0) -> int:
     """Fewest decimals at which the interval is at least ``units`` of the last one wide."""
     width = abs(scale * (interval["high"] - interval["low"]))
     return max(0, math.ceil(math.log10(units / width))) if width > 0.0 else 3
+
+
+def common_decimals(intervals: Iterable[Summary | None]) -> int:
+    """Decimals in mrad that show the narrowest of some gaps in rad; 3 if there is none."""
+    return max((decimals(found, 1e3) for found in intervals if found is not None), default=3)
 
 
 def number(value: float, places: int) -> str:
@@ -139,6 +159,16 @@ def snapshots(summary: Summary) -> list[tuple[str, Summary]]:
     if summary["kind"] == "compare":
         return [(part["name"], part) for part in summary["snapshots"]]
     return [("", summary)]
+
+
+def is_direct(summary: Summary) -> bool:
+    """Whether the answer comes from the simulated bench."""
+    return snapshots(summary)[0][1].get("route") == "direct"
+
+
+def median_of(interval: Summary | None, places: int) -> str:
+    """The median, or a dash where there are no draws."""
+    return "–" if interval is None else number(interval["median"], places)
 
 
 def above_limit(summary: Summary) -> str | None:
@@ -250,13 +280,62 @@ def power_of_amplitude(power: int) -> tuple[str, str]:
 
 
 def noise(part: Summary) -> str:
-    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600``."""
+    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
+    if found["differentiated"]:
+        kind = f"differentiated {kind}"
     text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm"
     if found["order"]:
         text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
+    if found["degrees_of_freedom"] is not None:
+        text += f", Student-t with {found['degrees_of_freedom']:g} degrees of freedom"
+    if found["student_t_evidence"] is not None:
+        text += f" (log evidence for Student-t: {number(found['student_t_evidence'], 0)})"
+    if found["repeating_rounding_sd_rpm"]:
+        text += (
+            f"; and rounding of {found['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
+            "rotation"
+        )
     return text
+
+
+def outliers(summary: Summary) -> Iterator[str]:
+    """A sentence for every snapshot whose noise is Student-t."""
+    for name, part in snapshots(summary):
+        freedom = part["noise"]["degrees_of_freedom"]
+        if freedom is not None:
+            evidence = number(part["noise"]["student_t_evidence"], 0)
+            yield (
+                f"The noise{_of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
+                f"(log evidence against normal noise: {evidence})."
+            )
+
+
+def joint_noise(part: Summary) -> str:
+    """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
+    found = part["noise"]
+    kind = f"AR({found['order']})" if found["order"] else "white"
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
+    return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
+
+
+def corrected(part: Summary) -> str:
+    """How much the surrogate had to be corrected."""
+    found = part["diagnostics"]
+    return (
+        f"{found['effective_after_simulation']:.0f} effective of {found['simulated_draws']} draws, "
+        f"surrogate fitted again {found['surrogate_refits']} times"
+    )
+
+
+def by_amplitude(name: str, route: Summary) -> str:
+    """The amplitude route's δ, marked with the curve that it was read from."""
+    whose = f"For comparison{_of(name)}, by the ringing's amplitude and the curve {route['curve']}"
+    if route["delta_rad"] is None:
+        return f"{whose}: no answer. {route['reason'] or ''}".rstrip()
+    warning = " (that curve belongs to the paper's bench)" if route["curve"] == "published" else ""
+    return f"{whose}{warning}: {in_mrad(route['delta_rad'])}."
 
 
 def sampling(part: Summary) -> str:
@@ -290,8 +369,12 @@ def _of(name: str) -> str:
     return f" of {name}" if name else ""
 
 
+def glued(sentence: str) -> str:
+    """With no-break spaces between a number and its sign or unit."""
+    return re.sub(r"(?<=[<>]) (?=\d)|(?<=\d) (?=%|mrad|rpm|rad)", "\N{NO-BREAK SPACE}", sentence)
+
+
 def wrapped(sentence: str, width: int) -> str:
     """Broken into lines of ``width``, but never between a number and its sign or unit."""
-    glued = re.sub(r"(?<=[<>]) (?=\d)|(?<=\d) (?=%|mrad|rpm|rad)", "\N{NO-BREAK SPACE}", sentence)
-    lines = textwrap.wrap(glued, width, break_on_hyphens=False)
+    lines = textwrap.wrap(glued(sentence), width, break_on_hyphens=False)
     return "\n".join(lines).replace("\N{NO-BREAK SPACE}", " ")

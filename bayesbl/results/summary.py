@@ -3,42 +3,19 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.diagnosis import summarise_diagnosis
+from bayesbl.results.direct_summary import amplitude_reasons, direct_snapshot
+from bayesbl.results.intervals import interval
 from bayesbl.signal.parameters import SYMBOLS
-
-IntervalKind = Literal["equal_tailed", "hdi"]
 
 SOURCE_PREFIX = "source_"
 """Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
-
-
-def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, Any]:
-    """Median and credible interval of draws, any shape, as the result contract writes it.
-
-    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest that holds
-    ``level``.
-    """
-    flat = np.sort(np.asarray(draws, dtype=float).ravel())
-    if kind == "hdi":
-        count = max(1, round(level * flat.size))
-        widths = flat[count - 1 :] - flat[: flat.size - count + 1]
-        first = int(np.argmin(widths))
-        low, high = flat[first], flat[first + count - 1]
-    else:
-        low, high = np.quantile(flat, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-    return {
-        "median": float(np.median(flat)),
-        "low": float(low),
-        "high": float(high),
-        "level": level,
-        "kind": kind,
-    }
 
 
 def summarise(tree: xr.DataTree) -> dict[str, Any]:
@@ -75,13 +52,13 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         whole = tree[key].to_dataset()
         return whole if name is None else whole.sel(snapshot=name)
 
+    if tree.attrs.get("route") == "direct":
+        return _direct(tree, name)
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     posterior, noise = group("posterior"), group("noise")
     diagnostics, optimum, gap = group("diagnostics"), group("optimum"), group("gap")
     verdict = _verdict(tree, name)
-    order = int(noise["order"])
     delta = posterior["delta_rad"].values
-    limit = tree.attrs.get("limit_rad")
     withheld = bool(verdict["reason"])
     result: dict[str, Any] = {
         "delta_rad": None if withheld else interval(delta, level, kind),
@@ -93,12 +70,7 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
         },
         "optimum": {symbol: float(optimum[symbol]) for symbol in SYMBOLS}
         | {"rmse_rpm": float(optimum["rmse_rpm"])},
-        "noise": {
-            "kind": "ar" if order else "white",
-            "order": order,
-            "sd_rpm": float(noise["sd_rpm"]),
-            "coefficients": noise["coefficients"].values[:order].tolist(),
-        },
+        "noise": _noise(noise),
         "misfit_rms_rpm": float(group("misfit")["rms_rpm"]),
         "rotations": float(diagnostics["rotations"]),
         "excluded_samples": int(group("observed_data").get("excluded", np.zeros(1)).sum()),
@@ -130,11 +102,52 @@ def _snapshot(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
                 for s in check["symbol"].values
             },
         }
-    if limit is not None:
-        above = None if withheld else float(np.mean(delta > float(limit)))
-        result["limit_rad"] = float(limit)
-        result["probability_above_limit"] = above
-    return result
+    return result | _above_limit(tree, delta, withheld)
+
+
+def _above_limit(tree: xr.DataTree, delta_rad: FloatArray, withheld: bool) -> dict[str, Any]:
+    limit = tree.attrs.get("limit_rad")
+    if limit is None:
+        return {}
+    above = None if withheld else float(np.mean(delta_rad > float(limit)))
+    return {"limit_rad": float(limit), "probability_above_limit": above}
+
+
+def _direct(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
+    """One snapshot of the direct route."""
+    groups = {key: node.to_dataset() for key, node in tree.children.items()}
+    if name is not None:
+        groups = {
+            key: data.sel(snapshot=name) for key, data in groups.items() if "snapshot" in data.dims
+        }
+    verdict = _verdict(tree, name)
+    part = direct_snapshot(
+        groups,
+        verdict,
+        amplitude_reasons(tree)[name or "fit"],
+        tree["curve"].attrs["name"],
+        float(tree.attrs["interval_level"]),
+        tree.attrs["interval_kind"],
+    )
+    draws = groups["posterior"]["delta_rad"].values
+    return part | _above_limit(tree, draws, bool(verdict["reason"]))
+
+
+def _noise(noise: xr.Dataset) -> dict[str, Any]:
+    order, freedom = int(noise["order"]), float(noise["degrees_of_freedom"])
+    differentiated = bool(noise["differentiated"])
+    evidence = float(noise["student_t_evidence"])
+    coloured = "ar" if order or differentiated else "white"
+    return {
+        "kind": "student_t" if np.isfinite(freedom) else coloured,
+        "order": order,
+        "sd_rpm": float(noise["sd_rpm"]),
+        "coefficients": noise["coefficients"].values[:order].tolist(),
+        "degrees_of_freedom": freedom if np.isfinite(freedom) else None,
+        "student_t_evidence": evidence if np.isfinite(evidence) else None,
+        "differentiated": differentiated,
+        "repeating_rounding_sd_rpm": float(noise["hidden_sd_rpm"]),
+    }
 
 
 def _comparison(tree: xr.DataTree) -> dict[str, Any]:

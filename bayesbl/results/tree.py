@@ -18,7 +18,7 @@ from bayesbl.gap.change import Change, Gap
 from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.estimator import Fit
 from bayesbl.inference.second_opinion import SamplerCheck
-from bayesbl.recording.types import CHANNELS, FloatArray
+from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.signal.jacobian import jacobian_columns
 from bayesbl.signal.parameters import ROTATION, SYMBOLS
 from bayesbl.units import unit_of
@@ -47,7 +47,7 @@ def fit_groups(fit: Fit, gap: Gap, level: float) -> dict[str, xr.Dataset]:
         **checked,
         "posterior": _posterior(fit, gap),
         "sample_stats": _sample_stats(fit, gap),
-        "observed_data": _observed(fit),
+        "observed_data": observed_group(fit.point.recording),
         "predictive": _predictive(fit, level),
         "optimum": _optimum(fit),
         "search_history": _history(fit),
@@ -182,9 +182,8 @@ def _sample_stats(fit: Fit, gap: Gap) -> xr.Dataset:
     )
 
 
-def _observed(fit: Fit) -> xr.Dataset:
+def observed_group(recording: Recording) -> xr.Dataset:
     """Every channel that was recorded: later figures lay simulations over them."""
-    recording = fit.point.recording
     channels: dict[str, tuple[tuple[str, ...], FloatArray, str, str]] = {
         name: (("sample",), values, unit_of(name), CHANNELS.get(name, name))
         for name, values in recording.channels.items()
@@ -304,6 +303,30 @@ def _noise(fit: Fit) -> xr.Dataset:
             "sd_rpm": ((), np.array(noise.sd_rpm), "rpm", "standard deviation of the noise"),
             "order": ((), np.array(float(noise.order)), "1", "autoregressive order, 0 is white"),
             "coefficients": (("lag",), noise.coefficients, "1", "autoregressive coefficients"),
+            "differentiated": (
+                (),
+                np.array(float(noise.differentiated)),
+                "1",
+                "1 where the noise is the change from sample to sample of such a process",
+            ),
+            "degrees_of_freedom": (
+                (),
+                np.array(noise.degrees_of_freedom or np.inf),
+                "1",
+                "of Student-t innovations, infinite for normal ones",
+            ),
+            "student_t_evidence": (
+                (),
+                np.array(noise.student_t_evidence),
+                "1",
+                "gain in log likelihood of Student-t over normal innovations, less 1/2 ln n",
+            ),
+            "hidden_sd_rpm": (
+                (),
+                np.array(noise.hidden_sd_rpm),
+                "rpm",
+                "standard deviation of the rounding that repeats every rotation",
+            ),
             "bic": (
                 ("candidate_order",),
                 noise.bic,

@@ -14,7 +14,7 @@ import xarray as xr
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.loading import dump_config
 from bayesbl.config.schema import SnapshotConfig, SnapshotRecording
-from bayesbl.errors import ConfigError, CurveError
+from bayesbl.errors import CurveError
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
@@ -148,8 +148,6 @@ def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
 def estimator_of(config: SnapshotConfig) -> Estimator:
     """The estimator that a configuration describes."""
     section = config.estimator
-    if section.noise.kind == "student_t" or section.route == "direct":
-        raise ConfigError("This comes later: it is not available in this version.")
     return Estimator(
         model=DisturbanceModel(
             section.model.baseline_harmonics, section.model.fixed, section.model.ranges

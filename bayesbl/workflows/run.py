@@ -33,6 +33,7 @@ from bayesbl.results.folder import (
 if TYPE_CHECKING:
     import xarray as xr
 
+    from bayesbl.physics.bench import Bench
     from bayesbl.workflows.measure import StageProgress
 
 Draw = Callable[["xr.DataTree", Path], object]
@@ -107,6 +108,10 @@ def run(
         from bayesbl.workflows.diagnose import run_diagnose
 
         tree = run_diagnose(config, progress)
+    elif isinstance(config, SnapshotConfig) and config.estimator.route == "direct":
+        from bayesbl.workflows.direct import measure_direct
+
+        tree = measure_direct(config, progress)
     elif isinstance(config, SnapshotConfig):
         return _measure(config, draw, force, progress, say)
     else:
@@ -261,9 +266,17 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     def checked(entry: SnapshotRecording) -> str:
         recording = recording_of(entry, config)
         require_same_estimator(curve, estimator, recording)
+        if bench is not None:
+            observed_of(config, bench, recording)
         rate = 1.0 / recording.sampling_period_s
         told = f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
         return " ".join([told, *recording.notes])
 
+    bench: Bench | None = None
+    if config.estimator.route == "direct":
+        from bayesbl.workflows.direct import bench_of, observed_of
+
+        bench = bench_of(config)
+        plan.lines.append(("bench", f"{config.estimator.bench}, gap form {bench.gap_form}"))
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))

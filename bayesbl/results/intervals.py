@@ -1,0 +1,34 @@
+"""A credible interval as the result contract writes it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+IntervalKind = Literal["equal_tailed", "hdi"]
+
+
+def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, Any]:
+    """Median and credible interval of draws, any shape, as the result contract writes it.
+
+    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest that holds
+    ``level``.
+    """
+    flat = np.sort(np.asarray(draws, dtype=float).ravel())
+    if kind == "hdi":
+        count = max(1, round(level * flat.size))
+        widths = flat[count - 1 :] - flat[: flat.size - count + 1]
+        first = int(np.argmin(widths))
+        low, high = flat[first], flat[first + count - 1]
+    else:
+        low, high = np.quantile(flat, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return {
+        "median": float(np.median(flat)),
+        "low": float(low),
+        "high": float(high),
+        "level": level,
+        "kind": kind,
+    }

@@ -1,0 +1,160 @@
+"""Is the direct posterior of δ as sharp as the Cramér-Rao bound allows, and does it hold what it
+promises?
+
+Recordings are simulated with a random start angle, on the bench itself or on one drawn within its
+tolerances, and fitted without a start from outside. The posterior is the surrogate's; in the first
+cases of each row the one weighed by full simulations stands beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
+
+from bayesbl.config.bench import load_bench
+from bayesbl.inference.agreement import agrees, disagreements
+from bayesbl.inference.alignment import fit_aligned
+from bayesbl.inference.direct import DirectPosterior, sample_direct
+from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.inference.simulated import (
+    GAP,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+    tolerance_unknowns,
+)
+from bayesbl.physics.bench import Bench
+
+LEVELS = (0.5, 0.8, 0.9, 0.95)
+FAST = SamplerSettings(ensembles=2, max_steps=1000)
+FULL = SamplerSettings()
+
+
+class Row(BaseModel):
+    """A row: the bench as it is known, and the gap. What has a tolerance is drawn within it.
+
+    ``full_cases``: how many cases are sampled in full too.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    bench: Path
+    cases: PositiveInt
+    gap_rad: float = Field(gt=0.0)
+    full_cases: NonNegativeInt = 0
+    lowest_gap_rad: float = Field(default=1e-4, gt=0.0)
+    highest_gap_rad: float = Field(default=1e-2, gt=0.0)
+    rotations: float = 5.0
+    sampling_hz: float = 1000.0
+
+
+COLUMNS = {
+    "log_error": ("1", "ln of the posterior median over the gap simulated"),
+    "log_sd": ("1", "posterior standard deviation of ln δ"),
+    "bound": ("1", "Cramér-Rao bound on the standard deviation of ln δ, priors left out"),
+    "width": ("1", "width of the 90 % interval of ln δ"),
+    "rank": ("1", "share of posterior draws below the truth"),
+    "agrees": ("1", "1 where the predictive check found nothing that repeats"),
+    "full_shift": ("1", "mean of ln δ by full simulation less the surrogate's, in its sd"),
+    "full_sd_ratio": ("1", "sd of ln δ by full simulation over the surrogate's"),
+    "full_rank": ("1", "share of fully simulated draws below the truth"),
+    "effective": ("1", "effective share of the draws after full simulation"),
+}
+
+
+def count(row: Row) -> int:
+    """Number of recordings."""
+    return row.cases
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One recording from truth to posterior."""
+    truth_seed, fast_seed, full_seed = seed.spawn(3)
+    generator = np.random.default_rng(truth_seed)
+    bench = _bench(row.bench)
+    recording = bench.draw(generator).simulate(
+        row.gap_rad,
+        rotations=row.rotations,
+        sampling_hz=row.sampling_hz,
+        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
+        seed=generator,
+    )
+    unknowns = [
+        gap_unknown(row.lowest_gap_rad, row.highest_gap_rad),
+        start_angle_unknown(recording.name),
+        *tolerance_unknowns(bench),
+    ]
+    fit = fit_aligned(bench, [observed(recording, bench)], unknowns)
+    fast = sample_direct(fit, FAST, fast_seed, corrected=False)
+    log_gap = np.log(fast.values(GAP)).ravel()
+    truth = math.log(row.gap_rad)
+    low, high = np.quantile(log_gap, [0.05, 0.95])
+    result = {
+        "log_error": float(np.median(log_gap)) - truth,
+        "log_sd": float(log_gap.std()),
+        "bound": float(fit.bound[fit.model.index(GAP)]),
+        "width": float(high - low),
+        "rank": float(np.mean(log_gap < truth)),
+        "agrees": float(agrees(disagreements(fit))),
+    }
+    full = sample_direct(fit, FULL, full_seed) if index < row.full_cases else None
+    return result | _beside(full, log_gap, truth)
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Sharpness, coverage at each level, width, and how the full posterior compares."""
+    error, sd, bound = (cases[n].values for n in ("log_error", "log_sd", "bound"))
+    shift, ratio = cases["full_shift"].values, cases["full_sd_ratio"].values
+    beside = np.isfinite(shift)
+    line: dict[str, float | str] = {
+        "n": float(error.size),
+        "bound_%": 100.0 * float(np.median(bound)),
+        "sd/bound": float(np.median(sd / bound)),
+        "scatter/bound": float(np.sqrt(np.mean((error / bound) ** 2))),
+        "bias_%": 100.0 * float(error.mean()),
+        "bias_se_%": 100.0 * float(error.std()) / math.sqrt(error.size),
+        "width_%": 100.0 * float(np.median(cases["width"].values)),
+    }
+    line |= {f"cover_{p:.0%}": _covered(cases["rank"].values, p) for p in LEVELS}
+    line |= {
+        "claimed/actual": float(np.sqrt(np.mean(sd**2) / np.mean(error**2))),
+        "refused": float(np.mean(cases["agrees"].values == 0.0)),
+        "full_n": float(beside.sum()),
+    }
+    if np.any(beside):
+        line |= {
+            "full_shift_sd": float(np.max(np.abs(shift[beside]))),
+            "full_sd_ratio_low": float(ratio[beside].min()),
+            "full_sd_ratio_high": float(ratio[beside].max()),
+            "full_effective": float(cases["effective"].values[beside].min()),
+        }
+    return line
+
+
+def _beside(full: DirectPosterior | None, log_gap: np.ndarray, truth: float) -> dict[str, float]:
+    if full is None:
+        names = ("full_shift", "full_sd_ratio", "full_rank", "effective")
+        return dict.fromkeys(names, math.nan)
+    draws = np.log(full.values(GAP)).ravel()
+    return {
+        "full_shift": float((draws.mean() - log_gap.mean()) / log_gap.std()),
+        "full_sd_ratio": float(draws.std() / log_gap.std()),
+        "full_rank": float(np.mean(draws < truth)),
+        "effective": full.effective / full.simulated,
+    }
+
+
+def _covered(rank: np.ndarray, level: float) -> float:
+    return float(np.mean(np.abs(rank - 0.5) <= 0.5 * level))
+
+
+@cache
+def _bench(path: Path) -> Bench:
+    return load_bench(path)
