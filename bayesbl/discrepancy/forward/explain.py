@@ -154,8 +154,9 @@ def _amplitudes(candidate: Candidate) -> list[int]:
     ]
 
 
-def _small(unknown: Unknown) -> float:
-    return 1e-3 * (unknown.high - unknown.low)
+def _small(unknown: Unknown, coordinate: float) -> float:
+    """A thousandth of the range; to its lower end from a neutral value below it."""
+    return max(1e-3 * (unknown.high - unknown.low), unknown.low - coordinate)
 
 
 def _difference(
@@ -163,12 +164,13 @@ def _difference(
 ) -> list[FloatArray]:
     """Change of the whitened signals by a small amount of one unknown; a column per phase owner."""
     moved = np.stack([point, point])
-    moved[1, i] += _small(model.unknowns[i])
+    amount = _small(model.unknowns[i], float(point[i]))
+    moved[1, i] += amount
     if phase is not None:
         for k in quadrant_phases(candidate):
             moved[:, point.size - len(candidate.unknowns) + k] = phase
     z = model.whitened(moved)
-    change = (z[0] - z[1]) / _small(model.unknowns[i])
+    change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
         return []
     if phase is None:
