@@ -173,6 +173,17 @@ def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None
     assert any(abs(order - 1.0 / 1.37) < 0.02 for order in orders)
 
 
+def test_a_torque_in_time_is_no_wrong_parameter(independent) -> None:
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 8, {"outside__time_torque_nm": 0.1}),
+        ("motor_coulomb_friction",),
+    )
+    assert found.verdict == "unexplained"
+    assert not found.naming.effects
+    assert found.bench is None
+    assert any(abs(e.frequency_hz - 7.3) < 0.05 for e in found.remaining)
+
+
 def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
     alike = {"motor_coulomb_friction", "motor_viscous_friction", "motor_torque_offset"}
     found = diagnosed(

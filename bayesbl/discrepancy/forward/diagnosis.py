@@ -19,7 +19,13 @@ from bayesbl.discrepancy.forward.evaluate import (
 )
 from bayesbl.discrepancy.forward.explain import Explanation, with_noise
 from bayesbl.discrepancy.forward.motor_orders import order_peaks
-from bayesbl.discrepancy.forward.naming import Naming, Progress, Verdict, name_missing
+from bayesbl.discrepancy.forward.naming import (
+    ENOUGH_CLOSED,
+    Naming,
+    Progress,
+    Verdict,
+    name_missing,
+)
 from bayesbl.discrepancy.forward.suggest import Suggestion, suggested_recording
 from bayesbl.discrepancy.locate import Located, locate
 from bayesbl.discrepancy.report import Estimate
@@ -120,6 +126,17 @@ def diagnose_forward(
     located_before = _located(pairs, naming.nominal, "before")
     located_after = _located(pairs, final, "after")
     remaining = tuple(describe_unexplained(located_after))
+    if (
+        final.candidates
+        and remaining
+        and _share_gone(located_before, located_after) < ENOUGH_CLOSED
+    ):
+        # It helps a little, as a parameter may where a line in time is left: no explanation.
+        final = naming.nominal
+        naming = replace(naming, verdict="unexplained", final=final, effects=())
+        pairs = compared(final, final, held_out)
+        located_after = located_before
+        remaining = tuple(describe_unexplained(located_before))
     verdict = naming.verdict
     if verdict == "nothing_missing" and remaining:
         verdict = "unexplained"
@@ -177,6 +194,19 @@ def _located(pairs: Sequence[Compared], explanation: Explanation, stage: str) ->
     angles = [_start_angle(explanation, pair.seen) for pair in used]
     predictions = [pair.before if stage == "before" else pair.after for pair in used]
     return locate([pair.seen for pair in used], predictions, angles)
+
+
+def _share_gone(before: Located, after: Located) -> float:
+    """Of the power, in units of the noise, that is no noise: repeating or not."""
+    first, last = (
+        sum(
+            (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
+            for recording in located.recordings
+            for c in recording.channels
+        )
+        for located in (before, after)
+    )
+    return 1.0 - last / first if first > 0.0 else 0.0
 
 
 def _start_angle(explanation: Explanation, seen: Observed) -> float:
