@@ -175,8 +175,8 @@ def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None
 
 def test_a_torque_in_time_is_no_wrong_parameter(independent) -> None:
     found = diagnosed(
-        recorded(independent, (2000.0, -1200.0), 8, {"outside__time_torque_nm": 0.1}),
-        ("motor_coulomb_friction",),
+        recorded(independent, (2000.0, -2000.0, 1200.0), 8, {"outside__time_torque_nm": 0.3}),
+        (),
     )
     assert found.verdict == "unexplained"
     assert not found.naming.effects
