@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import io
+import json
+from datetime import date, timedelta
+
 import numpy as np
 import pytest
+import xarray as xr
+from rich.console import Console
 from scipy import stats
 
+from bayesbl.config.schema import CompareConfig
+from bayesbl.figures import wear as wear_figure
+from bayesbl.figures.style import save
+from bayesbl.figures.wear import line_band, reached
+from bayesbl.gap.change import Gap
 from bayesbl.gap.wear import LONGEST_YEARS, probability_before, since_repair, wear
+from bayesbl.report.worn import print_wear
+from bayesbl.results.wear import date_after, summarise_wear, years_between
+from bayesbl.workflows.maintenance import wear_of
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -207,3 +221,158 @@ def test_the_same_seed_gives_the_same_wear():
     gaps = drawn(START + RATE * YEARS, 1e-5, np.random.default_rng(16))
     first, again = (wear(gaps, YEARS, seed(3), limit_rad=LIMIT) for _ in range(2))
     np.testing.assert_array_equal(first.years_to_limit, again.years_to_limit)
+
+
+# From dated snapshots to the answer
+
+
+def compared(
+    tmp_path, gaps, days, *, repaired=(), limit=None, before=None, withheld=(), sd=1e-5, number=1
+):
+    """The tree of a comparison as far as wear needs it, with its summary."""
+    (tmp_path / "r.csv").touch()
+    names = [f"s{n}" for n in range(len(gaps))]
+    start = date(2024, 1, 31)
+    config = CompareConfig.model_validate(
+        {
+            "schema": 1,
+            "kind": "compare",
+            "run": {"output": str(tmp_path / "out")},
+            "joint": {"limit_rad": limit, "decide_before": before},
+            "recordings": [
+                {
+                    "name": name,
+                    "file": str(tmp_path / "r.csv"),
+                    "date": start + timedelta(days=day),
+                    "repaired": n in repaired,
+                }
+                for n, (name, day) in enumerate(zip(names, days, strict=True))
+            ],
+        }
+    )
+    draws = drawn(gaps, sd, np.random.default_rng(number))
+    found = [Gap(d, np.zeros(d.shape, dtype=np.int64), np.zeros(d.shape), {}, None) for d in draws]
+    verdicts = {n: {"reason": "Withheld." if n in withheld else None} for n in names}
+    group = wear_of(config, found, verdicts, seed(number))
+    assert group is not None
+    posterior = xr.Dataset(
+        {"delta_rad": (("snapshot", "chain", "draw"), draws)}, {"snapshot": names}
+    )
+    tree = xr.DataTree.from_dict(
+        {"posterior": posterior, "diagnostics": xr.Dataset(), "wear": group}
+    )
+    tree["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
+    tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
+    if limit is not None:
+        tree.attrs["limit_rad"] = limit
+    return tree, summarise_wear(tree, names)
+
+
+def told(found, count):
+    console = Console(file=io.StringIO(), width=80, highlight=False, markup=False)
+    print_wear({"wear": found, "snapshots": [None] * count}, console)
+    return " ".join(console.file.getvalue().split())
+
+
+def test_dates_and_years_agree():
+    first = date(2026, 3, 1)
+    assert years_between(first, date_after(first, 2.5)) == pytest.approx(2.5, abs=0.5 / 365.25)
+    assert date_after(first, LONGEST_YEARS) is None
+
+
+def test_gaps_from_before_a_repair_change_nothing(tmp_path):
+    # Seven snapshots and the last three alone, from the same draws.
+    gaps, days = [7e-4, 8e-4, 9e-4, 11e-4, 6e-4, 7e-4, 8e-4], [0, 9, 90, 200, 300, 500, 600]
+    _, found = compared(tmp_path, gaps, days, repaired=(1, 4), limit=LIMIT)
+    assert found["snapshots"] == ["s4", "s5", "s6"]
+    draws = drawn(gaps, 1e-5, np.random.default_rng(1))[4:]
+    alone = wear(draws, np.array([300, 500, 600]) / 365.25, seed(1), limit_rad=LIMIT)
+    rates = alone.rate_rad_per_year[~alone.heals]
+    assert found["rate_rad_per_year"]["median"] == pytest.approx(np.median(rates), rel=1e-9)
+    times = np.nanmedian(alone.years_to_limit)
+    assert found["years_to_limit"]["median"] == pytest.approx(times, rel=1e-9)
+
+
+def test_the_summary_says_one_thing_in_years_and_dates(tmp_path):
+    before = date(2026, 6, 1)
+    tree, found = compared(
+        tmp_path, START + RATE * np.arange(3), [0, 365, 731], limit=LIMIT, before=before
+    )
+    last = date.fromisoformat(found["last_date"])
+    for edge in ("low", "median", "high"):
+        day = date.fromisoformat(found["limit_date"][edge])
+        assert years_between(last, day) == pytest.approx(
+            found["years_to_limit"][edge], abs=1.0 / 365.25
+        )
+    not_before = date.fromisoformat(found["limit_not_before"])
+    group = tree["wear"].to_dataset()
+    assert reached(group, np.array([years_between(last, not_before)]))[0] == pytest.approx(
+        0.1, abs=0.02
+    )
+    asked = reached(group, np.array([years_between(last, before)]))[0]
+    assert found["probability_limit_before"] == pytest.approx(asked)
+    assert found["rate_at_most_rad_per_year"] < found["rate_rad_per_year"]["high"]
+    assert found["scatter_rad_per_root_year"] is None
+
+
+def test_a_rate_is_withheld_with_its_reason(tmp_path):
+    cases = [
+        ({"gaps": [8e-4, 9e-4, 6e-4], "days": [0, 9, 99], "repaired": (2,)}, "only one snapshot"),
+        ({"gaps": [8e-4, 9e-4], "days": [5, 5]}, "snapshots of one day"),
+        ({"gaps": [9e-4, 6e-4], "days": [0, 99]}, "does not heal"),
+        ({"gaps": [8e-4, 9e-4], "days": [0, 99], "withheld": ("s1",)}, "withheld for s1"),
+    ]
+    for options, reason in cases:
+        tree, found = compared(tmp_path, **options, limit=LIMIT)
+        assert reason in found["reason"]
+        assert found["rate_rad_per_year"] is found["years_to_limit"] is None
+        assert reason in told(found, len(options["gaps"]))
+        assert wear_figure(tree).axes
+
+
+def test_the_answer_is_told_with_what_few_snapshots_cannot_tell(tmp_path):
+    _, two = compared(tmp_path, [8e-4, 9e-4], [0, 365], limit=LIMIT, before=date(2026, 1, 1))
+    text = told(two, 2)
+    assert f"does not reach the limit of 1.2 mrad before {two['limit_not_before']}" in text
+    assert "by 2026-01-01" in text
+    assert "Two snapshots cannot tell whether wear is steady" in text
+    _, three = compared(tmp_path, START + RATE * np.arange(3), [0, 365, 731])
+    assert "cannot tell irregular wear" in told(three, 3)
+    assert "limit" not in told(three, 3)
+    _, five = compared(tmp_path, START + RATE * np.arange(5), [0, 365, 731, 1096, 1461])
+    assert "irregular wear" in told(five, 5)
+    assert "cannot tell" not in told(five, 5)
+    assert "repaired before s0" in told(five, 6)
+
+
+def test_a_passed_limit_and_one_far_ahead_are_told_so(tmp_path):
+    _, passed = compared(tmp_path, [1.3e-3, 1.4e-3], [0, 365], limit=LIMIT)
+    assert passed["years_to_limit"]["high"] == 0.0
+    assert "The gap has passed the limit" in told(passed, 2)
+    _, far = compared(tmp_path, [8e-4, 8e-4 + 1e-9], [0, 365], limit=1.0, sd=1e-10)
+    assert far["limit_not_before"] is None
+    assert "within 1000 years" in told(far, 2)
+    assert "far ahead" in told(far, 2)
+
+
+def test_the_figure_shows_dates_line_and_limit_as_stored(tmp_path):
+    days = [0, 365, 400, 765, 1130]
+    tree, _ = compared(
+        tmp_path, [8e-4, 1e-3, 5e-4, 6e-4, 7e-4], days, repaired=(2,), limit=1e-3,
+        before=date(2029, 1, 1),
+    )  # fmt: skip
+    figure = wear_figure(tree)
+    gaps, limit = figure.axes
+    drawn_days = sorted(
+        float(c.lines[0].get_xdata()[0]) for c in gaps.containers if hasattr(c, "lines")
+    )
+    first = (date(2024, 1, 31) - date(1970, 1, 1)).days
+    assert drawn_days == [first + day for day in days]
+    group = tree["wear"].to_dataset()
+    (line,) = [item for item in gaps.lines if item.get_label() == "line, median"]
+    assert line.get_xdata()[0] == first + 400, "the line starts at the repair"
+    ahead = (line.get_xdata() - first - 1130) / 365.25
+    np.testing.assert_allclose(line.get_ydata(), 1e3 * line_band(group, ahead, 0.9)[1])
+    curve = limit.lines[0].get_ydata()
+    assert np.all(np.diff(curve) >= 0.0)
+    assert len(save(figure, tmp_path / "figures", "wear")) == 2

@@ -39,7 +39,7 @@ def wear(tree: xr.DataTree) -> Figure:
     group = tree[GROUP].to_dataset()
     figure = new_figure(DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group and not group.attrs["reason"]
-    spec = grid(figure, 1, 2 if limited else 1, top=0.75)
+    spec = grid(figure, 1, 2 if limited else 1, top=0.6)
     panels, titles = [figure.add_subplot(spec[0, 0])], ["gap and the line since the last repair"]
     ahead = _years_ahead(group)
     _draw_gaps(panels[0], tree, group, ahead)
@@ -88,7 +88,7 @@ def _years_ahead(group: xr.Dataset) -> float:
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span
-    if "years_to_limit" in group:
+    if "years_to_limit" in group and not group.attrs["reason"]:
         ahead = float(np.nanquantile(group["years_to_limit"].values, 0.95))
     if "decide_before" in group.attrs:
         asked = _days([Date.fromisoformat(group.attrs["decide_before"])])[0] - days[-1]
@@ -126,8 +126,8 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         )
         panel.annotate(
             f"{part.name}: withheld" if part.withheld else part.name,
-            (day, found["high"]), xytext=(0.0, 3.0), textcoords="offset points",
-            ha="center", fontsize=6.0,
+            (day, found["low"]), xytext=(4.0, -4.0), textcoords="offset points",
+            ha="left", va="top", fontsize=6.0,
         )  # fmt: skip
     if np.any(used == 0.0):
         first = every[np.flatnonzero(used)[0]]

@@ -70,7 +70,7 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
         if checked:
             say(console, checked, "dim", label=name)
     if summary.get("wear"):
-        print_wear(summary["wear"], console)
+        print_wear(summary, console)
     say(console, words.GAP_EXPLAINED, "dim")
     for sentence in words.outliers(summary):
         say(console, sentence, "dim")

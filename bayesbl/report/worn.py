@@ -20,8 +20,11 @@ MODEL = (
 )
 
 
-def print_wear(wear: Summary, console: Console) -> None:
-    """Sentences and table of ``wear`` of a comparison's summary."""
+def print_wear(summary: Summary, console: Console) -> None:
+    """Sentences and table of ``wear`` of a summary of a dated comparison."""
+    wear = summary["wear"]
+    if len(wear["snapshots"]) < len(summary["snapshots"]):
+        say(console, repaired(wear))
     if wear["reason"]:
         say(console, wear["reason"], "yellow", label="No rate of wear")
         return
@@ -30,6 +33,14 @@ def print_wear(wear: Summary, console: Console) -> None:
     print_table(_table(wear), console)
     for sentence in notes(wear):
         say(console, sentence, "dim")
+
+
+def repaired(wear: Summary) -> str:
+    """What a repair between the snapshots means for all that is said of them."""
+    return (
+        f"The joint was repaired before {wear['snapshots'][0]}: the change from first to last "
+        "spans the repair, and only the snapshots since tell how the joint wears."
+    )
 
 
 def sentences(wear: Summary) -> Iterator[str]:
