@@ -156,45 +156,45 @@ def smallest_change(middle_rad: float, width_rad: float, power: float = POWER) -
 
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
-    """Detection curves: the share of pairs reported against the true change."""
+    """Detection curves: the share of pairs reported against the true change, from the table."""
     from scipy.stats import binom, norm
 
     from bayesbl.figures.layout import grid
     from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, look, new_figure, publication_style
 
     with publication_style():
-        drawn = new_figure(DOUBLE_COLUMN_IN, 3.2)
-        panel = drawn.add_subplot(grid(drawn, 1, 1, right=2.6)[0, 0])
+        drawn = new_figure(DOUBLE_COLUMN_IN, 3.0)
+        panel = drawn.add_subplot(grid(drawn, 1, 1, right=2.9)[0, 0])
         for index, line in enumerate(table):
-            group, style = cases[str(line["name"])], look(index)
-            change, reported = group["change_rad"].values, _reported(group)
-            known = np.unique(change)
-            hits = np.array([reported[change == c].sum() for c in known])
-            size = np.array([(change == c).sum() for c in known])
-            share = hits / size
+            style, size = look(index), float(line["pairs_per_change"])
+            change, share = (
+                np.array(str(line[key]).split(), dtype=float)
+                for key in ("changes_mrad", "reported")
+            )
             band = binom.ppf([[0.05], [0.95]], size, share) / size
             panel.errorbar(
-                1e3 * known, share, np.abs(band - share), color=style.colour, marker=style.marker,
+                change, share, np.abs(band - share), color=style.colour, marker=style.marker,
                 linestyle="none", capsize=2.0, elinewidth=0.7,
             )  # fmt: skip
-            fine = np.linspace(0.0, 1.1 * known.max(), 200)
-            middle, width = (1e-3 * line[k] for k in ("half_found_mrad", "curve_width_mrad"))
+            fine = np.linspace(0.0, 1.1 * change.max(), 200)
+            middle, width = (float(line[k]) for k in ("half_found_mrad", "curve_width_mrad"))
+            found = f"{float(line['smallest_mrad']):.2g} mrad found in {100.0 * POWER:g} %"
             panel.plot(
-                1e3 * fine, norm.cdf((fine - middle) / width), color=style.colour,
-                linestyle=style.dashes,
-                label=f"{line['name']}\nsmallest change found: {line['smallest_mrad']:.2g} mrad",
+                fine, norm.cdf((fine - middle) / width), color=style.colour,
+                linestyle=style.dashes, label=f"{line['name']}:\n{found}",
             )  # fmt: skip
-        for level, told in ((POWER, "95 % found"), (1.0 - REPORTED_AT, "false alarms allowed")):
+        levels = ((POWER, f"{100.0 * POWER:g} %"), (1.0 - REPORTED_AT, "nominal\nfalse alarms"))
+        for level, told in levels:
             panel.axhline(level, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
             panel.annotate(
                 told, (1.0, level), xycoords=("axes fraction", "data"), xytext=(2.0, 0.0),
                 textcoords="offset points", va="center", fontsize=6.0,
             )  # fmt: skip
-        panel.set_xlim(left=-0.002)
+        panel.set_xlim(left=-0.003)
         panel.set_ylim(0.0, 1.03)
         panel.set_xlabel("True change of the gap δ (mrad)")
         panel.set_ylabel("Share of pairs in which an increase is reported")
-        panel.legend(loc="center left", bbox_to_anchor=(1.08, 0.5))
+        panel.legend(loc="center left", bbox_to_anchor=(1.18, 0.5))
     return drawn
 
 
