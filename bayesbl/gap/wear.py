@@ -190,9 +190,10 @@ def _lines(
 ) -> tuple[FloatArray, FloatArray]:
     """Growth over the span, and the gap at the last snapshot, of every draw.
 
-    Matheron's rule: a path of the walk is drawn, the line laid by generalised least squares
-    through what it leaves of the draw, and the path corrected by the rest. For a posterior that
-    is normal this is the exact posterior of line and gap.
+    Matheron's rule: a path of the walk is drawn, and the line laid by generalised least squares
+    through what it leaves of the draw. For gaps that are normal this is the exact posterior of
+    line and last gap: the rule's correction of the path is 0 there, since the walk's covariance
+    with its last point grows as the line does.
     """
     design, walk = _design(elapsed), _walk(elapsed)
     steps = np.sqrt(np.diff(elapsed, prepend=0.0))[:, None]
@@ -203,10 +204,8 @@ def _lines(
         inverse = np.linalg.inv(np.diag(own) + sigma**2 * walk)
         left = gaps[:, chosen] - sigma * path[:, chosen]
         line = np.linalg.solve(design.T @ inverse @ design, design.T @ inverse @ left)
-        fitted = design @ line
-        correction = sigma**2 * walk[-1] @ inverse @ (left - fitted)
         rate[chosen] = line[1]
-        current[chosen] = fitted[-1] + sigma * path[-1, chosen] + correction
+        current[chosen] = line.sum(axis=0) + sigma * path[-1, chosen]
     return rate, current
 
 
