@@ -16,7 +16,6 @@ from bayesbl.config.schema import CompareConfig
 from bayesbl.figures import wear as wear_figure
 from bayesbl.figures.style import save
 from bayesbl.figures.wear import line_band, reached
-from bayesbl.gap.change import Gap
 from bayesbl.gap.wear import LONGEST_YEARS, _lines, probability_before, since_repair, wear
 from bayesbl.report.worn import print_wear
 from bayesbl.results.wear import date_after, summarise_wear, years_between
@@ -290,9 +289,8 @@ def compared(
         }
     )
     draws = drawn(gaps, sd, np.random.default_rng(number))
-    found = [Gap(d, np.zeros(d.shape, dtype=np.int64), np.zeros(d.shape), {}, None) for d in draws]
     verdicts = {n: {"reason": "Withheld." if n in withheld else None} for n in names}
-    group = wear_of(config, found, verdicts, seed(number))
+    group = wear_of(config, list(draws), verdicts, seed(number))
     assert group is not None
     posterior = xr.Dataset(
         {"delta_rad": (("snapshot", "chain", "draw"), draws)}, {"snapshot": names}

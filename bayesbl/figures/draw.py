@@ -83,6 +83,8 @@ def _direct_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
     yield "gap", direct_gap(tree)
     if "change" in tree.children:
         yield "change", direct_change(tree)
+    if "wear" in tree.children:
+        yield wear.__name__, wear(tree)
 
 
 def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:

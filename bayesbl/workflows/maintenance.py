@@ -9,18 +9,21 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.schema import CompareConfig
-from bayesbl.gap.change import Gap
 from bayesbl.gap.wear import LEAST_SHARE_GROWING, since_repair, wear
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.wear import wear_group, years_between
 
 
 def wear_of(
     config: CompareConfig,
-    found: Sequence[Gap],
+    delta_rad: Sequence[FloatArray],
     verdicts: Mapping[str, Mapping[str, Any]],
     seed: np.random.SeedSequence,
 ) -> xr.Dataset | None:
-    """Group ``wear`` of the result; ``None`` where not every recording has a date."""
+    """Group ``wear`` of the result; ``None`` where not every recording has a date.
+
+    ``delta_rad`` are draws of each gap, paired by draw, shape (chain, draw).
+    """
     dates = config.dates
     if dates is None:
         return None
@@ -35,7 +38,7 @@ def wear_of(
             reason = f"There are only {count}: a rate needs two, at different dates."
         return wear_group(dates, used, None, reason=reason, decide_before=before)
     years = np.array([years_between(since[0], day) for day in since])
-    drawn = np.stack([gap.delta_rad for gap in found[used]])
+    drawn = np.stack(delta_rad[used])
     result = wear(drawn, years, seed, limit_rad=config.joint.limit_rad)
     reason = ""
     if withheld:

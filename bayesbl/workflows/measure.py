@@ -48,7 +48,8 @@ class Seeds:
     @classmethod
     def spawn(cls, seed: int, recordings: int) -> Seeds:
         """The same seeds whatever the number of workers."""
-        curve, gap, fits, wear = np.random.SeedSequence(seed).spawn(4)
+        # The fourth is the direct route's.
+        curve, gap, fits, _, wear = np.random.SeedSequence(seed).spawn(5)
         return cls(curve, gap, wear, tuple(fits.spawn(recordings)))
 
 
@@ -206,7 +207,7 @@ def _tree(
             {r.name: g.delta_rad for r, g in zip(recordings, found, strict=True)}
         )
         whole["change"] = change_group(total, steps)
-        wear = wear_of(config, found, verdicts, seeds.wear)
+        wear = wear_of(config, [gap.delta_rad for gap in found], verdicts, seeds.wear)
         if wear is not None:
             whole["wear"] = wear
     else:
