@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.gap.wear import FEWEST_FOR_SCATTER, LONGEST_YEARS
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
@@ -45,6 +44,8 @@ def repaired(wear: Summary) -> str:
 
 def sentences(wear: Summary) -> Iterator[str]:
     """The answer to how fast, until when, and whether before the date asked for."""
+    from bayesbl.gap.wear import LONGEST_YEARS
+
     share = words.probability(wear["level"])
     rate = 1e3 * wear["rate_at_most_rad_per_year"]
     yield (
@@ -76,6 +77,8 @@ def sentences(wear: Summary) -> Iterator[str]:
 
 def notes(wear: Summary) -> Iterator[str]:
     """The model, and what so many snapshots cannot tell."""
+    from bayesbl.gap.wear import FEWEST_FOR_SCATTER
+
     yield MODEL
     count = len(wear["snapshots"])
     if count == 2:
@@ -110,6 +113,8 @@ def _table(wear: Summary) -> Table:
 
 
 def _cell(value: float) -> str:
+    from bayesbl.gap.wear import LONGEST_YEARS
+
     if value >= LONGEST_YEARS:
         return f"> {LONGEST_YEARS:g}"
     return words.significant(value) if value < 100.0 else f"{value:.0f}"
