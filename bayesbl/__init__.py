@@ -1,3 +1,86 @@
-"""Sensorless measurement of the backlash gap in robot joints, with honest uncertainty."""
+"""Sensorless measurement of the backlash gap in robot joints, with honest uncertainty.
+
+The public functions and types, whose names stay:
+
+=====================  ============================================================================
+``fit``, ``compare``   recordings in, an xarray tree with posterior, gap and change out
+``summarise``          a tree as ``summary.json`` holds it: δ in rad, intervals, probabilities
+``read_result``        the tree of a stored result
+``run``                a configuration of any kind, with its output folder
+``load_config``        a validated configuration from TOML
+``read_recording``     a ``Recording``: channels over time, units in their names
+``load_bench``         a ``Bench``; ``Bench.simulate`` makes a ``Recording``
+``published_curve``    the paper's ``GapCurve``, from amplitude in rpm to gap in rad
+``write_page``         the HTML page of a stored result
+``UserError``          what every function raises for input that it cannot use
+=====================  ============================================================================
+
+They are imported when they are first asked for, so that ``import bayesbl`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bayesbl.config.bench import load_bench
+    from bayesbl.config.loading import load_config
+    from bayesbl.errors import UserError
+    from bayesbl.gap.curve import GapCurve, published_curve
+    from bayesbl.library import compare, fit, run, write_page
+    from bayesbl.physics.bench import Bench
+    from bayesbl.recording.readers import read_recording
+    from bayesbl.recording.types import Recording
+    from bayesbl.results.store import read_tree as read_result
+    from bayesbl.results.summary import summarise
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Bench",
+    "GapCurve",
+    "Recording",
+    "UserError",
+    "__version__",
+    "compare",
+    "fit",
+    "load_bench",
+    "load_config",
+    "published_curve",
+    "read_recording",
+    "read_result",
+    "run",
+    "summarise",
+    "write_page",
+]
+
+_HOMES = {
+    "Bench": "bayesbl.physics.bench",
+    "GapCurve": "bayesbl.gap.curve",
+    "Recording": "bayesbl.recording.types",
+    "UserError": "bayesbl.errors",
+    "compare": "bayesbl.library",
+    "fit": "bayesbl.library",
+    "load_bench": "bayesbl.config.bench",
+    "load_config": "bayesbl.config.loading",
+    "published_curve": "bayesbl.gap.curve",
+    "read_recording": "bayesbl.recording.readers",
+    "read_result": "bayesbl.results.store:read_tree",
+    "run": "bayesbl.library",
+    "summarise": "bayesbl.results.summary",
+    "write_page": "bayesbl.library",
+}
+"""Public name to the module that holds it, and behind a colon its name there if it differs."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    module, _, there = _HOMES[name].partition(":")
+    return getattr(import_module(module), there or name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

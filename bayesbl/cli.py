@@ -392,6 +392,14 @@ def figures_command(result: ResultPath) -> None:
         typer.echo(str(path))
 
 
+@app.command("report")
+def report_command(result: ResultPath) -> None:
+    """Write a result as one HTML page, report.html, that opens anywhere."""
+    from bayesbl.report.page.build import write_page
+
+    typer.echo(str(write_page(result, _draw)))
+
+
 @app.command("inspect")
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
@@ -407,6 +415,46 @@ def inspect_command(result: ResultPath, json: Json = False) -> None:
         _print_study(summarise_study(tree))
     else:
         print_summary(tree, make_console())
+
+
+@app.command("init")
+def init_command(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING", help="One to be fitted, several to be compared."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The file to write. [default: RECORDING.toml]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write a first configuration for recordings, columns and units guessed."""
+    from bayesbl.report.console import error, make_console
+    from bayesbl.report.started import print_guess
+    from bayesbl.workflows.run import check
+    from bayesbl.workflows.start import start_config
+
+    path, guess = start_config(recordings, out, force=force)
+    print_guess(guess, path, make_console())
+    problems = check(path).problems
+    for problem in problems:
+        error(make_console(stderr=True), problem)
+    if problems:
+        raise typer.Exit(WRONG)
+
+
+@app.command("cite")
+def cite_command(
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
+) -> None:
+    """Print what to cite, as text and as BibTeX."""
+    from bayesbl.report.citations import all_bibtex, told_citations
+
+    if not bibtex:
+        for line in told_citations():
+            typer.echo(f"{line}\n")
+    typer.echo(all_bibtex())
 
 
 def _measure(
@@ -516,13 +564,9 @@ def _print_study(summary: dict[str, Any], folder: Path | None = None) -> None:
 
 
 def _draw(tree: xr.DataTree, folder: Path) -> list[Path]:
-    if tree.attrs["kind"] == "study":
-        from bayesbl.workflows.study import draw_study
+    from bayesbl.library import draw
 
-        return draw_study(tree, folder)
-    from bayesbl.figures import draw_all
-
-    return draw_all(tree, folder)
+    return draw(tree, folder)
 
 
 def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:

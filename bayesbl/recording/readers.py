@@ -104,6 +104,18 @@ def read_recording(
     )
 
 
+def read_table(path: str | Path) -> Table:
+    """The columns of a file as they stand in it, before anything is mapped.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or is no table.
+    """
+    path = Path(path)
+    return _format_of(path)(path, _read_bytes(path))
+
+
 def _values(
     path: Path, table: Table, time_column: Column, others: Sequence[Column]
 ) -> tuple[FloatArray, FloatArray]:

@@ -87,12 +87,17 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
     summary = summarise(tree)
     print_result(summary, None, console)
+    print_details(tree, summary, console)
+    _print_origin(tree.attrs, summary, console)
+
+
+def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
+    """Parameters and diagnostics of every snapshot; nothing for other kinds of result."""
     for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
         if words.is_direct(summary):
             print_direct_details(name, part, console)
         else:
             _print_details(name, part, _rivals(tree, name), console)
-    _print_origin(tree.attrs, summary, console)
 
 
 def _print_limits(summary: Summary, console: Console) -> None:
@@ -115,8 +120,7 @@ def _snapshot_table(summary: Summary) -> Table:
     kind = words.short_kind(
         parts[0][1]["amplitude_rpm"] or next(iter(parts[0][1]["parameters"].values()))
     )
-    answered = [p["delta_rad"] for _, p in parts if p["delta_rad"] is not None]
-    places = max((words.decimals(d, 1e3) for d in answered), default=3)
+    places = words.common_decimals(part["delta_rad"] for _, part in parts)
     table = new_table(
         *([("Snapshot", "left")] if compare else []),
         ("Gap δ\n(mrad)", "right"),

@@ -47,6 +47,11 @@ def in_words(name: str) -> str:
     return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
+def use_in_words(use: str) -> str:
+    """``held out``."""
+    return _USES[use]
+
+
 def effects(summary: Summary) -> Iterator[str]:
     """Each named effect with its parameters and what it cannot be told from."""
     for effect in summary["effects"]:

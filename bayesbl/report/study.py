@@ -45,6 +45,13 @@ def print_study(
             console.print(Text(_INDENT + line), soft_wrap=True)
 
 
+def study_headline(summary: Mapping[str, Any]) -> str:
+    """Which study, and how much of it."""
+    rows = summary["rows"]
+    cases = sum(int(row["cases"]) for row in rows)
+    return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
+
+
 def filled(pairs: Sequence[str], width: int) -> list[str]:
     """Pairs set side by side with commas, broken between them alone."""
     lines: list[str] = []

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 Summary = Mapping[str, Any]
@@ -27,6 +27,11 @@ BOUND_EXPLAINED = (
 CHECK_EXPLAINED = (
     "Power of the difference between recording and simulation that repeats every rotation, over "
     "what noise would leave of it; the probability is that of as much from noise alone."
+)
+
+GAP_IN_PLAIN_WORDS = (
+    "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point 1 m "
+    "away by 1 mm). The range beneath a number holds the true value with the probability stated."
 )
 
 DEGREES_EXPLAINED = (
@@ -59,6 +64,11 @@ def decimals(interval: Summary, scale: float = 1.0, units: float = 5.0) -> int:
     """Fewest decimals at which the interval is at least ``units`` of the last one wide."""
     width = abs(scale * (interval["high"] - interval["low"]))
     return max(0, math.ceil(math.log10(units / width))) if width > 0.0 else 3
+
+
+def common_decimals(intervals: Iterable[Summary | None]) -> int:
+    """Decimals in mrad that show the narrowest of some gaps in rad; 3 if there is none."""
+    return max((decimals(found, 1e3) for found in intervals if found is not None), default=3)
 
 
 def number(value: float, places: int) -> str:
@@ -359,8 +369,12 @@ def _of(name: str) -> str:
     return f" of {name}" if name else ""
 
 
+def glued(sentence: str) -> str:
+    """With no-break spaces between a number and its sign or unit."""
+    return re.sub(r"(?<=[<>]) (?=\d)|(?<=\d) (?=%|mrad|rpm|rad)", "\N{NO-BREAK SPACE}", sentence)
+
+
 def wrapped(sentence: str, width: int) -> str:
     """Broken into lines of ``width``, but never between a number and its sign or unit."""
-    glued = re.sub(r"(?<=[<>]) (?=\d)|(?<=\d) (?=%|mrad|rpm|rad)", "\N{NO-BREAK SPACE}", sentence)
-    lines = textwrap.wrap(glued, width, break_on_hyphens=False)
+    lines = textwrap.wrap(glued(sentence), width, break_on_hyphens=False)
     return "\n".join(lines).replace("\N{NO-BREAK SPACE}", " ")

@@ -1,0 +1,135 @@
+"""What the commands do, as functions: ``bayesbl.fit``, ``compare``, ``run`` and ``write_page``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.config.schema import RunConfig, SnapshotConfig
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def fit(
+    recording: str | Path, *, config: str | Path | None = None, **options: object
+) -> xr.DataTree:
+    """Measure the gap in one recording; nothing is written.
+
+    Parameters
+    ----------
+    recording
+        A file; other column names and units are mapped by ``config``.
+    config
+        A configuration file that the options go over.
+    options
+        As the command line's: ``curve``, ``level``, ``limit_rad`` (rad), ``gear_ratio``, ``seed``,
+        ``workers``.
+
+    Returns
+    -------
+    Groups ``posterior`` (``delta_rad`` in rad, ``amplitude_rpm`` in rpm, …, dimensions ``chain``
+    and ``draw``), ``sample_stats``, ``observed_data`` and more, units on every variable.
+
+    Raises
+    ------
+    UserError
+        If the recording or the configuration cannot be used.
+    """
+    return _measure("fit", [recording], config, options)
+
+
+def compare(
+    first: str | Path,
+    *later: str | Path,
+    config: str | Path | None = None,
+    **options: object,
+) -> xr.DataTree:
+    """Measure the gap in each recording of one joint, and its change; nothing is written.
+
+    Parameters
+    ----------
+    first, later
+        Files in the order they were taken, at least two.
+    config, options
+        As for :func:`fit`.
+
+    Returns
+    -------
+    As :func:`fit`, with a dimension ``snapshot``, and a group ``change`` (``change_rad``, last
+    minus first, in rad).
+
+    Raises
+    ------
+    UserError
+        If a recording or the configuration cannot be used.
+    """
+    return _measure("compare", [first, *later], config, options)
+
+
+def run(config: str | Path | RunConfig, *, force: bool = False) -> dict[str, Any]:
+    """Run a configuration of any kind but ``simulate`` and write its output folder with figures.
+
+    Returns
+    -------
+    What ``summary.json`` holds.
+
+    Raises
+    ------
+    UserError
+        If the configuration cannot be run, or the folder holds a finished result and ``force`` is
+        not given.
+    """
+    from bayesbl.workflows.run import load_run
+    from bayesbl.workflows.run import run as run_config
+
+    loaded = config if isinstance(config, RunConfig) else load_run(config)
+    return run_config(loaded, draw, force=force)
+
+
+def write_page(result: str | Path) -> Path:
+    """Write ``report.html`` beside a stored result; its path.
+
+    Raises
+    ------
+    UserError
+        If there is no finished result.
+    """
+    from bayesbl.report.page.build import write_page as write
+
+    return write(result, draw)
+
+
+def draw(tree: xr.DataTree, folder: Path) -> list[Path]:
+    """Write every figure of a result of any kind into a folder; the files written."""
+    if tree.attrs["kind"] == "study":
+        from bayesbl.workflows.study import draw_study
+
+        return draw_study(tree, folder)
+    from bayesbl.figures import draw_all
+
+    return draw_all(tree, folder)
+
+
+def _measure(
+    kind: str,
+    recordings: list[str | Path],
+    config: str | Path | None,
+    options: Mapping[str, object],
+) -> xr.DataTree:
+    from bayesbl.config.loading import OPTIONS, config_from_options
+    from bayesbl.errors import ConfigError
+    from bayesbl.recording.channels import did_you_mean
+    from bayesbl.workflows.measure import measure
+
+    for name in options:
+        if name not in OPTIONS:
+            raise ConfigError(
+                "There is no such option." + did_you_mean(name, OPTIONS),
+                where=name,
+                expected="one of " + ", ".join(OPTIONS),
+            )
+    loaded = config_from_options(kind, recordings, config, **options)
+    assert isinstance(loaded, SnapshotConfig)
+    return measure(loaded)

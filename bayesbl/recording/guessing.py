@@ -1,0 +1,277 @@
+"""Which channels the columns of an unknown file may hold, and in which units, for a user to check.
+
+Names decide first, then units that the file states, then what the numbers allow: a sampling rate
+that makes sense, a speed that agrees with the position. Nothing here is ever used unseen: the
+guesses are written into a configuration for the user to confirm.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.channels import (
+    CHANNELS,
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    MOTOR_TORQUE,
+    REFERENCE_SPEED,
+    TIME,
+)
+from bayesbl.recording.columns import Table
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor, spelled
+
+_NAMES_OF: Mapping[str, str] = MappingProxyType(
+    {
+        TIME: "t time timestamp zeit temps tempo clock",
+        MOTOR_SPEED: "speed velocity vel omega w rpm drehzahl n dq qd",
+        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel q",
+        MOTOR_CURRENT: "current cur i iq strom amps",
+        MOTOR_TORQUE: "torque tau trq moment drehmoment",
+    }
+)
+"""Channel to the words by which files call it, in small letters."""
+
+_REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
+_LOAD = "load link joint output arm"
+_MOTOR = "motor mot m"
+
+_USUAL_RATES_HZ = (100.0, 1e5)
+_USUAL_SPEEDS_RPM = (30.0, 2e4)
+_AGREEMENT = 0.02
+"""Relative; speed and position, or speed and reference, that differ by less belong together."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuessedColumn:
+    """A column, the channel it may be, and why; ``sure`` if the file itself says all of it."""
+
+    channel: str
+    name: str
+    unit: str
+    reason: str
+    sure: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """All columns that were recognised, time first, and the names of the others."""
+
+    columns: tuple[GuessedColumn, ...]
+    unused: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Named:
+    """What a column's name and the file say of it."""
+
+    index: int
+    name: str
+    words: frozenset[str]
+    unit: str | None
+
+    def is_called(self, words: str) -> bool:
+        """Whether any of these words stands in its name."""
+        return not self.words.isdisjoint(words.split())
+
+
+def guess_columns(path: str | Path, table: Table) -> Guess:
+    """Guess the channels of a file.
+
+    Raises
+    ------
+    RecordingError
+        If no column can be time, or none the motor's speed.
+    """
+    named = [_Named(i, name, *_parsed(table, i, name)) for i, name in enumerate(table.columns)]
+    chosen = _by_name(named)
+    if TIME not in chosen:
+        rest = [column for column in named if column not in chosen.values()]
+        found = next((column for column in rest if _increases(_numbers(table, column))), None)
+        if found is None:
+            raise _missing(path, table, TIME, "time")
+        chosen[TIME] = found
+    if MOTOR_SPEED not in chosen:
+        raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
+    values = {channel: _numbers(table, column) for channel, column in chosen.items()}
+    held = {c: v for c, v in values.items() if c in (TIME, MOTOR_SPEED) or np.isfinite(v).any()}
+    units = _units(table, chosen, held)
+    columns = tuple(_told(_stated(channel, chosen[channel]), units) for channel in held)
+    taken = {column.name for column in columns}
+    order = [TIME, *CHANNELS]
+    return Guess(
+        tuple(sorted(columns, key=lambda c: order.index(c.channel))),
+        tuple(name for name in table.columns if name and name not in taken),
+    )
+
+
+def _told(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
+    """With the unit that the numbers tell, where the file states none."""
+    if stated.sure or stated.channel not in units:
+        return stated
+    unit, reason = units[stated.channel]
+    return replace(stated, unit=unit, reason=reason)
+
+
+def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:
+    """Words of a name in small letters, and the unit that it or the file states."""
+    stated = table.unit(index)
+    bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
+    bare = name[: bracket.start()] + name[bracket.end() :] if bracket else name
+    bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
+    tail = re.search(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|_|/)s$", bare)
+    parts = [part for part in re.split(r"[\W_]+", bare) if part]
+    unit = None
+    for text in (stated, bracket[1] if bracket else None, f"{tail[1]}/s" if tail else None):
+        unit = unit or _known_unit(text)
+    if unit is None and len(parts) > 1:
+        unit = _known_unit(parts[-1], also_small=True)
+    if tail is not None:
+        parts = [part for part in re.split(r"[\W_]+", bare[: tail.start()]) if part]
+    words = frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in parts)
+    return words, unit
+
+
+def _known_unit(text: str | None, *, also_small: bool = False) -> str | None:
+    """A unit in this package's spelling; of a name's last word in any case of letters."""
+    if not text:
+        return None
+    unit = spelled(text.replace("·", " ").replace("⁻¹", "-1").replace("°", "deg"))
+    every = [known for channel in (TIME, *CHANNELS) for known in accepted_units(channel)]
+    if unit in every:
+        return unit
+    small = [known for known in every if known.lower() == unit.lower()]
+    return small[0] if also_small and small else None
+
+
+def _channel(column: _Named) -> str | None:
+    """The channel that a column may be, by its unit first and its words then."""
+    if column.name in (TIME, *CHANNELS):
+        return column.name
+    kinds = [c for c in _NAMES_OF if column.unit in accepted_units(c)] if column.unit else []
+    kinds = kinds or [c for c, words in _NAMES_OF.items() if column.is_called(words)]
+    if not kinds:
+        return None
+    kind = kinds[0]
+    if column.is_called(_REFERENCE):
+        return REFERENCE_SPEED if kind == MOTOR_SPEED else None
+    if column.is_called(_LOAD) and not column.is_called(_MOTOR):
+        return LOAD_POSITION if kind == MOTOR_POSITION else TIME if kind == TIME else None
+    return kind
+
+
+def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
+    """The likeliest column of each channel: named exactly, else the motor's, else the first."""
+    chosen: dict[str, _Named] = {}
+    exact = (TIME, *CHANNELS)
+    for column in sorted(named, key=lambda c: (c.name not in exact, not c.is_called(_MOTOR))):
+        channel = _channel(column)
+        if channel is not None:
+            chosen.setdefault(channel, column)
+    return chosen
+
+
+def _stated(channel: str, column: _Named) -> GuessedColumn:
+    own = accepted_units(channel)[0]
+    if column.unit in accepted_units(channel):
+        return GuessedColumn(channel, column.name, str(column.unit), "stated in the file", True)
+    if column.name == channel:
+        return GuessedColumn(channel, column.name, own, "named so in the file", True)
+    return GuessedColumn(channel, column.name, own, "no unit found: check it", False)
+
+
+def _units(
+    table: Table, chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
+) -> dict[str, tuple[str, str]]:
+    """Channel to (unit, reason), where numbers tell it."""
+    found: dict[str, tuple[str, str]] = {}
+    time = _time_unit(table, chosen[TIME], values[TIME])
+    if time is not None:
+        found[TIME] = time
+    factor = conversion_factor(TIME, time[0] if time else _stated(TIME, chosen[TIME]).unit)
+    speed = float(np.nanmean(np.abs(values[MOTOR_SPEED])))
+    if MOTOR_POSITION in values:
+        good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
+        seconds, angle = factor * values[TIME][good], values[MOTOR_POSITION][good]
+        rate = abs(angle[-1] - angle[0]) / (seconds[-1] - seconds[0])
+        pair = _agreeing(chosen, speed, float(rate), MOTOR_POSITION, RPM_PER_RAD_PER_S)
+        if pair:
+            found |= {channel: (unit, "speed and position agree so") for channel, unit in pair}
+    if REFERENCE_SPEED in values:
+        asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
+        if MOTOR_SPEED in found:
+            speed *= conversion_factor(MOTOR_SPEED, found[MOTOR_SPEED][0])
+            fixed = {**chosen, MOTOR_SPEED: replace(chosen[MOTOR_SPEED], unit="rpm")}
+            pair = _agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0)[1:]
+        else:
+            pair = _agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0)
+        found |= {channel: (unit, "speed and reference agree so") for channel, unit in pair}
+    return found
+
+
+def _agreeing(
+    chosen: Mapping[str, _Named], speed: float, other: float, channel: str, scale: float
+) -> list[tuple[str, str]]:
+    """Units of speed and another channel in which both agree and are usual; else nothing."""
+    for mine in _possible(MOTOR_SPEED, chosen[MOTOR_SPEED]):
+        rpm = speed * conversion_factor(MOTOR_SPEED, mine)
+        for theirs in _possible(channel, chosen[channel]):
+            compared = other * conversion_factor(channel, theirs) * scale
+            usual = _USUAL_SPEEDS_RPM[0] <= rpm <= _USUAL_SPEEDS_RPM[1]
+            if usual and abs(compared / rpm - 1.0) <= _AGREEMENT:
+                return [(MOTOR_SPEED, mine), (channel, theirs)]
+    return []
+
+
+def _possible(channel: str, column: _Named) -> Iterable[str]:
+    stated = _stated(channel, column)
+    return (stated.unit,) if stated.sure else accepted_units(channel)
+
+
+def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str] | None:
+    if table.timestamps(column.index) is not None:
+        return "datetime", "holds dates"
+    if _stated(TIME, column).sure:
+        return None
+    step = float(np.nanmedian(np.diff(time)))
+    for unit in ("s", "ms", "us", "ns"):
+        rate = 1.0 / (step * conversion_factor(TIME, unit)) if step > 0.0 else 0.0
+        if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:
+            return unit, f"a sampling rate of {rate:.4g} Hz"
+    return None
+
+
+def _numbers(table: Table, column: _Named) -> FloatArray:
+    """Values of a column, shape (n,); NaN where it does not hold numbers."""
+    stamps = table.timestamps(column.index)
+    if stamps is not None:
+        return stamps
+    try:
+        values: FloatArray = table.numbers([column.index])[:, 0]
+    except RecordingError:
+        return np.full(2, np.nan)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _increases(values: FloatArray) -> bool:
+    there = values[np.isfinite(values)]
+    return there.size > 2 and bool(np.all(np.diff(there) > 0.0))
+
+
+def _missing(path: str | Path, table: Table, channel: str, what: str) -> RecordingError:
+    return RecordingError(
+        f"No column looks like {what}.",
+        file=path,
+        where="header",
+        found=", ".join(f'"{name}"' for name in table.columns),
+        expected=f'a column "{channel}", or another name for it under [columns]',
+    )

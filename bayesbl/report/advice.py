@@ -1,0 +1,136 @@
+"""What to do about a result, for a reader who knows nothing of statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from bayesbl.config.fields import PUBLISHED
+from bayesbl.report import diagnosed, words
+from bayesbl.report.words import Summary
+
+SURE = 0.95
+"""Probability from which the advice takes something as shown, and below 1 minus which as not so."""
+
+Tone = Literal["fine", "watch", "act", "withheld", "note"]
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """A short order and why; ``tone`` decides the colour, never the meaning alone."""
+
+    tone: Tone
+    title: str
+    sentences: tuple[str, ...]
+
+
+def advice(summary: Summary) -> Advice:
+    """What to do, whatever the kind of the result."""
+    match summary["kind"]:
+        case "fit" | "compare":
+            return _of_snapshots(summary)
+        case "sweep":
+            return Advice(
+                "note",
+                "Use this curve for recordings of this joint.",
+                (
+                    "Give it to a comparison: bayesbl compare FIRST SECOND --curve result.nc. "
+                    "It holds for a joint like the simulated bench, and for no other.",
+                ),
+            )
+        case "diagnose":
+            return _of_diagnosis(summary)
+        case _:
+            return _of_study(summary)
+
+
+def _of_snapshots(summary: Summary) -> Advice:
+    last = words.snapshots(summary)[-1][1]
+    if last["delta_rad"] is None:
+        return Advice(
+            "withheld",
+            "Do not decide from these recordings.",
+            (
+                *(sentence for _, sentence in words.reasons(summary)),
+                "Mend that, or record the joint again, longer and at one constant speed; until "
+                "then decide as you would without this measurement.",
+            ),
+        )
+    head = _by_limit(summary, last) or _without_limit(summary)
+    return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
+
+
+def _by_limit(summary: Summary, last: Summary) -> Advice | None:
+    """Repair or not, by the probability that the last gap is above its limit."""
+    above, told = last.get("probability_above_limit"), words.above_limit(summary)
+    if above is None or told is None:
+        return None
+    if above >= SURE:
+        return Advice("act", "The joint is due for repair.", (told,))
+    if above <= 1.0 - SURE:
+        return Advice("fine", "No repair is due.", (told,))
+    again = "It may be on either side: inspect the joint, or record it again for longer."
+    return Advice("watch", "Look at this joint soon.", (told, again))
+
+
+def _without_limit(summary: Summary) -> Advice:
+    ask = "Give the gap at which it is to be repaired (--limit-rad) to be told whether it is due."
+    change = summary.get("change_rad")
+    if change is None:
+        return Advice("note", "Compare this gap with what the joint may have.", (ask,))
+    if change["low"] > 0.0:
+        return Advice("watch", "The joint wears: keep measuring it.", (ask,))
+    told = "These recordings do not show that the gap grew."
+    return Advice("fine", "No wear is shown: measure again later.", (told, ask))
+
+
+def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
+    change = summary.get("change_rad")
+    if change is not None and change["low"] > 0.0 and last.get("limit_rad") is not None:
+        further = 1e3 * (last["delta_rad"]["median"] + change["median"])
+        yield f"As much growth again would bring the gap to about {further:.2g} mrad."
+    if summary.get("curve") == PUBLISHED and last.get("route") != "direct":
+        yield (
+            "These sizes rest on the gap curve of another machine, the paper's test bench: make a "
+            "curve for your joint (bayesbl sweep) before you act on them."
+        )
+
+
+def _of_diagnosis(summary: Summary) -> Advice:
+    match summary["verdict"]:
+        case "named":
+            names = ", ".join(diagnosed.in_words(effect["name"]) for effect in summary["effects"])
+            return Advice(
+                "act",
+                "Complete the bench before you rely on it.",
+                (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
+            )
+        case "parameter_error":
+            return Advice(
+                "act",
+                "Correct the bench before you rely on it.",
+                tuple(diagnosed.parameter_errors(summary)),
+            )
+        case "unexplained":
+            return Advice(
+                "watch",
+                "Look at what is left before you rely on the bench.",
+                ("No effect of the catalogue explains it; the figures show where it stands.",),
+            )
+        case _:
+            return Advice(
+                "fine",
+                "The bench may be used as it is.",
+                ("These recordings show nothing that it lacks.",),
+            )
+
+
+def _of_study(summary: Summary) -> Advice:
+    failed = sum(int(row["failed"]) for row in summary["rows"])
+    if failed:
+        told = f"{failed} cases failed and are left out of the numbers; result.nc says why."
+        return Advice("watch", "Look at the cases that failed first.", (told,))
+    return Advice(
+        "note", "Read the table below, row by row.", ("No case failed: every one is counted.",)
+    )

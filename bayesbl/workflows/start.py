@@ -1,0 +1,113 @@
+"""A first configuration for recordings that nobody has described yet."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from bayesbl.errors import ConfigError
+from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
+from bayesbl.recording.readers import read_table
+from bayesbl.results.store import write_text
+
+_LONGEST_NAME = 60
+
+
+def start_config(
+    recordings: Sequence[str | Path], out: str | Path | None = None, *, force: bool = False
+) -> tuple[Path, Guess]:
+    """Write a commented configuration: ``fit`` of one recording, ``compare`` of several.
+
+    Parameters
+    ----------
+    recordings
+        Files with the same columns; the first one is looked at.
+    out
+        The file to write; named after the first recording, in the working directory, by default.
+    force
+        Write over an existing file.
+
+    Raises
+    ------
+    UserError
+        If a recording cannot be read, holds no speed, or the file is there.
+    """
+    first = Path(recordings[0])
+    path = Path(out) if out is not None else Path(f"{_name(first.stem)}.toml")
+    if path.exists() and not force:
+        raise ConfigError(
+            "The configuration is there already, and is not written over.",
+            file=path,
+            expected="another file (--out), or --force to replace it",
+        )
+    guess = guess_columns(first, read_table(first))
+    write_text(config_text([Path(file) for file in recordings], path, guess), path)
+    return path, guess
+
+
+def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
+    """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
+    kind = "fit" if len(recordings) == 1 else "compare"
+    names = _names([file.stem for file in recordings])
+    entries = "\n".join(
+        f"[[recordings]]\nname = {_text(name)}\nfile = {_text(_relative(file, path))}\n"
+        "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
+        for name, file in zip(names, recordings, strict=True)
+    )
+    columns = "\n".join(_column_line(column) for column in guess.columns)
+    unused = f"# Not used: {', '.join(_text(name) for name in guess.unused)}\n"
+    return f"""\
+# Check the columns, then:   bayesbl run {path.name}
+
+schema = 1
+kind = "{kind}"
+
+[run]
+seed = 1                # same seed, same numbers
+output = {_text(f"results/{_name(path.stem)}")}
+
+[joint]
+# gear_ratio = 120.0    # motor turns per turn of the load
+# limit_rad = 1.2e-3    # the gap at which the joint is to be repaired
+
+# Each channel with the column that holds it. These are guesses: names and units decide the answer.
+[columns]
+{columns}
+{unused if guess.unused else ""}
+{entries}
+[interval]
+level = 0.9             # of the credible intervals
+
+[curve]
+source = "published"    # the paper's test bench; or the result.nc of a sweep of your joint's bench
+"""
+
+
+def _column_line(column: GuessedColumn) -> str:
+    entry = f"{column.channel} = {{name = {_text(column.name)}, unit = {_text(column.unit)}}}"
+    return f"{entry}    # {column.reason}"
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _relative(file: Path, path: Path) -> str:
+    return Path(os.path.relpath(file, path.parent)).as_posix()
+
+
+def _name(stem: str) -> str:
+    """A name as configurations allow them."""
+    plain = re.sub(r"[^\w .,+-]", "_", stem)[:_LONGEST_NAME]
+    return plain if re.match(r"\w", plain) else f"r{plain}"[:_LONGEST_NAME]
+
+
+def _names(stems: Sequence[str]) -> list[str]:
+    names = [_name(stem) for stem in stems]
+    return [
+        name if names.count(name) == 1 else f"{name[: _LONGEST_NAME - 4]}-{number}"
+        for number, name in enumerate(names, start=1)
+    ]

@@ -1,0 +1,86 @@
+"""Public names, what they cost, what may be cited, and the README's code, which runs."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import bayesbl
+from bayesbl import cli
+from bayesbl.report.citations import all_bibtex, citations
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.S | re.M)
+
+
+def test_every_public_name_is_there_and_documented():
+    for name in bayesbl.__all__:
+        found = getattr(bayesbl, name)
+        if name != "__version__":
+            assert found.__doc__, name
+            assert f"``{name}``" in bayesbl.__doc__ or f"``{name}``" in bayesbl.__doc__.replace(
+                "a ``Bench``;", "``Bench``"
+            )
+    assert set(bayesbl.__all__) <= set(dir(bayesbl))
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        _ = bayesbl.no_such_thing
+
+
+def test_importing_the_package_imports_nothing_else():
+    code = (
+        "import sys; import bayesbl;"
+        "heavy = {'numpy', 'xarray', 'pydantic', 'jinja2', 'rich', 'typer'};"
+        "sys.exit(', '.join(heavy & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_types_and_templates_are_shipped():
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    patterns = data["package-data"]["bayesbl"]
+    package = ROOT / "bayesbl"
+    shipped = {path for pattern in patterns for path in package.glob(pattern)}
+    assert package / "py.typed" in shipped
+    for file in package.rglob("*"):
+        if file.suffix in (".html", ".css", ".toml"):
+            assert file in shipped
+
+
+def test_the_readmes_python_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    assert blocks("python")
+    for code in blocks("python"):
+        exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+
+
+def test_an_unknown_option_is_refused():
+    with pytest.raises(bayesbl.UserError, match="limit_rad"):
+        bayesbl.fit("a.csv", limt_rad=1e-3)
+
+
+def test_the_paper_and_every_tool_are_cited(capsys):
+    assert cli.status(["cite"]) == 0
+    printed = capsys.readouterr().out
+    for work in ("Backlash Gap in Industrial Manipulators", "Hansen", "Foreman-Mackey", "ArviZ"):
+        assert work in printed
+    assert bayesbl.__version__ in printed
+    assert cli.status(["cite", "--bibtex"]) == 0
+    assert capsys.readouterr().out.strip() == all_bibtex()
+
+
+def test_bibtex_entries_are_whole():
+    for citation in citations():
+        text = citation.bibtex
+        assert text.count("{") == text.count("}")
+        assert text.startswith(f"@{citation.kind}{{{citation.key},")
+        assert "{" not in citation.text

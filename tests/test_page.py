@@ -1,0 +1,271 @@
+"""Laws of the page: the answer first, all of it inside one file, nothing of a user's text alive."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayesbl import cli
+from bayesbl.report import words
+from bayesbl.report.advice import advice
+from bayesbl.report.captions import CAPTIONS, caption, reading_order
+from bayesbl.report.page.build import page
+from bayesbl.results.provenance import provenance
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.summary import summarise
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+HOSTILE = "<script>alert('δ')</script> & \"July\""
+CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'
+VOID = {"meta", "img", "br", "link", "input"}
+
+
+class Reader(HTMLParser):
+    """Tags and texts of a page; an end tag without its begin fails."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.texts))
+
+
+def require_closed(reader: Reader) -> None:
+    """Every tag is ended, every address is a picture's data or a place that is there."""
+    assert reader.open == []
+    targets = {attributes["id"] for _, attributes in reader.tags if "id" in attributes}
+    for _, attributes in reader.tags:
+        for name in ("src", "href"):
+            address = attributes.get(name)
+            assert address is None or address.startswith("data:image/") or address[1:] in targets
+
+
+def plain(text: str) -> str:
+    return re.sub(r"\s+", " ", text)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory) -> Path:
+    """The stored comparison of the two examples, without figures."""
+    folder = tmp_path_factory.mktemp("compared")
+    recordings = [str(CONFIGS / "recordings" / f"wear_{name}.csv") for name in ("before", "after")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "_draw", lambda tree, folder: [])
+        out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
+        assert cli.status(["compare", *recordings, *out]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def written(compared) -> str:
+    """The page that the command writes, figures and all."""
+    assert cli.status(["report", str(compared)]) == 0
+    return (compared / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def tree(compared) -> xr.DataTree:
+    return read_tree(compared)
+
+
+def hostile(tree: xr.DataTree) -> xr.DataTree:
+    """The same result with markup in every text that a user may give."""
+    old = str(tree["posterior"].to_dataset()["snapshot"].values[-1])
+    for node in tree.subtree:
+        data = node.to_dataset(inherit=False)
+        for name in ("snapshot", "step_from", "step_to"):
+            if name in data:
+                labels = [HOSTILE if str(v) == old else str(v) for v in data[name].values]
+                data = (
+                    data.assign_coords({name: (data[name].dims, labels)})
+                    if (name in data.coords)
+                    else data.assign({name: (data[name].dims, labels)})
+                )
+        node.dataset = data
+    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
+    verdicts[HOSTILE] = verdicts.pop(old)
+    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
+    tree.attrs["config"] += f"\n# {HOSTILE}"
+    tree.attrs["input_sha256"] = json.dumps({f"{HOSTILE}.csv": "0" * 64})
+    tree.attrs["warnings"] = [HOSTILE]
+    return tree
+
+
+def test_a_page_needs_no_network_no_script_and_no_other_file(written):
+    reader = Reader(written)
+    require_closed(reader)
+    assert not {tag for tag, _ in reader.tags} & {"script", "link", "iframe", "object"}
+    style = re.search(r"<style>(.*?)</style>", written, re.S)[1]
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_the_answer_stands_before_everything_else(tree):
+    told = plain(Reader(page(tree, [])).text)
+    summary = summarise(tree)
+    places = [
+        told.index(plain(words.glued(words.headline(summary)))),
+        told.index("No repair is due"),
+    ]
+    places += [told.index("+0.246"), told.index("Figures" if "Figures" in told else "Numbers")]
+    assert max(places[:3]) < places[3]
+
+
+def test_the_page_says_what_the_terminal_says(tree, compared, capsys):
+    """Every number of ``inspect`` stands in the page."""
+    assert cli.status(["inspect", str(compared)]) == 0
+    printed = capsys.readouterr().out
+    told = Reader(page(tree, [])).text
+    numbers = set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", printed))
+    assert len(numbers) > 30
+    assert numbers - set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", told)) == set()
+
+
+def test_every_section_is_there(tree):
+    ids = {attributes.get("id") for _, attributes in Reader(page(tree, [])).tags}
+    assert ids >= {
+        "numbers",
+        "diagnostics",
+        "budget",
+        "assumptions",
+        "config",
+        "provenance",
+        "cite",
+    }
+
+
+def test_a_withheld_gap_is_nowhere_on_the_page(tree):
+    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
+    for verdict in verdicts.values():
+        verdict["reason"] = "The sampler did not converge."
+        verdict["reasons"] = [verdict["reason"]]
+    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
+    tree.attrs["outcome"] = "withheld"
+    told = Reader(page(tree, [])).text
+    assert "Do not decide from these recordings." in told
+    assert "The sampler did not converge." in told
+    assert not re.search(r"\d mrad \(90", told)
+    assert "+0.2" not in told
+
+
+def test_every_picture_has_a_text_and_every_table_a_head(written):
+    reader = Reader(written)
+    pictures = [attributes for tag, attributes in reader.tags if tag == "img"]
+    assert len(pictures) >= 6
+    assert all(attributes["alt"] for attributes in pictures)
+    tags = [tag for tag, _ in reader.tags]
+    assert tags.count("thead") == tags.count("table") > 0
+    assert all(a.get("scope") == "col" for tag, a in reader.tags if tag == "th")
+
+
+def test_markup_in_a_users_text_stays_text(tree):
+    text = page(hostile(tree), [])
+    reader = Reader(text)
+    assert "script" not in {tag for tag, _ in reader.tags}
+    assert "<script" not in text
+    assert reader.text.count("<script>alert('δ')</script>") >= 5
+
+
+def test_a_study_with_a_hostile_row_is_shown(tmp_path):
+    line = {"name": HOSTILE, "cases": 2, "failed": 1, "cover": 0.5, "commit": "abc"}
+    row = xr.Dataset(
+        {"failed": ("case", [0.0, 1.0]), "seconds": ("case", [1.0, 1.0])},
+        attrs={"name": HOSTILE, "line": json.dumps(line), "commit": "abc", "seconds": 2.0},
+    )
+    tree = xr.DataTree.from_dict({"row_1": row})
+    tree.attrs = {"kind": "study", "study": "coverage", "outcome": "done"}
+    tree.attrs |= provenance(CONFIG_OF_A_LOST_STUDY, 1, {})
+    write_tree(tree, tmp_path / "result.nc")
+    assert cli.status(["report", str(tmp_path)]) == 0
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in text
+    require_closed(Reader(text))
+    assert "Study coverage: 2 cases in 1 rows." in plain(Reader(text).text)
+    assert "1 cases failed" in Reader(text).text
+
+
+def test_what_is_no_result_is_refused(tmp_path, capsys):
+    assert cli.status(["report", str(tmp_path)]) == cli.WRONG
+    assert "no such result" in capsys.readouterr().err
+
+
+# Advice
+
+
+def fitted(delta=(6e-4, 8e-4), above=None, limit=None):
+    interval = {"median": sum(delta) / 2, "low": delta[0], "high": delta[1], "level": 0.9,
+                "kind": "equal_tailed"} if delta else None  # fmt: skip
+    part = {"kind": "fit", "delta_rad": interval, "curve": "results/sweep/result.nc"}
+    part |= {"diagnostics": {"reasons": ["The sampler did not converge."]}}
+    return part | ({"limit_rad": limit, "probability_above_limit": above} if limit else {})
+
+
+@pytest.mark.parametrize(
+    ("above", "tone"), [(1.0, "act"), (0.96, "act"), (0.5, "watch"), (0.04, "fine"), (0.0, "fine")]
+)
+def test_repair_is_advised_by_the_probability_above_the_limit(above, tone):
+    given = advice(fitted(above=above, limit=1e-3))
+    assert given.tone == tone
+    assert words.probability(above) in given.sentences[0]
+
+
+def test_no_advice_is_given_on_a_withheld_gap():
+    given = advice(fitted(delta=None, above=None, limit=1e-3))
+    assert given.tone == "withheld"
+    assert "The sampler did not converge." in given.sentences
+
+
+def test_the_advice_says_whose_curve_it_rests_on():
+    own, published = fitted(), fitted() | {"curve": "published"}
+    assert not any("paper" in sentence for sentence in advice(own).sentences)
+    assert any("paper" in sentence for sentence in advice(published).sentences)
+
+
+@pytest.mark.parametrize("verdict", ["nothing_missing", "parameter_error", "unexplained", "named"])
+def test_every_verdict_has_its_advice(verdict):
+    effects = [{"name": "load_coulomb_friction"}] if verdict == "named" else []
+    given = advice(
+        {"kind": "diagnose", "verdict": verdict, "effects": effects, "parameter_errors": []}
+    )
+    assert given.title
+    assert ("load Coulomb friction" in " ".join(given.sentences)) == (verdict == "named")
+
+
+# Figures
+
+
+def test_figures_come_in_one_order_whatever_their_names():
+    names = [f"{kind}_{snapshot}" for kind in ("trace", "corner") for snapshot in ("new", "old")]
+    names += ["gap", "signal", "something"]
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        ordered = reading_order(rng.permutation(names).tolist(), ["old", "new"])
+        assert ordered == [
+            "signal", "gap", "corner_old", "corner_new", "trace_old", "trace_new", "something",
+        ]  # fmt: skip
+    assert all(caption(name) == text for name, text in CAPTIONS.items())
+    assert caption("corner_old").startswith("old: ")
