@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,6 +54,13 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise typer.BadParameter(f"Found: {text}. Expected: a number.") from None
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise typer.BadParameter(f"Found: {text}. Expected: a date, e.g. 2026-03-01.") from None
 
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
@@ -126,6 +134,24 @@ LimitRad = Annotated[
         parser=_number,
         metavar="RAD",
         help="Gap at which the joint is to be repaired.",
+    ),
+]
+Before = Annotated[
+    date | None,
+    typer.Option(
+        "--before",
+        parser=_day,
+        metavar="DATE",
+        help="Also tell how probably the gap passes its limit before this date.",
+    ),
+]
+Dates = Annotated[
+    list[date] | None,
+    typer.Option(
+        "--date",
+        parser=_day,
+        metavar="DATE",
+        help="When a recording was taken; once for each, in their order.",
     ),
 ]
 GearRatio = Annotated[
@@ -206,6 +232,7 @@ def run_command(
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
+    before: Before = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -215,7 +242,7 @@ def run_command(
     if kind_of(config) == "simulate":
         _simulate(config, out, seed, workers, force, json)
     else:
-        _run(load_run(config, out=out, seed=seed, workers=workers), force, json)
+        _run(load_run(config, out=out, seed=seed, workers=workers, before=before), force, json)
 
 
 @app.command("check")
@@ -274,18 +301,21 @@ def compare_command(
     curve: Curve = None,
     route: Route = None,
     bench: BenchFile = None,
+    dates: Dates = None,
     limit_rad: LimitRad = None,
+    before: Before = None,
     gear_ratio: GearRatio = None,
     level: Level = None,
     workers: Workers = None,
     start_from: StartFrom = None,
     check_sampler: CheckSampler = False,
 ) -> None:
-    """Measure each gap, and the change from first to last."""
-    options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    """Measure each gap, the change from first to last, and with dates how fast it grows."""
+    options: dict[str, Any] = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     options |= {"start_from": start_from, "check_sampler": check_sampler or None}
+    options |= {"before": before, "dates": dates or ()}
     _measure("compare", [first, *later], config, options, force, json)
 
 

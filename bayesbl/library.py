@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,7 @@ def compare(
     first: str | Path,
     *later: str | Path,
     config: str | Path | None = None,
+    dates: Sequence[date] = (),
     **options: object,
 ) -> xr.DataTree:
     """Measure the gap in each recording of one joint, and its change; nothing is written.
@@ -54,6 +56,8 @@ def compare(
         Files in the order they were taken, at least two.
     config, options
         As for :func:`fit`.
+    dates
+        When each was taken; with them the result has a group ``wear``.
 
     Returns
     -------
@@ -65,7 +69,7 @@ def compare(
     UserError
         If a recording or the configuration cannot be used.
     """
-    return _measure("compare", [first, *later], config, options)
+    return _measure("compare", [first, *later], config, options, dates)
 
 
 def run(config: str | Path | RunConfig, *, force: bool = False) -> dict[str, Any]:
@@ -117,6 +121,7 @@ def _measure(
     recordings: list[str | Path],
     config: str | Path | None,
     options: Mapping[str, object],
+    dates: Sequence[date] = (),
 ) -> xr.DataTree:
     from bayesbl.config.loading import OPTIONS, config_from_options
     from bayesbl.errors import ConfigError
@@ -130,6 +135,6 @@ def _measure(
                 where=name,
                 expected="one of " + ", ".join(OPTIONS),
             )
-    loaded = config_from_options(kind, recordings, config, **options)
+    loaded = config_from_options(kind, recordings, config, dates, **options)
     assert isinstance(loaded, SnapshotConfig)
     return measure(loaded)

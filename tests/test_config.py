@@ -386,11 +386,60 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "out": folder / "out",
         "start_from": folder / "curve.nc",
         "check_sampler": True,
+        "before": date(2027, 1, 1),
     }
     assert set(values) == set(OPTIONS)
-    config = config_from_options("fit", [folder / "before.csv"], None, **values)
+    files, dates = [folder / "before.csv", folder / "after.csv"], [date(2026, 3, 1)] * 2
+    config = config_from_options("compare", files, None, dates, **values)
+    assert config.dates == tuple(dates)
     for option, location in OPTIONS.items():
         assert attrgetter(".".join(map(str, location)))(config) == values[option]
+
+
+DATED = """schema = 1
+kind = "compare"
+[joint]
+limit_rad = 1.2e-3
+decide_before = 2027-01-01
+[[recordings]]
+file = "after.csv"
+date = 2026-07-01
+[[recordings]]
+file = "before.csv"
+date = 2026-03-01
+"""
+
+
+def test_dates_give_the_order_and_without_all_of_them_the_file_does(folder: Path) -> None:
+    assert [r.name for r in load(folder, base=DATED).recordings] == ["before", "after"]
+    partly = DATED.replace("decide_before = 2027-01-01\n", "").replace("date = 2026-03-01", "")
+    config = load(folder, base=partly)
+    assert [r.name for r in config.recordings] == ["after", "before"]
+    assert config.dates is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("date = 2026-03-01", "", "needs recordings that are dated"),
+        ("limit_rad = 1.2e-3", "", "needs a limit"),
+        ("2027-01-01", "2026-07-01", "not after the last recording"),
+        ("2027-01-01", '"next year"', "decide_before"),
+    ],
+)
+def test_a_date_to_decide_before_that_cannot_be_used_is_refused(
+    folder: Path, old: str, new: str, told: str
+) -> None:
+    with pytest.raises(ConfigError, match=told):
+        load(folder, base=DATED.replace(old, new))
+
+
+def test_dates_on_the_command_line_pair_up_with_the_recordings(folder: Path) -> None:
+    files = [folder / "before.csv", folder / "after.csv"]
+    with pytest.raises(ConfigError, match="1 for 2 recordings"):
+        config_from_options("compare", files, None, [date(2026, 3, 1)])
+    with pytest.raises(ConfigError, match="no rate of wear"):
+        config_from_options("fit", files[:1], None, limit_rad=1e-3, before=date(2027, 1, 1))
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date as Date
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -41,6 +42,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "route": ("estimator", "route"),
         "level": ("interval", "level"),
         "limit_rad": ("joint", "limit_rad"),
+        "before": ("joint", "decide_before"),
         "gear_ratio": ("joint", "gear_ratio"),
         "start_from": ("estimator", "search", "start_from"),
         "check_sampler": ("posterior", "check_sampler"),
@@ -107,6 +109,7 @@ def config_from_options(
     kind: str,
     recordings: Sequence[str | Path] = (),
     config: str | Path | None = None,
+    dates: Sequence[Date] = (),
     **options: object,
 ) -> RunConfig:
     """The configuration of a command: options over a configuration file over the defaults.
@@ -119,6 +122,8 @@ def config_from_options(
         Files relative to the working directory; they replace those of ``config``.
     config
         A configuration to start from, of any kind that shares the sections.
+    dates
+        When each of ``recordings`` was taken; none by default.
     options
         Keys of :data:`OPTIONS`; ``None`` means not given. Paths are relative to the working
         directory.
@@ -131,8 +136,15 @@ def config_from_options(
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
     tables = {"schema": 1, **document.tables, "kind": kind}
     origins: dict[Location, str] = {("kind",): "command"}
+    if dates and len(dates) != len(recordings):
+        raise ConfigError(
+            "Dates and recordings do not pair up.",
+            where="--date",
+            found=f"{len(dates)} for {len(recordings)} recordings",
+            expected="one for each recording, in the same order, or none",
+        )
     if recordings:
-        tables["recordings"] = _entries(recordings)
+        tables["recordings"] = _entries(recordings, dates)
         origins[("recordings",)] = "recordings"
     for option, value in options.items():
         if value is not None:
@@ -234,7 +246,7 @@ def _by_option(problem: Problem, location: Location, document: _Document) -> Pro
     return problem
 
 
-def _entries(recordings: Sequence[str | Path]) -> list[_Tables]:
+def _entries(recordings: Sequence[str | Path], dates: Sequence[Date]) -> list[_Tables]:
     """Entries for recordings given by path, numbered where their names would be the same."""
     paths = [Path(path).absolute() for path in recordings]
     stems = [path.stem for path in paths]
@@ -242,6 +254,7 @@ def _entries(recordings: Sequence[str | Path]) -> list[_Tables]:
         {
             "name": stem if stems.count(stem) == 1 else f"{stem}-{number}",
             "file": str(path),
+            **({"date": dates[number - 1]} if dates else {}),
         }
         for number, (path, stem) in enumerate(zip(paths, stems, strict=True), start=1)
     ]

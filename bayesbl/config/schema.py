@@ -69,6 +69,17 @@ class Joint(Section):
 
     gear_ratio: Positive | None = None
     limit_rad: Positive | None = None
+    decide_before: Date | None = None
+
+    @model_validator(mode="after")
+    def _date_of_a_limit(self) -> Self:
+        if self.decide_before is not None and self.limit_rad is None:
+            refuse(
+                "A date to decide before needs a limit that the gap may pass.",
+                found="decide_before without limit_rad",
+                expected="limit_rad beside it, e.g. limit_rad = 1.2e-3",
+            )
+        return self
 
 
 class Column(Section):
@@ -82,7 +93,10 @@ ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
 
 
 class SnapshotRecording(Section):
-    """An entry of ``[[recordings]]`` that was measured; its name is the file's by default."""
+    """An entry of ``[[recordings]]`` that was measured; its name is the file's by default.
+
+    ``repaired`` marks the first one after a repair.
+    """
 
     name: Name
     file: InputPath
@@ -307,13 +321,64 @@ class FitConfig(SnapshotConfig):
 
     kind: Literal["fit"]
 
+    @model_validator(mode="after")
+    def _decides_nothing(self) -> Self:
+        if self.joint.decide_before is not None:
+            refuse(
+                "One recording tells no rate of wear, so nothing about a later date.",
+                found=f"decide_before = {self.joint.decide_before}",
+                expected='kind = "compare" with two dated recordings or more',
+            )
+        return self
+
 
 class CompareConfig(SnapshotConfig):
-    """``kind = "compare"``: snapshots of one joint in the order they were taken."""
+    """``kind = "compare"``: snapshots of one joint in the order they were taken.
+
+    Where all have a date, the dates give the order.
+    """
 
     least_recordings = 2
 
     kind: Literal["compare"]
+
+    @property
+    def dates(self) -> tuple[Date, ...] | None:
+        """When each recording was taken; ``None`` unless all are dated."""
+        return _dates(self.recordings)
+
+    @field_validator("recordings")
+    @classmethod
+    def _by_date(cls, recordings: tuple[SnapshotRecording, ...]) -> tuple[SnapshotRecording, ...]:
+        dates = _dates(recordings)
+        if dates is None:
+            return recordings
+        order = sorted(range(len(dates)), key=dates.__getitem__)
+        return tuple(recordings[number] for number in order)
+
+    @model_validator(mode="after")
+    def _decides_on_the_future(self) -> Self:
+        before = self.joint.decide_before
+        if before is None:
+            return self
+        if self.dates is None:
+            refuse(
+                "A date to decide before needs recordings that are dated.",
+                found="a recording without a date",
+                expected="date = 2026-03-01 in every [[recordings]], or --date for each",
+            )
+        if before <= self.dates[-1]:
+            refuse(
+                "The date to decide before is not after the last recording.",
+                found=f"decide_before = {before}, last recording {self.dates[-1]}",
+                expected="a later date",
+            )
+        return self
+
+
+def _dates(recordings: tuple[SnapshotRecording, ...]) -> tuple[Date, ...] | None:
+    dates = [recording.date for recording in recordings]
+    return tuple(d for d in dates if d is not None) if None not in dates else None
 
 
 class GapRange(Section):

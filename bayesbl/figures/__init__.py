@@ -13,6 +13,7 @@ from bayesbl.figures.misfit import misfit
 from bayesbl.figures.noise import noise
 from bayesbl.figures.signal import signal
 from bayesbl.figures.trace import trace, traces
+from bayesbl.figures.wear import wear
 
 __all__ = [
     "bench_draws",
@@ -30,4 +31,5 @@ __all__ = [
     "signal",
     "trace",
     "traces",
+    "wear",
 ]

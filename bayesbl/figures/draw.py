@@ -25,6 +25,7 @@ from bayesbl.figures.overlay import overlay
 from bayesbl.figures.signal import signal
 from bayesbl.figures.style import publication_style, save
 from bayesbl.figures.trace import traces
+from bayesbl.figures.wear import wear
 
 
 @publication_style()
@@ -82,12 +83,16 @@ def _direct_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
     yield "gap", direct_gap(tree)
     if "change" in tree.children:
         yield "change", direct_change(tree)
+    if "wear" in tree.children:
+        yield wear.__name__, wear(tree)
 
 
 def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
     """File name and figure, made one at a time: a corner holds megabytes while it is open."""
     for draw in (signal, gap, misfit, noise, convergence):
         yield draw.__name__, draw(tree)
+    if "wear" in tree.children:
+        yield wear.__name__, wear(tree)
     for name, draw_each in (("corner", corners), ("trace", traces)):
         found = draw_each(tree)
         for snapshot, figure in found.items():

@@ -10,6 +10,7 @@ CAPTIONS: Mapping[str, str] = MappingProxyType(
         "signal": "The measured motor speed with the fitted ringing.",
         "gap": "Each gap on the curve it was read from, and the distribution of the change.",
         "change": "The distribution of the change of the gap.",
+        "wear": "The gap against the date, and when it reaches its limit.",
         "curve": "Gap against amplitude of the ringing: the sweep and the curve through it.",
         "disturbance": "The ringing as the gap grows.",
         "degrees": "How well polynomials of other degrees describe the sweep.",

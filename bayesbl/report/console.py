@@ -18,6 +18,7 @@ from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
+from bayesbl.report.worn import print_wear
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -68,6 +69,8 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
         checked = words.sampler_check(part)
         if checked:
             say(console, checked, "dim", label=name)
+    if summary.get("wear"):
+        print_wear(summary, console)
     say(console, words.GAP_EXPLAINED, "dim")
     for sentence in words.outliers(summary):
         say(console, sentence, "dim")

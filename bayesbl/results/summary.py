@@ -12,6 +12,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.direct_summary import amplitude_reasons, direct_snapshot
 from bayesbl.results.intervals import interval
+from bayesbl.results.wear import summarise_wear
 from bayesbl.signal.parameters import SYMBOLS
 
 SOURCE_PREFIX = "source_"
@@ -179,6 +180,7 @@ def _comparison(tree: xr.DataTree) -> dict[str, Any]:
         "change_rad": total["change_rad"],
         "changes": steps,
         "probability_increase": total["probability_increase"],
+        "wear": summarise_wear(tree, names),
     }
 
 

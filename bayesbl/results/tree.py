@@ -3,8 +3,9 @@
 A fit has arviz's groups at the root (``posterior``, ``sample_stats``, ``observed_data``) and beside
 them ``predictive``, ``optimum``, ``search_history``, ``noise``, ``misfit``, ``diagnostics``,
 ``gap`` and, where it was asked for, ``sampler_check``. A comparison has the same groups with a
-``snapshot`` dimension in front, shorter ones padded with NaN, and ``change``. ``curve`` holds the
-gap curve over its range in both.
+``snapshot`` dimension in front, shorter ones padded with NaN, and ``change``; where the recordings
+are dated also ``wear`` (:mod:`bayesbl.results.wear`). ``curve`` holds the gap curve over its range
+in both.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ import xarray as xr
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import SnapshotConfig
+from bayesbl.config.schema import CompareConfig, SnapshotConfig
 from bayesbl.errors import BenchError, ConfigError, UserError
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, changes, gaps
@@ -44,6 +44,7 @@ from bayesbl.results.direct_tree import AmplitudeRoute, direct_groups
 from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, stack_snapshots
 from bayesbl.signal.parameters import AMPLITUDE
+from bayesbl.workflows.maintenance import wear_of
 from bayesbl.workflows.measure import (
     Seeds,
     StageProgress,
@@ -296,10 +297,13 @@ def _tree(
         for seen, recording in zip(posterior.fit.model.recordings, recordings, strict=True)
     }
     reasons = {name: route.reason for name, route in zip(names, beside, strict=True)}
-    if config.kind == "compare":
+    if isinstance(config, CompareConfig):
         whole = stack_snapshots(groups)
-        total, steps = changes({name: posterior.values(GAP, name) for name in names})
-        whole["change"] = change_group(total, steps)
+        drawn = {name: posterior.values(GAP, name) for name in names}
+        whole["change"] = change_group(*changes(drawn))
+        wear = wear_of(config, list(drawn.values()), verdicts, seeds.wear)
+        if wear is not None:
+            whole["wear"] = wear
     else:
         whole = groups[names[0]]
         verdicts, reasons = {"fit": verdicts[names[0]]}, {"fit": reasons[names[0]]}

@@ -13,7 +13,7 @@ import xarray as xr
 
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import SnapshotConfig, SnapshotRecording
+from bayesbl.config.schema import CompareConfig, SnapshotConfig, SnapshotRecording
 from bayesbl.errors import CurveError
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
@@ -31,6 +31,7 @@ from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
 from bayesbl.signal.parameters import AMPLITUDE, DisturbanceModel
 from bayesbl.workflows.fits import FitJob, StageProgress, earlier_of, run_fits
+from bayesbl.workflows.maintenance import wear_of
 
 __all__ = ["StageProgress", "measure"]
 
@@ -41,13 +42,15 @@ class Seeds:
 
     curve: np.random.SeedSequence
     gap: np.random.SeedSequence
+    wear: np.random.SeedSequence
     recordings: tuple[np.random.SeedSequence, ...]
 
     @classmethod
     def spawn(cls, seed: int, recordings: int) -> Seeds:
         """The same seeds whatever the number of workers."""
-        curve, gap, fits = np.random.SeedSequence(seed).spawn(3)
-        return cls(curve, gap, tuple(fits.spawn(recordings)))
+        # The fourth is the direct route's.
+        curve, gap, fits, _, wear = np.random.SeedSequence(seed).spawn(5)
+        return cls(curve, gap, wear, tuple(fits.spawn(recordings)))
 
 
 def measure(
@@ -198,12 +201,15 @@ def _tree(
         for recording, fit, gap in zip(recordings, fits, found, strict=True)
     }
     verdicts = {r.name: verdict(f, g) for r, f, g in zip(recordings, fits, found, strict=True)}
-    if config.kind == "compare":
+    if isinstance(config, CompareConfig):
         whole = stack_snapshots(groups)
         total, steps = changes(
             {r.name: g.delta_rad for r, g in zip(recordings, found, strict=True)}
         )
         whole["change"] = change_group(total, steps)
+        wear = wear_of(config, [gap.delta_rad for gap in found], verdicts, seeds.wear)
+        if wear is not None:
+            whole["wear"] = wear
     else:
         whole = groups[recordings[0].name]
         verdicts = {"fit": verdicts[recordings[0].name]}

@@ -58,7 +58,7 @@ def load_run(path: str | Path, *, kind: str | None = None, **options: object) ->
             expected='a configuration that names this bench, e.g. of kind = "simulate"',
         )
     config = load_config(path, kind=kind)
-    given = {option: value for option, value in options.items() if value is not None}
+    given: dict[str, Any] = {o: value for o, value in options.items() if value is not None}
     return config_from_options(config.kind, (), path, **given) if given else config
 
 

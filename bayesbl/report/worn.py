@@ -1,0 +1,124 @@
+"""Wear in time as the console tells it: how fast, how long until the limit, and how sure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from bayesbl.report import words
+from bayesbl.report.output import add_row, new_table, print_table, say
+from bayesbl.report.words import Summary
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+MODEL = (
+    "Wear is taken as linear in time since the last repair, and never as healing: draws in which "
+    "the gap shrinks are left out of rate and time, so these are no sign of wear by themselves."
+)
+
+
+def print_wear(summary: Summary, console: Console) -> None:
+    """Sentences and table of ``wear`` of a summary of a dated comparison."""
+    wear = summary["wear"]
+    if len(wear["snapshots"]) < len(summary["snapshots"]):
+        say(console, repaired(wear))
+    if wear["reason"]:
+        say(console, wear["reason"], "yellow", label="No rate of wear")
+        return
+    for sentence in sentences(wear):
+        say(console, sentence)
+    print_table(_table(wear), console)
+    for sentence in notes(wear):
+        say(console, sentence, "dim")
+
+
+def repaired(wear: Summary) -> str:
+    """What a repair between the snapshots means for all that is said of them."""
+    return (
+        f"The joint was repaired before {wear['snapshots'][0]}: the change from first to last "
+        "spans the repair, and only the snapshots since tell how the joint wears."
+    )
+
+
+def sentences(wear: Summary) -> Iterator[str]:
+    """The answer to how fast, until when, and whether before the date asked for."""
+    from bayesbl.gap.wear import LONGEST_YEARS
+
+    share = words.probability(wear["level"])
+    rate = 1e3 * wear["rate_at_most_rad_per_year"]
+    yield (
+        f"Since {wear['first_date']} the gap grew with a probability of "
+        f"{words.probability(wear['probability_wear'])}; with {share} probability by at most "
+        f"{words.significant(rate)} mrad a year."
+    )
+    if wear["years_to_limit"] is None:
+        return
+    limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
+    if wear["years_to_limit"]["low"] == wear["years_to_limit"]["high"] == 0.0:
+        yield f"The gap has passed {limit}."
+    elif wear["limit_not_before"] is None:
+        yield (
+            f"With {share} probability the gap does not reach {limit} within "
+            f"{LONGEST_YEARS:g} years."
+        )
+    else:
+        yield (
+            f"With {share} probability the gap does not reach {limit} before "
+            f"{wear['limit_not_before']}."
+        )
+    if wear["decide_before"] is not None:
+        yield (
+            f"Probability that it passes {limit} by {wear['decide_before']}: "
+            f"{words.probability(wear['probability_limit_before'])}."
+        )
+
+
+def notes(wear: Summary) -> Iterator[str]:
+    """The model, and what so many snapshots cannot tell."""
+    from bayesbl.gap.wear import FEWEST_FOR_SCATTER
+
+    yield MODEL
+    count = len(wear["snapshots"])
+    if count == 2:
+        yield (
+            "Two snapshots cannot tell whether wear is steady: the rate is that of the time "
+            "between them, and the forecast is only as good as the line. Take a third."
+        )
+    elif count < FEWEST_FOR_SCATTER:
+        yield (
+            f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
+            "wear from measuring; none is assumed."
+        )
+
+
+def _table(wear: Summary) -> Table:
+    rate, scatter = wear["rate_rad_per_year"], wear["scatter_rad_per_root_year"]
+    table = new_table(
+        ("Wear", "left"), ("Median", "right"), (words.short_kind(rate), "right"), ("Unit", "left")
+    )
+    rows = [("rate", rate, 1e3, "mrad/year")]
+    if scatter is not None:
+        rows.append(("irregular wear", scatter, 1e3, "mrad/√year"))
+    if wear["years_to_limit"] is not None:
+        rows.append(("time to the limit", wear["years_to_limit"], 1.0, "years"))
+    for name, found, scale, unit in rows:
+        low, middle, high = (_cell(scale * found[k]) for k in ("low", "median", "high"))
+        add_row(table, name, middle, f"{low} to {high}", unit)
+    if wear["limit_date"] is not None:
+        low, middle, high = (_day(wear["limit_date"][k]) for k in ("low", "median", "high"))
+        add_row(table, "date of the limit", middle, f"{low} to {high}", "")
+    return table
+
+
+def _cell(value: float) -> str:
+    from bayesbl.gap.wear import LONGEST_YEARS
+
+    if value >= LONGEST_YEARS:
+        return f"> {LONGEST_YEARS:g}"
+    return words.significant(value) if value < 100.0 else f"{value:.0f}"
+
+
+def _day(value: str | None) -> str:
+    return "far ahead" if value is None else value

@@ -1,0 +1,248 @@
+"""How much must a joint wear before a comparison of two recordings reports it?
+
+A case is a pair of recordings of the virtual bench, before and after a known change of the gap,
+with start angles of their own, each fitted as any recording is and both put through one draw of a
+swept curve. An increase is *reported* if its probability is at least ``REPORTED_AT``; reported
+without a change it is a false alarm, of which there should be at most one minus that. The
+posterior of A is taken normal around the optimum, with the covariance that emcee samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+
+from bayesbl.config.bench import load_bench
+from bayesbl.config.fields import as_tuple
+from bayesbl.gap.branch import likeliest_branch
+from bayesbl.gap.change import MeasuredRinging, changes, gaps
+from bayesbl.gap.curve import GapCurve
+from bayesbl.inference.estimator import Estimator
+from bayesbl.physics.bench import Bench
+from bayesbl.physics.noise import NoiseModel
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.curve_file import read_curve
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REPORTED_AT = 0.95
+"""Probability of an increase from which on it is reported."""
+
+POWER = 0.95
+"""Share of pairs in which the smallest change that counts as detectable is reported."""
+
+REPEATS = 200
+"""Tables drawn again from the fitted curve, for the standard error of the smallest change."""
+
+
+class Row(BaseModel):
+    """A row: one joint and one way to record it, over several true changes.
+
+    ``pairs`` are simulated for each of ``changes_rad``; a change of 0 counts false alarms.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    bench: Path
+    curve: Path
+    gap_rad: float = Field(gt=0.0)
+    changes_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
+    pairs: PositiveInt
+    speed_noise_sd_rpm: float = Field(gt=0.0)
+    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
+    rotations: float = 5.0
+    sampling_hz: float = 1000.0
+
+
+COLUMNS = {
+    "change_rad": ("rad", "change simulated"),
+    "probability_increase": ("1", "posterior probability that the gap grew"),
+    "change_median_rad": ("rad", "posterior median of the change"),
+    "change_sd_rad": ("rad", "posterior standard deviation of the change"),
+    "withheld": ("1", "1 where the answer would be withheld"),
+}
+
+
+def count(row: Row) -> int:
+    """Number of pairs, over all changes."""
+    return row.pairs * len(row.changes_rad)
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One pair; changes take turns, so that a study cut short has pairs of each."""
+    truth_seed, fit_seed, gap_seed = seed.spawn(3)
+    generator = np.random.default_rng(truth_seed)
+    change = row.changes_rad[index % len(row.changes_rad)]
+    ringing = [
+        _fit(row, gap, generator, own)
+        for gap, own in zip((row.gap_rad, row.gap_rad + change), fit_seed.spawn(2), strict=True)
+    ]
+    before, after = gaps(_curve(row.curve), ringing, gap_seed)
+    found, _ = changes({"before": before.delta_rad, "after": after.delta_rad})
+    return {
+        "change_rad": change,
+        "probability_increase": found.probability_increase,
+        "change_median_rad": float(np.median(found.change_rad)),
+        "change_sd_rad": float(found.change_rad.std()),
+        "withheld": float(before.reason is not None or after.reason is not None),
+    }
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """False alarms, the share reported at each change, and the smallest change found."""
+    change, reported = cases["change_rad"].values, _reported(cases)
+    line: dict[str, float | str] = {
+        "gap_mrad": 1e3 * row.gap_rad,
+        "noise_sd_rpm": row.speed_noise_sd_rpm,
+        "rotations": row.rotations,
+        "pairs_per_change": float(row.pairs),
+    }
+    known = np.unique(change)
+    shares = [float(reported[change == c].mean()) for c in known]
+    if known[0] == 0.0:
+        line["false_alarms"] = shares[0]
+    middle, width = detection_curve(change, reported)
+    smallest = smallest_change(middle, width)
+    line |= {
+        "changes_mrad": " ".join(f"{1e3 * c:g}" for c in known),
+        "reported": " ".join(f"{share:.3f}" for share in shares),
+        "half_found_mrad": 1e3 * middle,
+        "curve_width_mrad": 1e3 * width,
+        "smallest_mrad": 1e3 * smallest,
+        "smallest_se_mrad": 1e3 * _standard_error(change, middle, width),
+        "smallest_%": 100.0 * smallest / row.gap_rad,
+        "change_sd_mrad": 1e3 * float(np.median(cases["change_sd_rad"].values)),
+        "withheld": float(cases["withheld"].values.mean()),
+    }
+    return line
+
+
+def detection_curve(change_rad: FloatArray, reported: FloatArray) -> tuple[float, float]:
+    """Change at which half the pairs are reported, and the width of the curve around it, rad.
+
+    Maximum likelihood of P(reported | change) = Φ((change − middle) / width).
+    """
+    from scipy.optimize import minimize
+    from scipy.stats import norm
+
+    scale = float(change_rad.max()) or 1.0
+    x = change_rad / scale
+
+    def deviance(symbols: FloatArray) -> float:
+        z = (x - symbols[0]) / math.exp(symbols[1])
+        return -float(np.sum(norm.logcdf(np.where(reported > 0.0, z, -z))))
+
+    # Curves much steeper than the changes are apart cannot be told from one another.
+    bounds = [(-2.0, 4.0), (math.log(0.02), math.log(5.0))]
+    found = minimize(deviance, np.array([0.4, -1.5]), method="L-BFGS-B", bounds=bounds)
+    return scale * float(found.x[0]), scale * math.exp(found.x[1])
+
+
+def smallest_change(middle_rad: float, width_rad: float, power: float = POWER) -> float:
+    """The change that a detection curve reports in a share ``power`` of pairs, rad."""
+    from scipy.stats import norm
+
+    return middle_rad + width_rad * float(norm.ppf(power))
+
+
+def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
+    """Detection curves: the share of pairs reported against the true change, from the table."""
+    from scipy.stats import binom, norm
+
+    from bayesbl.figures.layout import grid
+    from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, look, new_figure, publication_style
+
+    with publication_style():
+        drawn = new_figure(DOUBLE_COLUMN_IN, 3.0)
+        panel = drawn.add_subplot(grid(drawn, 1, 1, right=2.9)[0, 0])
+        for index, line in enumerate(table):
+            style, size = look(index), float(line["pairs_per_change"])
+            change, share = (
+                np.array(str(line[key]).split(), dtype=float)
+                for key in ("changes_mrad", "reported")
+            )
+            band = binom.ppf([[0.05], [0.95]], size, share) / size
+            panel.errorbar(
+                change, share, np.abs(band - share), color=style.colour, marker=style.marker,
+                linestyle="none", capsize=2.0, elinewidth=0.7,
+            )  # fmt: skip
+            fine = np.linspace(0.0, 1.1 * change.max(), 200)
+            middle, width = (float(line[k]) for k in ("half_found_mrad", "curve_width_mrad"))
+            found = f"{float(line['smallest_mrad']):.2g} mrad found in {100.0 * POWER:g} %"
+            panel.plot(
+                fine, norm.cdf((fine - middle) / width), color=style.colour,
+                linestyle=style.dashes, label=f"{line['name']}:\n{found}",
+            )  # fmt: skip
+        levels = ((POWER, f"{100.0 * POWER:g} %"), (1.0 - REPORTED_AT, "nominal\nfalse alarms"))
+        for level, told in levels:
+            panel.axhline(level, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
+            panel.annotate(
+                told, (1.0, level), xycoords=("axes fraction", "data"), xytext=(2.0, 0.0),
+                textcoords="offset points", va="center", fontsize=6.0,
+            )  # fmt: skip
+        panel.set_xlim(left=-0.003)
+        panel.set_ylim(0.0, 1.03)
+        panel.set_xlabel("True change of the gap δ (mrad)")
+        panel.set_ylabel("Share of pairs in which an increase is reported")
+        panel.legend(loc="center left", bbox_to_anchor=(1.18, 0.5))
+    return drawn
+
+
+def _reported(cases: xr.Dataset) -> FloatArray:
+    """1 where an increase is reported; an answer that is withheld reports nothing."""
+    sure = cases["probability_increase"].values >= REPORTED_AT
+    return np.asarray(sure & (cases["withheld"].values == 0.0), dtype=np.float64)
+
+
+def _standard_error(change_rad: FloatArray, middle_rad: float, width_rad: float) -> float:
+    """Parametric bootstrap of the smallest change found."""
+    from scipy.stats import norm
+
+    generator = np.random.default_rng(11)
+    chance = norm.cdf((change_rad - middle_rad) / width_rad)
+    again = [
+        smallest_change(
+            *detection_curve(change_rad, (generator.uniform(size=chance.size) < chance) * 1.0)
+        )
+        for _ in range(REPEATS)
+    ]
+    return float(np.std(again))
+
+
+def _fit(
+    row: Row, gap_rad: float, generator: np.random.Generator, seed: np.random.SeedSequence
+) -> MeasuredRinging:
+    recording = _bench(row).simulate(
+        gap_rad,
+        rotations=row.rotations,
+        sampling_hz=row.sampling_hz,
+        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
+        seed=generator,
+    )
+    estimator = Estimator()
+    point = likeliest_branch(_curve(row.curve), estimator, estimator.estimate(recording, seed))
+    centre, covariance = point.ringing
+    draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
+    return MeasuredRinging(draws, centre, covariance)
+
+
+@cache
+def _curve(path: Path) -> GapCurve:
+    return read_curve(path)
+
+
+@cache
+def _bench(row: Row) -> Bench:
+    bench = load_bench(row.bench)
+    noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients)
+    return bench.with_measurement(replace(bench.measurement, speed_noise=noise))
