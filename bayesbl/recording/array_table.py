@@ -13,13 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError, UserError
-from bayesbl.recording.csv_table import shortened
+from bayesbl.recording.csv_table import dated, shortened
 from bayesbl.recording.timestamps import (
-    EXPECTED_DATE,
-    NotADate,
     is_date,
     seconds_of_calendar,
-    seconds_of_dates,
 )
 from bayesbl.recording.types import FloatArray
 
@@ -73,16 +70,7 @@ class ArrayTable:
         texts = [_text(value) for value in values.tolist()]
         if not is_date(next((text for text in texts if text), "")):
             return None
-        try:
-            return seconds_of_dates(texts)
-        except NotADate as error:
-            raise RecordingError(
-                "This is not a date like those before it.",
-                file=self.file,
-                where=self.place(error.row, column),
-                found=repr(shortened(texts[error.row])),
-                expected=EXPECTED_DATE,
-            ) from None
+        return dated(texts, self.file, lambda row: self.place(row, column))
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """Values of some columns, shape (n, len(columns)); missing ones are NaN.

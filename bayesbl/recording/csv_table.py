@@ -10,7 +10,7 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,16 +70,7 @@ class CsvTable:
         if not is_date(self._cells(0)[column]):
             return None
         texts = [self._cells(row)[column] for row in range(len(self.lines))]
-        try:
-            return seconds_of_dates(texts)
-        except NotADate as error:
-            raise RecordingError(
-                "This is not a date like those before it.",
-                file=self.file,
-                where=self.place(error.row, column),
-                found=repr(shortened(texts[error.row])),
-                expected=EXPECTED_DATE,
-            ) from None
+        return dated(texts, self.file, lambda row: self.place(row, column))
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """The values of some columns, shape (rows, len(columns)); empty cells are NaN.
@@ -193,6 +184,26 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
         lines=[lines[i] for i in kept],
         line_numbers=[i + 1 for i in kept],
     )
+
+
+def dated(texts: Sequence[str], file: str, place: Callable[[int], str]) -> FloatArray:
+    """Seconds since the first date, shape (n,); empty texts are NaN.
+
+    Raises
+    ------
+    RecordingError
+        At the first text that is no date like the first one; ``place`` says where a row stands.
+    """
+    try:
+        return seconds_of_dates(texts)
+    except NotADate as error:
+        raise RecordingError(
+            "This is not a date like those before it.",
+            file=file,
+            where=place(error.row),
+            found=repr(shortened(texts[error.row])),
+            expected=EXPECTED_DATE,
+        ) from None
 
 
 def shortened(text: str, length: int = 40) -> str:
