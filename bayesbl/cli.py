@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from bayesbl.config.schema import RunConfig
+    from bayesbl.config.sections import RunConfig
     from bayesbl.workflows.measure import StageProgress
 
 FAILED, WRONG, WITHHELD, INTERRUPTED = 1, 2, 3, 130
