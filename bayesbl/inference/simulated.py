@@ -233,6 +233,9 @@ class SimulatedSignals:
         self.unknowns = tuple(unknowns)
         self.noise = tuple(noise)
         self.workers = workers
+        self._white_recordings = [
+            n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
+        ]
 
     @property
     def low(self) -> FloatArray:
@@ -251,6 +254,10 @@ class SimulatedSignals:
 
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
+        return _continued(self._begun(points, recording), self.recordings[recording].samples)
+
+    def _begun(self, points: FloatArray, recording: int) -> FloatArray:
+        """As :meth:`signals`, but one rotation only where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
         points = np.atleast_2d(points)
         settings = {
@@ -264,19 +271,16 @@ class SimulatedSignals:
             matrix = np.repeat(matrix, len(points), axis=0)
         # Points often differ in what belongs to other recordings only.
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
-        place = place.ravel()
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
-        # A steady rotation whose samples fall alike in every turn is simulated once.
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
         size = samples, seen.sampling_hz
         rest = {"accuracy_rpm": accuracy, "workers": self.workers, "failures": "nan"}
         if len(seen.signals) == 1:
-            turn = simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+            found = simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
         else:
             everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
-            turn = everything[:, [SPEED, CURRENT]]
-        turn = turn[place]
-        return turn if samples == seen.samples else turn[:, :, np.arange(seen.samples) % samples]
+            found = everything[:, [SPEED, CURRENT]]
+        return found[place.ravel()]
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
@@ -287,7 +291,11 @@ class SimulatedSignals:
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
         seen, noise = self.recordings[recording], self.noise[recording]
-        white = noise.whiten(seen.signals - self.signals(points, recording))
+        begun = self._begun(points, recording)
+        # Whitening is linear, and what repeats still repeats when it is whitened.
+        repeated = _continued(begun, min(begun.shape[2] + noise.order, seen.samples))
+        simulated = _continued(noise.whiten(repeated), seen.samples - noise.order)
+        white = self._white_recordings[recording] - simulated
         if seen.excluded is not None:
             touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
             white[..., touched] = 0.0
@@ -306,8 +314,15 @@ class SimulatedSignals:
         return np.array([u.prior_sd**-2.0 for u in self.unknowns])
 
 
+def _continued(begun: FloatArray, samples: int) -> FloatArray:
+    """What repeats, for so many samples: (m, c, k) to (m, c, samples)."""
+    if begun.shape[2] == samples:
+        return begun
+    return begun[:, :, np.arange(samples) % begun.shape[2]]
+
+
 def _repeats(matrix: FloatArray, seen: Observed) -> bool:
-    """Whether simulation and sampling are both periodic in the load rotation."""
+    """Whether simulation and sampling are both periodic in the load rotation, all rows alike."""
     turns = rotation_period_s(matrix) * seen.sampling_hz
     if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
         return False

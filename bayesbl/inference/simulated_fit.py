@@ -77,7 +77,10 @@ class SimulatedFit:
 
 
 def fit_simulated(
-    model: SimulatedSignals, start: FloatArray, steps: FloatArray | None = None
+    model: SimulatedSignals,
+    start: FloatArray,
+    steps: FloatArray | None = None,
+    converged_share: float = CONVERGED_SHARE,
 ) -> SimulatedFit:
     """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
 
@@ -87,6 +90,8 @@ def fit_simulated(
         Shape (d,); moved into the ranges if outside.
     steps
         For derivatives by the first unknowns, from a fit without the others.
+    converged_share
+        Rounds end when one lowers χ² by less than this share of what noise leaves open.
 
     Raises
     ------
@@ -127,7 +132,7 @@ def fit_simulated(
             if np.all(np.abs(move) < 1e-3 * np.sqrt(1.0 / np.diag(curvature).clip(1e-300))):
                 break
             damping *= 10.0
-        if gained < max(CONVERGED, CONVERGED_SHARE * (value - residual.size)):
+        if gained < max(CONVERGED, converged_share * (value - residual.size)):
             break
     jacobian, steps = _jacobian(model, point, residual, steps)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)

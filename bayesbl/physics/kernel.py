@@ -233,6 +233,8 @@ def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
         return twist
     order = p[Slot.gear_transmission_error__order]
     amplitude = p[Slot.gear_transmission_error__angle_rad]
+    if amplitude == 0.0:
+        return twist
     phase = p[Slot.gear_transmission_error__phase_rad]
     return twist + amplitude * math.sin(order * (angle + c.phase_offset) + phase)
 
@@ -243,6 +245,8 @@ def sensed(y, p, c):  # type: ignore[no-untyped-def]
     if not c.effects:
         return y[MOTOR_ANGLE], y[MOTOR_SPEED]
     eccentricity = p[Slot.encoder_eccentricity__angle_rad]
+    if eccentricity == 0.0:
+        return y[MOTOR_ANGLE], y[MOTOR_SPEED]
     phase = y[MOTOR_ANGLE] + c.phase_offset + p[Slot.encoder_eccentricity__phase_rad]
     return (
         y[MOTOR_ANGLE] + eccentricity * math.sin(phase),
@@ -263,10 +267,18 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     return speed, error, torque, share
 
 
+@_inlined
+def direction_of(ratio):  # type: ignore[no-untyped-def]
+    """Smoothed sign tanh(ω / width); beyond 20 it is ±1 to the last digit."""
+    if abs(ratio) > 20.0:
+        return math.copysign(1.0, ratio)
+    return math.tanh(ratio)
+
+
 @_jit
 def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
     """Torque against the motor from motor-side effects, N m."""
-    direction = math.tanh(speed / MOTOR_SIGN_WIDTH)
+    direction = direction_of(speed / MOTOR_SIGN_WIDTH)
     drift = p[Slot.friction_drift__torque_nm]
     drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
     dry = p[Slot.motor_coulomb_friction__torque_nm] + drift
@@ -294,11 +306,14 @@ def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
     """Torque against the load: gravity and load-side effects, N m."""
     torque = c.gravity * math.sin(angle)
     if c.effects:
-        torque += p[Slot.gravity_phase__torque_nm] * math.cos(angle)
+        if p[Slot.gravity_phase__torque_nm] != 0.0:
+            torque += p[Slot.gravity_phase__torque_nm] * math.cos(angle)
         torque += p[Slot.load_torque_offset__torque_nm]
         torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
-            torque += p[Slot.load_coulomb_friction__torque_nm] * math.tanh(speed / LOAD_SIGN_WIDTH)
+            torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
+                speed / LOAD_SIGN_WIDTH
+            )
     return torque
 
 
@@ -311,7 +326,9 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
     if mesh != 0.0:
         # The transmitted torque contains the acceleration: solved with its sign held.
         transmitted = reflected * acceleration + load * c.per_ratio
-        factor = 1.0 + mesh * math.tanh(speed / MOTOR_SIGN_WIDTH) * math.copysign(1.0, transmitted)
+        factor = 1.0 + mesh * direction_of(speed / MOTOR_SIGN_WIDTH) * math.copysign(
+            1.0, transmitted
+        )
         acceleration = (torque - losses - load * c.per_ratio * factor) / (
             c.motor_inertia + reflected * factor
         )

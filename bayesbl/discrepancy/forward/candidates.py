@@ -32,7 +32,7 @@ BENCH_PARAMETERS = (
 PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
 
-SHORTEST_LAG_S = 5e-5
+SHORTEST_LAG_S = 2e-4
 """Shorter ones are not sought: they hardly show and cost the simulator tiny steps."""
 
 _PERIODIC = ("motor_torque_ripple", "gear_transmission_error", "encoder_eccentricity")

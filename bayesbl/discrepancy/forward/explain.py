@@ -18,6 +18,9 @@ from bayesbl.inference.simulated_fit import SimulatedFit, fit_simulated
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
+ROUGHLY_CONVERGED = 0.01
+"""A fit that closes less than this share of what is left in a round is no contender as it stands;
+those that are the best none the less are fitted to the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +87,7 @@ def gain_threshold(parameters: int, trials: int, false_alarm: float) -> float:
 
 
 def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanation | None:
-    """Fit with one candidate more; ``None`` if its bench cannot be simulated.
+    """Fit roughly with one candidate more; ``None`` if its bench cannot be simulated.
 
     Parameters
     ----------
@@ -106,12 +109,18 @@ def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanati
     best: SimulatedFit | None = None
     for start in starts:
         try:
-            fit = fit_simulated(model, start, base.fit.steps)
+            fit = fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED)
         except BenchError:
             continue
         if best is None or fit.chi_square < best.chi_square:
             best = fit
     return None if best is None else Explanation((*base.candidates, candidate), best)
+
+
+def polished(explanation: Explanation) -> Explanation:
+    """The same explanation, fitted to the end."""
+    fit = explanation.fit
+    return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps))
 
 
 def linear_gain(base: Explanation, candidate: Candidate) -> float:

@@ -17,6 +17,7 @@ from bayesbl.discrepancy.forward.explain import (
     gain_threshold,
     linear_gain,
     nominal_explanation,
+    polished,
 )
 from bayesbl.inference.agreement import Disagreement, agrees, disagreements
 from bayesbl.inference.simulated_fit import SimulatedFit
@@ -32,10 +33,14 @@ ENOUGH_CLOSED = 0.8
 """Share of what repeats that an explanation must remove where something still repeats after it."""
 
 GROSS = 1.05
-"""χ² per sample of the nominal fit that counts as far off."""
+"""χ² per sample that counts as far off."""
+
+WORTH_FITTING = 0.5
+"""Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
 
 BEAMS = 3
 FITTED_AFTER_SCREENING = 5
+CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
 """Mean over standard error of the gain per rotation: an effect helps in every rotation."""
 
@@ -92,8 +97,8 @@ def name_missing(
 ) -> Naming:
     """Add candidates until nothing significant is left, nothing generalises or the limit is met.
 
-    Decisions rest on fits of all recordings jointly with every unknown; derivatives only choose
-    which second and third candidates are fitted.
+    Decisions rest on fits of all recordings jointly with every unknown; derivatives choose which
+    second and third candidates are fitted, and the first where nothing seems to be missing.
 
     Parameters
     ----------
@@ -102,20 +107,15 @@ def name_missing(
     progress
         Called with (fits made, fits expected).
     """
-    search = _Search(candidates, false_alarm, progress)
+    search = _Search(candidates, false_alarm, max_effects, progress)
     nominal = nominal_explanation(nominal_fit)
     before = disagreements(nominal_fit)
     first = search.first(nominal)
-    beams = [e for e in first if search.is_significant(nominal, e)][:BEAMS]
-    final = beams[0] if beams else nominal
-    depth = 1
-    while beams and depth < max_effects and not search.is_done(final):
-        following = [e for beam in beams for e in search.next(beam)]
-        following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
-        if not following or following[0].log_evidence <= final.log_evidence:
-            break
-        beams, final = following[:BEAMS], following[0]
-        depth += 1
+    final = search.extended(nominal, first)
+    if first and _is_gross(first[0]) and not search.agrees(final):
+        # The gap may have been drawn to another optimum.
+        first = search.first_from_afar(nominal, first)
+        final = max(search.extended(nominal, first), final, key=lambda e: e.log_evidence)
     final = search.without_idle(nominal, final, first)
     remaining = disagreements(final.fit)
     verdict = _verdict(nominal, final, before, remaining, false_alarm)
@@ -136,55 +136,78 @@ class _Search:
     """Fits of candidates with their thresholds; counts them for the progress bar."""
 
     def __init__(
-        self, candidates: Sequence[Candidate], false_alarm: float, progress: Progress | None
+        self,
+        candidates: Sequence[Candidate],
+        false_alarm: float,
+        max_effects: int,
+        progress: Progress | None,
     ) -> None:
         self._candidates = tuple(candidates)
         self._false_alarm = false_alarm
+        self._max_effects = max_effects
         self._progress = progress
         self._made = 0
+        self._fits: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
+        self._promises: dict[int, tuple[Explanation, FloatArray]] = {}
 
     def first(self, nominal: Explanation) -> list[Explanation]:
-        """All candidates, one at a time, most probable first.
+        """All candidates that come into question, one at a time, most probable first.
 
-        Where none of them explains a nominal fit that is far off, starts are sought over the whole
-        ranges: the gap may have been drawn to another optimum.
+        Where the bench as believed agrees with the recordings, what is missing is small and its
+        derivatives tell what it could gain: what promises nothing is not fitted.
         """
-        fits = self._alone(nominal, self._candidates, scan=False)
-        per_sample = nominal.fit.chi_square / nominal.fit.residual.size
-        if per_sample > GROSS and not any(
-            agrees(disagreements(f.fit), self._false_alarm) for f in fits[:1]
-        ):
-            far = [c for c in self._candidates if c.scanned is not None]
-            near = [f for f in fits if f.candidates[-1].scanned is None]
-            fits = [*near, *self._alone(nominal, far, scan=True)]
-        return sorted(fits, key=lambda e: -e.log_evidence)
+        tried = self._candidates
+        if self.agrees(nominal) and not _is_gross(nominal):
+            least = WORTH_FITTING * self._threshold(1)
+            promised = zip(tried, self._promised(nominal), strict=True)
+            tried = tuple(c for c, gain in promised if gain > least)
+        return self._contenders([self._fit(nominal, c) for c in tried])
 
-    def _alone(
-        self, nominal: Explanation, candidates: Sequence[Candidate], *, scan: bool
+    def first_from_afar(
+        self, nominal: Explanation, first: Sequence[Explanation]
     ) -> list[Explanation]:
-        fits = [self._fit(nominal, c, scan=scan) for c in candidates]
-        return sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
+        """The same with starts over the whole ranges, for those that move the gap."""
+        far = [c for c in self._candidates if c.scanned is not None]
+        fits = [explain(nominal, c, scan=True) for c in far]
+        near = [e for e in first if e.candidates[-1].scanned is None]
+        return self._contenders([*near, *fits])
+
+    def extended(self, nominal: Explanation, first: Sequence[Explanation]) -> Explanation:
+        """The most probable explanation by as many candidates as it takes."""
+        beams = [e for e in first if self.is_significant(nominal, e)][:BEAMS]
+        final = beams[0] if beams else nominal
+        depth = 1
+        while beams and depth < self._max_effects and not self.is_done(final):
+            following: list[Explanation] = []
+            for beam in beams:
+                following += self.next(beam)
+                if any(self.agrees(e) for e in following):
+                    break
+            following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
+            if not following or following[0].log_evidence <= final.log_evidence:
+                break
+            beams, final = following[:BEAMS], following[0]
+            depth += 1
+        return final
 
     def next(self, base: Explanation) -> list[Explanation]:
         """The few candidates that the derivatives speak for, added to ``base`` and significant."""
-        fits = [self._fit(base, c, scan=False) for c in self._screened(base)]
-        return [f for f in fits if f is not None and self.is_significant(base, f)]
+        fits = self._contenders([self._fit(base, c) for c in self._screened(base)])
+        return [f for f in fits if self.is_significant(base, f)]
+
+    def agrees(self, explanation: Explanation) -> bool:
+        """Whether nothing repeats any more."""
+        return agrees(disagreements(explanation.fit), self._false_alarm)
 
     def is_significant(self, base: Explanation, more: Explanation) -> bool:
         """Whether χ² falls by more than chance, and in the rotations alike."""
         gain = base.fit.chi_square - more.fit.chi_square
-        threshold = gain_threshold(
-            more.parameters - base.parameters, len(self._candidates), self._false_alarm
-        )
+        threshold = self._threshold(more.parameters - base.parameters)
         return gain > threshold and _consistency(base.fit, more.fit) > LEAST_CONSISTENCY
 
     def is_done(self, explanation: Explanation) -> bool:
         """Whether nothing repeats any more and no further candidate promises anything."""
-        if not agrees(disagreements(explanation.fit), self._false_alarm):
-            return False
-        promised = [linear_gain(explanation, c) for c in self._others(explanation)]
-        threshold = gain_threshold(1, len(self._candidates), self._false_alarm)
-        return max(promised, default=0.0) < threshold
+        return self.agrees(explanation) and self._best_promise(explanation) < self._threshold(1)
 
     def without_idle(
         self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
@@ -213,8 +236,7 @@ class _Search:
                 alternatives = [e for e in first if e.candidates[-1] is not candidate]
             else:
                 tried = [c for c in self._screened(rest) if c is not candidate]
-                fits = [self._fit(rest, c, scan=False) for c in tried]
-                alternatives = [f for f in fits if f is not None]
+                alternatives = self._contenders([self._fit(rest, c) for c in tried])
             gain = rest.fit.chi_square - final.fit.chi_square
             own = self._rivals(final, candidate, alternatives)
             found.append(NamedEffect(candidate, gain, own))
@@ -249,25 +271,46 @@ class _Search:
         explanation: Explanation | None = nominal
         for candidate in rest:
             explanation = None if explanation is None else self._fit(explanation, candidate)
-        return explanation
+        return None if explanation is None else polished(explanation)
+
+    def _threshold(self, parameters: int) -> float:
+        return gain_threshold(parameters, len(self._candidates), self._false_alarm)
 
     def _screened(self, base: Explanation) -> list[Candidate]:
-        others = self._others(base)
-        gains = [linear_gain(base, c) for c in others]
+        gains = self._promised(base)
         order = np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]
-        return [others[int(i)] for i in order if gains[int(i)] > 0.0]
+        return [self._candidates[int(i)] for i in order if gains[int(i)] > 0.0]
 
-    def _others(self, base: Explanation) -> list[Candidate]:
-        return [c for c in self._candidates if c.name not in base.names]
+    def _best_promise(self, base: Explanation) -> float:
+        return float(np.max(self._promised(base), initial=0.0))
 
-    def _fit(
-        self, base: Explanation, candidate: Candidate, *, scan: bool = False
-    ) -> Explanation | None:
-        result = explain(base, candidate, scan=scan)
-        self._made += 1
-        if self._progress is not None:
-            self._progress(self._made, max(self._made, len(self._candidates)))
-        return result
+    def _promised(self, base: Explanation) -> FloatArray:
+        """Gain that the derivatives promise, of each candidate; 0 of those that are in already."""
+        if id(base) not in self._promises:
+            gains = [
+                0.0 if c.name in base.names else linear_gain(base, c) for c in self._candidates
+            ]
+            self._promises[id(base)] = base, np.array(gains)
+        return self._promises[id(base)][1]
+
+    def _fit(self, base: Explanation, candidate: Candidate) -> Explanation | None:
+        key = id(base), id(candidate)
+        if key not in self._fits:
+            self._fits[key] = base, explain(base, candidate, scan=False)
+            self._made += 1
+            if self._progress is not None:
+                self._progress(self._made, max(self._made, len(self._candidates)))
+        return self._fits[key][1]
+
+    def _contenders(self, fits: Sequence[Explanation | None]) -> list[Explanation]:
+        """Most probable first, the first few fitted to the end."""
+        found = sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
+        best = [polished(e) for e in found[:CONTENDERS]]
+        return sorted([*best, *found[CONTENDERS:]], key=lambda e: -e.log_evidence)
+
+
+def _is_gross(explanation: Explanation) -> bool:
+    return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
 
 
 def _verdict(
