@@ -138,7 +138,7 @@ class Linear(SimulatedSignals):
         super().__init__(bench(), [seen], unknowns, [white])
         self.matrix = matrix
 
-    def signals(self, points, recording):
+    def stretch(self, points, recording):
         return (np.atleast_2d(points) @ self.matrix.T)[:, None, :]
 
 

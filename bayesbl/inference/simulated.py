@@ -254,9 +254,9 @@ class SimulatedSignals:
 
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
-        return _continued(self._begun(points, recording), self.recordings[recording].samples)
+        return _continued(self.stretch(points, recording), self.recordings[recording].samples)
 
-    def _begun(self, points: FloatArray, recording: int) -> FloatArray:
+    def stretch(self, points: FloatArray, recording: int) -> FloatArray:
         """As :meth:`signals`, but one rotation only where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
         points = np.atleast_2d(points)
@@ -291,7 +291,7 @@ class SimulatedSignals:
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
         seen, noise = self.recordings[recording], self.noise[recording]
-        begun = self._begun(points, recording)
+        begun = self.stretch(points, recording)
         # Whitening is linear, and what repeats still repeats when it is whitened.
         repeated = _continued(begun, min(begun.shape[2] + noise.order, seen.samples))
         simulated = _continued(noise.whiten(repeated), seen.samples - noise.order)
