@@ -41,7 +41,9 @@ from bayesbl.discrepancy.forward.diagnosis import (
 )
 from bayesbl.discrepancy.forward.explain import Explanation, distance, explain
 from bayesbl.discrepancy.forward.motor_orders import OrderPeak
-from bayesbl.inference.simulated import START_ANGLE, Unknown, gap_unknown, observed
+from bayesbl.inference.direct import sample_direct
+from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.inference.simulated import GAP, START_ANGLE, Unknown, gap_unknown, observed
 from bayesbl.inference.simulated import start_angle_unknown as start_angle
 from bayesbl.physics.effects import EFFECTS
 from bayesbl.physics.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
@@ -103,6 +105,7 @@ class Row(BaseModel):
 
     ``hide``: ``effect`` goes through the catalogue case by case, ``pair`` draws two of it,
     ``outside`` and ``parameter`` take the entry ``which``, as does ``effect`` if it is given.
+    ``sampled`` samples the posterior of δ too, to compare the Laplace approximation with it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -113,6 +116,7 @@ class Row(BaseModel):
     which: str | None = None
     strength: float = Field(1.0, gt=0.0)
     speeds_rpm: tuple[float, ...] = SPEEDS_RPM
+    sampled: bool = False
 
 
 COLUMNS = {
@@ -129,6 +133,8 @@ COLUMNS = {
     "delta_z_after": ("1", "the same with what was named"),
     "delta_ratio_before": ("1", "fitted gap over the one simulated, bench as believed"),
     "delta_ratio_after": ("1", "the same with what was named"),
+    "sampled_shift_sd": ("1", "posterior mean of ln δ by emcee less the optimum, in its sd"),
+    "sampled_sd_ratio": ("1", "posterior sd of ln δ by emcee over the Laplace approximation's"),
     "suggested_rpm": ("rpm", "speed of the suggested recording"),
     "chi_square_before": ("1", "χ² per sample of the nominal fit"),
     "diagnosis_s": ("s", "time of the diagnosis alone"),
@@ -153,14 +159,20 @@ def count(row: Row) -> int:
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One dataset, diagnosed and compared with the truth."""
-    generator = np.random.default_rng(seed)
+    data_seed, sampling_seed = seed.spawn(2)
+    generator = np.random.default_rng(data_seed)
     hidden = hide(row, index, generator)
     speeds = (*row.speeds_rpm, HELD_OUT_RPM)
     made = random_recordings(hidden.values, hidden.settings, generator, speeds_rpm=speeds)
     begin = time.perf_counter()
     found = _diagnosed(hidden, made, generator)
     seconds = time.perf_counter() - begin
-    return {**_answer(found), **_score(found, hidden, made), "diagnosis_s": seconds}
+    return {
+        **_answer(found),
+        **_score(found, hidden, made),
+        **(_sampled(found, sampling_seed) if row.sampled else {}),
+        "diagnosis_s": seconds,
+    }
 
 
 def hide(row: Row, index: int, generator: np.random.Generator) -> Hidden:
@@ -217,6 +229,10 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         line[f"cover_90_{stage}"] = _mean(list(np.abs(errors) < LEVEL_SD))
         ratios = np.abs(np.log(cases[f"delta_ratio_{stage}"].values))
         line[f"delta_factor_{stage}"] = float(np.exp(np.nanmedian(ratios)))
+    if np.any(np.isfinite(cases["sampled_sd_ratio"].values)):
+        line["sampled_shift_most_sd"] = float(np.nanmax(np.abs(cases["sampled_shift_sd"].values)))
+        line["sampled_sd_ratio_low"] = float(np.nanmin(cases["sampled_sd_ratio"].values))
+        line["sampled_sd_ratio_high"] = float(np.nanmax(cases["sampled_sd_ratio"].values))
     line["median_s"] = float(np.median(cases["diagnosis_s"].values))
     return line
 
@@ -348,6 +364,19 @@ def _score(found: ForwardDiagnosis, hidden: Hidden, made: Sequence[Made]) -> dic
         score[f"delta_ratio_{stage}"] = math.exp(error)
         score[f"delta_z_{stage}"] = math.nan if estimate is None else error / estimate.sd
     return score
+
+
+def _sampled(found: ForwardDiagnosis, seed: np.random.SeedSequence) -> dict[str, float]:
+    """The posterior of the gap by emcee beside the Laplace approximation."""
+    laplace = found.delta_after
+    if laplace is None:
+        return {}
+    posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
+    log_gap = np.log(posterior.values(GAP))
+    return {
+        "sampled_shift_sd": (float(log_gap.mean()) - laplace.value) / laplace.sd,
+        "sampled_sd_ratio": float(log_gap.std()) / laplace.sd,
+    }
 
 
 def _signature(found: ForwardDiagnosis, hidden: Hidden) -> tuple[float, float]:

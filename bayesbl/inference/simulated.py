@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
 from bayesbl.inference.channel_noise import ChannelNoise
+from bayesbl.inference.recent import RecentSimulations
 from bayesbl.physics.bench import Bench
 from bayesbl.physics.effects import effect_named
 from bayesbl.physics.kernel import CURRENT, SPEED, Slot
@@ -216,6 +218,8 @@ class SimulatedSignals:
         Threads; the numbers do not depend on it.
     settings
         What is known beside the bench, by name, as ``gap_rad``.
+    recent
+        Simulations that another comparison of the same recordings has made.
     """
 
     def __init__(
@@ -226,8 +230,10 @@ class SimulatedSignals:
         noise: Sequence[ChannelNoise],
         workers: int = 1,
         settings: Mapping[str, float] | None = None,
+        recent: RecentSimulations | None = None,
     ) -> None:
         self.settings = dict(settings or {})
+        self.recent = RecentSimulations() if recent is None else recent
         self.bench = bench
         self.recordings = tuple(recordings)
         self.unknowns = tuple(unknowns)
@@ -273,33 +279,47 @@ class SimulatedSignals:
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
-        size = samples, seen.sampling_hz
-        rest = {"accuracy_rpm": accuracy, "workers": self.workers, "failures": "nan"}
-        if len(seen.signals) == 1:
-            found = simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
-        else:
-            everything = simulate_channels(matrix, *size, **rest)  # type: ignore[arg-type]
-            found = everything[:, [SPEED, CURRENT]]
+        found = self.recent.signals(
+            matrix,
+            (len(seen.signals), samples, seen.sampling_hz, accuracy),
+            partial(_simulated, seen, samples, accuracy, self.workers),
+        )
         return found[place.ravel()]
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
-        parts = [self.whitened_of(points, i) for i in range(len(self.recordings))]
-        return np.concatenate(parts, axis=1)
+        sizes = [seen.size for seen in self._white_recordings]
+        white = np.empty((len(points), sum(sizes)))
+        for i, part in enumerate(np.split(white, np.cumsum(sizes)[:-1], axis=1)):
+            self._whiten_into(part, points, i)
+        return white
 
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
+        points = np.atleast_2d(points)
+        white = np.empty((len(points), self._white_recordings[recording].size))
+        self._whiten_into(white, points, recording)
+        return white
+
+    def _whiten_into(self, out: FloatArray, points: FloatArray, recording: int) -> None:
         seen, noise = self.recordings[recording], self.noise[recording]
         begun = self.stretch(points, recording)
         # Whitening is linear, and what repeats still repeats when it is whitened.
-        repeated = _continued(begun, min(begun.shape[2] + noise.order, seen.samples))
-        simulated = _continued(noise.whiten(repeated), seen.samples - noise.order)
-        white = self._white_recordings[recording] - simulated
+        simulated = noise.whiten(_continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
+        observed = self._white_recordings[recording]
+        white = out.reshape(len(points), *observed.shape)
+        length = simulated.shape[2]
+        for first in range(0, observed.shape[1], length):
+            turn = observed[:, first : first + length]
+            np.subtract(
+                turn,
+                simulated[:, :, : turn.shape[1]],
+                out=white[:, :, first : first + length],
+            )
         if seen.excluded is not None:
             touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
             white[..., touched] = 0.0
-        return white.reshape(len(white), -1)
 
     def log_prior(self, points: FloatArray) -> FloatArray:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
@@ -312,6 +332,17 @@ class SimulatedSignals:
     def prior_precision(self) -> FloatArray:
         """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
         return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+
+
+def _simulated(
+    seen: Observed, samples: int, accuracy_rpm: float, workers: int, matrix: FloatArray
+) -> FloatArray:
+    """Channels as observed, (m, SLOTS) to (m, c, samples)."""
+    size = samples, seen.sampling_hz
+    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": "nan"}
+    if len(seen.signals) == 1:
+        return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
 
 
 def _continued(begun: FloatArray, samples: int) -> FloatArray:

@@ -211,7 +211,7 @@ def _jacobian(
     drowns a shorter one, curvature spoils a longer one.
     """
     d = point.size
-    columns = np.empty((residual.size, d))
+    columns = np.empty((d, residual.size)).T
     pending = np.arange(d)
     steps = steps.copy()
     for attempt in range(4):

@@ -69,7 +69,7 @@ def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Expla
     """The same explanation, fitted again under another noise."""
     old = explanation.fit.model
     model = SimulatedSignals(
-        old.bench, old.recordings, old.unknowns, noise, old.workers, old.settings
+        old.bench, old.recordings, old.unknowns, noise, old.workers, old.settings, old.recent
     )
     fit = fit_simulated(model, explanation.fit.point, explanation.fit.steps)
     return replace(explanation, fit=fit)
@@ -147,6 +147,7 @@ def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
         model.noise,
         model.workers,
         model.settings,
+        model.recent,
     )
 
 

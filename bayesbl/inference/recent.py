@@ -1,0 +1,59 @@
+"""Simulations made lately, kept to be asked for again.
+
+Fits of many candidates begin at one point: what the bench as believed predicts around it would be
+simulated once for each of them.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+MOST_BYTES = 32_000_000
+
+
+class RecentSimulations:
+    """Signals by what they were simulated from; the oldest are forgotten."""
+
+    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+        self._most_bytes = most_bytes
+        self._bytes = 0
+        self._kept: OrderedDict[tuple[Hashable, bytes], FloatArray] = OrderedDict()
+
+    def signals(
+        self,
+        matrix: FloatArray,
+        settings: Hashable,
+        simulate: Callable[[FloatArray], FloatArray],
+    ) -> FloatArray:
+        """Signals of each parameter vector, (m, SLOTS) to (m, c, k).
+
+        Parameters
+        ----------
+        settings
+            Everything else that the signals depend on.
+        simulate
+            Makes the signals of the rows that are not known.
+        """
+        keys = [(settings, row.tobytes()) for row in matrix]
+        missing = [i for i, key in enumerate(keys) if key not in self._kept]
+        fresh = dict(zip(missing, simulate(matrix[missing]), strict=True)) if missing else {}
+        found = np.stack(
+            [fresh[i] if i in fresh else self._kept[keys[i]] for i in range(len(keys))]
+        )
+        for i, key in enumerate(keys):
+            self._keep(key, fresh.get(i))
+        return found
+
+    def _keep(self, key: tuple[Hashable, bytes], signals: FloatArray | None) -> None:
+        if signals is not None and key not in self._kept:
+            self._kept[key] = signals.copy()
+            self._bytes += signals.nbytes
+        self._kept.move_to_end(key)
+        while self._bytes > self._most_bytes and len(self._kept) > 1:
+            _, oldest = self._kept.popitem(last=False)
+            self._bytes -= oldest.nbytes
