@@ -90,3 +90,6 @@ def test_the_oldest_simulations_are_forgotten() -> None:
     for value in (1.0, 2.0, 1.0, 3.0, 1.0, 2.0):
         recent.signals(np.full((1, 5), value), None, simulate)
     assert asked == [1.0, 2.0, 3.0, 2.0]
+    # More at once than are kept, known ones among them.
+    many = np.repeat(np.array([[2.0], [4.0], [5.0], [1.0], [6.0]]), 5, axis=1)
+    assert np.array_equal(recent.signals(many, None, simulate)[:, 0], many)

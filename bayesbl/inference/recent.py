@@ -46,14 +46,15 @@ class RecentSimulations:
             [fresh[i] if i in fresh else self._kept[keys[i]] for i in range(len(keys))]
         )
         for i, key in enumerate(keys):
-            self._keep(key, fresh.get(i))
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            else:
+                self._kept[key] = fresh[i].copy()
+                self._bytes += fresh[i].nbytes
+        self._forget()
         return found
 
-    def _keep(self, key: tuple[Hashable, bytes], signals: FloatArray | None) -> None:
-        if signals is not None and key not in self._kept:
-            self._kept[key] = signals.copy()
-            self._bytes += signals.nbytes
-        self._kept.move_to_end(key)
+    def _forget(self) -> None:
         while self._bytes > self._most_bytes and len(self._kept) > 1:
             _, oldest = self._kept.popitem(last=False)
             self._bytes -= oldest.nbytes

@@ -98,7 +98,12 @@ def wear(summary: Summary) -> Iterator[str]:
     told = (
         f"{1e3 * after['median']:.4g} mrad ({1e3 * after['low']:.4g} to {1e3 * after['high']:.4g})"
     )
-    if summary["effects"] or summary["parameter_errors"]:
+    if summary["verdict"] == "unexplained":
+        yield (
+            f"With what is unexplained in it the gap would be {told}: do not rely on it before "
+            "you know what it is."
+        )
+    elif summary["effects"] or summary["parameter_errors"]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
         yield (
             f"The gap is {told}; the bench as believed gives {1e3 * before['median']:.4g} mrad, "

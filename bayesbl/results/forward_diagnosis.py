@@ -1,9 +1,10 @@
 """A forward diagnosis as a stored tree.
 
-``gaps``: RMS before and after for every recording, channel and use. ``located_before`` and
-``located_after``: what the simulation left. ``ranking``: every candidate added alone. The answer in
-the words of ``summary.json`` stands as JSON in the attribute ``diagnosis`` of the root, the bench
-with what was named in it as a bench file in the attribute ``augmented_bench``.
+``posterior``: draws of δ, of the start angles and of what was named, with it added. ``gaps``: RMS
+before and after for every recording, channel and use. ``located_before``, ``located_after``: what
+the simulation left. ``ranking``: every candidate added alone. The answer in the words of
+``summary.json`` stands as JSON in the attribute ``diagnosis`` of the root, the bench with what was
+named in it as a bench file in the attribute ``augmented_bench``.
 """
 
 from __future__ import annotations
@@ -11,37 +12,52 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from statistics import NormalDist
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from bayesbl.discrepancy.forward.diagnosis import ForwardDiagnosis, estimates
+from bayesbl.discrepancy.forward.diagnosis import ForwardDiagnosis, estimates, places
 from bayesbl.discrepancy.forward.evaluate import ChannelGap
 from bayesbl.discrepancy.forward.naming import NamedEffect
 from bayesbl.discrepancy.report import Estimate
+from bayesbl.inference.direct import DirectPosterior
+from bayesbl.inference.simulated import GAP
 from bayesbl.physics.bench import Bench
 from bayesbl.results.diagnosis import GAP_WORDS, interval_of
+from bayesbl.results.direct_tree import result_name, unit_and_meaning
+from bayesbl.results.intervals import IntervalKind, interval
 from bayesbl.results.located import located_dataset
 from bayesbl.results.tree import dataset
 from bayesbl.units import unit_of
 
 
 def forward_tree(
-    found: ForwardDiagnosis, believed: Bench, augmented: str, level: float
+    found: ForwardDiagnosis,
+    posterior: DirectPosterior,
+    believed: Bench,
+    augmented: str,
+    level: float,
+    kind: IntervalKind,
 ) -> xr.DataTree:
     """The whole result, without its origin.
 
     Parameters
     ----------
+    posterior
+        Around ``found.final``. Where it is withheld, intervals are those of the normal
+        approximation, and a warning says so.
     believed
         The bench as its file says.
     augmented
         Bench file with what was named in it; empty if nothing was.
     """
+    intervals = _Intervals(posterior, level, kind)
     tree = xr.DataTree.from_dict(
         {
+            "posterior": _posterior(posterior),
             "gaps": _gaps(found),
             "ranking": _ranking(found),
             "located_before": located_dataset(found.located_before),
@@ -51,29 +67,57 @@ def forward_tree(
     tree.attrs = {
         "kind": "diagnose",
         "method": "forward",
-        "outcome": "converged",
+        "outcome": "usable" if posterior.diagnostics.reasons else "converged",
         "reason": "",
-        "warnings": [],
+        "warnings": list(_warnings(posterior)),
         "interval_level": level,
-        "interval_kind": "equal_tailed",
-        "diagnosis": json.dumps(_answer(found, believed, level), ensure_ascii=False),
+        "interval_kind": kind,
+        "diagnosis": json.dumps(_answer(found, intervals, believed), ensure_ascii=False),
         "augmented_bench": augmented,
     }
     return tree
 
 
-def _answer(found: ForwardDiagnosis, believed: Bench, level: float) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class _Intervals:
+    """Credible intervals of what was fitted."""
+
+    posterior: DirectPosterior
+    level: float
+    kind: IntervalKind
+
+    def of(self, estimate: Estimate, place: int | None) -> dict[str, Any]:
+        """From the draws; of a normal distribution where they are withheld."""
+        if place is None or self.posterior.diagnostics.outcome == "withheld":
+            return interval_of(estimate, self.level)
+        unknown = self.posterior.fit.model.unknowns[place]
+        draws = unknown.value(self.posterior.draws[..., place])
+        return interval(draws, self.level, self.kind)
+
+    def of_gap(self, estimate: Estimate | None, place: int | None) -> dict[str, Any] | None:
+        """Of δ, whose logarithm is estimated."""
+        if estimate is None:
+            return None
+        if place is not None and self.posterior.diagnostics.outcome != "withheld":
+            return self.of(estimate, place)
+        logarithm = interval_of(estimate, self.level)
+        return logarithm | {k: math.exp(logarithm[k]) for k in ("median", "low", "high")}
+
+
+def _answer(found: ForwardDiagnosis, intervals: _Intervals, believed: Bench) -> dict[str, Any]:
     named = found.naming.effects
     suggestion = found.suggestion
+    unknowns = [u.name for u in found.final.fit.model.unknowns]
+    gap = unknowns.index(GAP) if GAP in unknowns else None
     return {
         "verdict": found.verdict,
-        "effects": [_effect(found, e, level) for e in named if e.candidate.kind == "effect"],
+        "effects": [_effect(found, e, intervals) for e in named if e.candidate.kind == "effect"],
         "parameter_errors": [
             {
                 "name": effect.name,
                 "believed": believed.value(effect.name),
                 "tolerance": believed.parameters[effect.name].tolerance,
-                "fitted": interval_of(estimates(found.final, effect.name)[effect.name], level),
+                "fitted": _fitted(found, effect, intervals)[effect.name],
                 "indistinguishable_from": list(effect.members[1:]),
             }
             for effect in named
@@ -81,24 +125,67 @@ def _answer(found: ForwardDiagnosis, believed: Bench, level: float) -> dict[str,
         ],
         "remaining": [_plain(dataclasses.asdict(entry)) for entry in found.remaining],
         "gap": _gap_table(found),
-        "delta_rad_before": _delta(found.delta_before, level),
-        "delta_rad_after": _delta(found.delta_after, level),
+        "delta_rad_before": intervals.of_gap(found.delta_before, None),
+        "delta_rad_after": intervals.of_gap(found.delta_after, gap),
         "suggested_recording": None
         if suggestion is None
         else dataclasses.asdict(suggestion)
         | {"separates": [list(e.members) for e in named if e.indistinguishable]},
+        "diagnostics": _diagnostics(intervals.posterior),
     }
 
 
-def _effect(found: ForwardDiagnosis, effect: NamedEffect, level: float) -> dict[str, Any]:
-    parameters = estimates(found.final, effect.name)
+def _effect(found: ForwardDiagnosis, effect: NamedEffect, intervals: _Intervals) -> dict[str, Any]:
     return {
         "name": effect.name,
-        "parameters": {key: interval_of(value, level) for key, value in parameters.items()},
+        "parameters": _fitted(found, effect, intervals),
         "probability": _probability(found, effect),
         "z": math.sqrt(max(effect.gain, 0.0)),
         "indistinguishable_from": list(effect.members[1:]),
     }
+
+
+def _fitted(
+    found: ForwardDiagnosis, effect: NamedEffect, intervals: _Intervals
+) -> dict[str, dict[str, Any]]:
+    at = places(found.final, effect.name)
+    return {
+        key: intervals.of(value, at.get(key))
+        for key, value in estimates(found.final, effect.name).items()
+    }
+
+
+def _diagnostics(posterior: DirectPosterior) -> dict[str, Any]:
+    told = posterior.diagnostics
+    return {
+        "r_hat": max(told.r_hat.values()),
+        "ess_bulk": min(told.ess_bulk.values()),
+        "effective_after_simulation": posterior.effective,
+        "outcome": told.outcome,
+        "reasons": list(told.reasons),
+    }
+
+
+def _warnings(posterior: DirectPosterior) -> Iterator[str]:
+    told = posterior.diagnostics
+    if told.outcome == "withheld":
+        yield "The posterior could not be sampled; intervals are of its normal approximation."
+    yield from told.reasons
+
+
+def _posterior(posterior: DirectPosterior) -> xr.Dataset:
+    """Draws by name; what every recording has of its own stands under the recording's name."""
+    chains, count, _ = posterior.draws.shape
+    variables = {}
+    for i, unknown in enumerate(posterior.fit.model.unknowns):
+        name = result_name(unknown)
+        unit, meaning = unit_and_meaning(name)
+        own = unknown.recording
+        label = name if own is None else f"{name} ({own})"
+        draws = unknown.value(posterior.draws[..., i])
+        told = meaning if own is None else f"{meaning}, {own}"
+        variables[label] = (("chain", "draw"), draws, unit, told)
+    return dataset(variables, {"chain": np.arange(chains), "draw": np.arange(count)})
 
 
 def _probability(found: ForwardDiagnosis, effect: NamedEffect) -> float:
@@ -122,20 +209,6 @@ def _gap_table(found: ForwardDiagnosis) -> dict[str, Any]:
 
 def _one_gap(gap: ChannelGap) -> dict[str, float | None]:
     return {name: getattr(gap, name) for name in GAP_WORDS}
-
-
-def _delta(estimate: Estimate | None, level: float) -> dict[str, Any] | None:
-    """From ln δ to δ."""
-    if estimate is None:
-        return None
-    reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * estimate.sd
-    return {
-        "median": math.exp(estimate.value),
-        "low": math.exp(estimate.value - reach),
-        "high": math.exp(estimate.value + reach),
-        "level": level,
-        "kind": "equal_tailed",
-    }
 
 
 def _plain(entry: dict[str, Any]) -> dict[str, Any]:

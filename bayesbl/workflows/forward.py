@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import xarray as xr
 
 from bayesbl.config.bench import dump_bench
@@ -13,6 +14,8 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.discrepancy.forward.diagnosis import ForwardSettings, diagnose_forward, halves
 from bayesbl.discrepancy.forward.naming import Progress
 from bayesbl.errors import ConfigError
+from bayesbl.inference.direct import sample_direct
+from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.simulated import (
     START_ANGLE,
     Observed,
@@ -69,8 +72,11 @@ def forward_diagnosis(
     )
     found = diagnose_forward(bench, used, held_out, unknowns, settings, progress)
     augmented = "" if found.bench is None else dump_bench(found.bench)
-    tree = forward_tree(found, bench, augmented, config.interval.level)
-    tree.attrs["warnings"] = list(notes)
+    seed = np.random.SeedSequence(config.run.seed)
+    posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
+    interval = config.interval
+    tree = forward_tree(found, posterior, bench, augmented, interval.level, interval.kind)
+    tree.attrs["warnings"] = [*notes, *tree.attrs["warnings"]]
     return tree
 
 

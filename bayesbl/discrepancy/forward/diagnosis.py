@@ -168,15 +168,21 @@ def estimates(explanation: Explanation, name: str) -> dict[str, Estimate]:
     for effect in fit.model.bench.effects:
         if effect.name == name:
             found |= {k: Estimate(v.value, math.nan) for k, v in effect.parameters.items()}
-    for i, unknown in enumerate(fit.model.unknowns):
-        owner, _, parameter = unknown.name.rpartition("__")
-        if name not in (owner, unknown.name):
-            continue
-        key = parameter if unknown.recording is None else f"{parameter} ({unknown.recording})"
+    for key, i in places(explanation, name).items():
         sd = float(np.sqrt(fit.covariance[i, i]))
-        found[key] = Estimate(float(unknown.value(fit.point[i])), sd)
-        if unknown.recording is not None:
-            found.pop(parameter, None)
+        found[key] = Estimate(float(fit.model.unknowns[i].value(fit.point[i])), sd)
+        found.pop(key.partition(" (")[0] if " (" in key else "", None)
+    return found
+
+
+def places(explanation: Explanation, name: str) -> dict[str, int]:
+    """Where the unknowns of one named effect or parameter stand in a point."""
+    found = {}
+    for i, unknown in enumerate(explanation.fit.model.unknowns):
+        owner, _, parameter = unknown.name.rpartition("__")
+        if name in (owner, unknown.name):
+            own = unknown.recording
+            found[parameter if own is None else f"{parameter} ({own})"] = i
     return found
 
 
