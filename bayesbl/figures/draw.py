@@ -20,6 +20,7 @@ from bayesbl.figures.discrepancy import discrepancy
 from bayesbl.figures.disturbance import disturbance
 from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
+from bayesbl.figures.named import can_be_drawn, named
 from bayesbl.figures.noise import noise
 from bayesbl.figures.overlay import overlay
 from bayesbl.figures.signal import signal
@@ -66,6 +67,8 @@ def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
         for recording in before["recording"].values:
             figure = discrepancy(before, str(recording), after)
             yield f"diagnosis_{str(recording).replace(' ', '_')}", figure
+        if can_be_drawn(tree):
+            yield named.__name__, named(tree)
         return
     for recording, figure in diagnosed(tree).items():
         yield f"diagnosis_{recording.replace(' ', '_')}", figure

@@ -16,6 +16,7 @@ CAPTIONS: Mapping[str, str] = MappingProxyType(
         "degrees": "How well polynomials of other degrees describe the sweep.",
         "bench_draws": "The curve over benches within their tolerances.",
         "diagnosis": "Measured signal, bench before and after naming, and what is left.",
+        "named": "The posterior of the gap and of what was named.",
         "misfit": "What repeats every rotation and the model does not describe.",
         "noise": "What does not repeat from one rotation to the next, and its noise model.",
         "convergence": "How the search found its optimum.",

@@ -1,0 +1,113 @@
+"""Posterior of what a diagnosis named, and of the gap with it added."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayesbl.figures.layout import one_panel_each
+from bayesbl.figures.snapshots import GAP, credible_interval
+from bayesbl.figures.style import NEUTRAL, head_panels, look, publication_style
+from bayesbl.recording.types import FloatArray
+
+_BINS = 25
+_BELIEVED = "#d55e00"
+
+
+@publication_style()
+def named(tree: xr.DataTree) -> Figure:
+    """A panel for δ and one for each size that was named, with what was believed before.
+
+    Phases and start angles, another in every recording, are left out.
+    """
+    posterior = tree["posterior"].to_dataset()
+    answer = json.loads(tree.attrs["diagnosis"])
+    shown = [name for name in map(str, posterior) if _is_size(name, answer)]
+    figure, axes = one_panel_each(len(shown), height_in=1.9, shared=False)
+    told = [
+        _draw(panel, tree, posterior[name], _believed(name, answer), look(index).colour)
+        for index, (panel, name) in enumerate(zip(axes, shown, strict=True))
+    ]
+    head_panels(axes, [f"{_title(n)}: {t}" for n, t in zip(shown, told, strict=True)])
+    return figure
+
+
+def can_be_drawn(tree: xr.DataTree) -> bool:
+    """Whether anything but phases and start angles was sampled."""
+    answer = json.loads(tree.attrs["diagnosis"])
+    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
+
+
+def _is_size(name: str, answer: dict[str, Any]) -> bool:
+    if name == GAP:
+        return True
+    errors = [error["name"] for error in answer["parameter_errors"]]
+    return name in errors or ("__" in name and "__phase_rad" not in name)
+
+
+def _believed(name: str, answer: dict[str, Any]) -> dict[str, Any] | None:
+    """Interval, or value alone, that the bench as believed has."""
+    if name == GAP:
+        before: dict[str, Any] | None = answer["delta_rad_before"]
+        return before
+    for error in answer["parameter_errors"]:
+        if error["name"] == name:
+            return {"median": error["believed"], "low": None, "high": None}
+    return None
+
+
+def _draw(
+    panel: Axes,
+    tree: xr.DataTree,
+    variable: xr.DataArray,
+    believed: dict[str, Any] | None,
+    colour: str,
+) -> str:
+    """Draw, and say the values."""
+    factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
+    draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
+    found = credible_interval(tree, draws)
+    counts, edges = np.histogram(draws, _BINS, density=True)
+    panel.stairs(counts, edges, fill=True, color=colour, alpha=0.3)
+    panel.stairs(counts, edges, color=colour)
+    for end in ("low", "median", "high"):
+        panel.axvline(found[end], color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
+    if believed is not None and edges[0] < factor * believed["median"] < edges[-1]:
+        panel.axvline(factor * believed["median"], color=_BELIEVED, linewidth=1.0)
+    panel.set_ylim(0.0, 1.1 * counts.max())
+    panel.set_xlabel(f"{_quantity(str(variable.name))} ({unit})" if unit != "1" else
+                     _quantity(str(variable.name)))  # fmt: skip
+    panel.set_ylabel(
+        "Density"
+        if unit == "1"
+        else f"Density (1/({unit}))"
+        if " " in unit
+        else f"Density (1/{unit})"
+    )
+    panel.locator_params(axis="x", nbins=5)
+    values = f"{found['median']:.4g} ({found['low']:.4g} to {found['high']:.4g})"
+    return values if believed is None else f"{values}, before {factor * believed['median']:.4g}"
+
+
+def _title(name: str) -> str:
+    if name == GAP:
+        return "gap"
+    owner = name.partition("__")[0] if "__" in name else name
+    return owner.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
+def _quantity(name: str) -> str:
+    if name == GAP:
+        return "Gap δ"
+    quantity = name.rpartition("__")[2] if "__" in name else name
+    for suffix in ("_nm_s_per_rad", "_nm_per_rad3", "_nm_per_rad", "_nm_per_a", "_kg_m2",
+                   "_rad_per_s", "_nm_per_s", "_nm", "_rad", "_s"):  # fmt: skip
+        if quantity.endswith(suffix):
+            quantity = quantity.removesuffix(suffix)
+            break
+    return quantity.replace("_", " ").capitalize()
