@@ -7,7 +7,8 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.config.schema import RunConfig, SnapshotConfig
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import RunConfig
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,8 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayesbl import cli
-from bayesbl.config.bench import load_bench, load_simulation
+from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import load_config
+from bayesbl.config.simulate import load_simulation
 from bayesbl.errors import UserError
 
 CONFIGS = Path(__file__).parents[1] / "configs"

@@ -49,7 +49,7 @@ def content(folder: Path) -> dict[str, bytes]:
 @pytest.fixture
 def no_figures(monkeypatch):
     """Runs without drawing, which takes as long as the rest."""
-    monkeypatch.setattr(cli, "_draw", lambda tree, folder: [])
+    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_figures_are_drawn_again_in_their_place(compared, monkeypatch, capsys):
         (folder / "gap.pdf").write_text("drawn")
         return [folder / "gap.pdf"]
 
-    monkeypatch.setattr(cli, "_draw", draw)
+    monkeypatch.setattr("bayesbl.library.draw", draw)
     assert cli.status(["figures", str(compared)]) == 0
     assert capsys.readouterr().out.splitlines() == [str(compared / "figures" / "gap.pdf")]
     assert content(compared) == kept | {"figures/gap.pdf": b"drawn"}
@@ -342,7 +342,7 @@ def test_a_bug_is_told_with_its_traceback_and_status_1(monkeypatch, capsys):
     def broken(*arguments, **keywords):
         raise KeyError("posterior")
 
-    monkeypatch.setattr(cli, "_run", broken)
+    monkeypatch.setattr("bayesbl.workflows.run.run", broken)
     assert cli.status(["fit", str(BEFORE)]) == cli.FAILED
     errors = capsys.readouterr().err
     assert errors.startswith("This is a bug in bayesbl")

@@ -22,7 +22,8 @@ from bayesbl.config.loading import (
     dump_config,
     load_config,
 )
-from bayesbl.config.schema import CompareConfig, FitConfig, SnapshotConfig, StudyConfig
+from bayesbl.config.measurement import CompareConfig, FitConfig, SnapshotConfig
+from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.workflows.measure import estimator_of

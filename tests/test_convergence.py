@@ -106,7 +106,7 @@ def withheld(
 
 @pytest.fixture(autouse=True)
 def _no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "_draw", lambda tree, folder: [])
+    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
 
 
 def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(

@@ -74,7 +74,7 @@ def compared(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("compared")
     recordings = [str(CONFIGS / "recordings" / f"wear_{name}.csv") for name in ("before", "after")]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "_draw", lambda tree, folder: [])
+        patch.setattr("bayesbl.library.draw", lambda tree, folder: [])
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
         assert cli.status(["compare", *recordings, *out]) == 0
     return folder / "out"

@@ -58,7 +58,7 @@ def test_a_disagreement_in_place_or_width_is_one(
 def test_the_check_is_stored_and_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "_draw", lambda tree, folder: [])
+    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
     monkeypatch.chdir(tmp_path)
     options = ["--check-sampler", "--out", "out"]
     assert cli.status(["fit", str(RECORDING), *options]) == 0

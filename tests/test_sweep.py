@@ -10,7 +10,7 @@ import pytest
 
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
-from bayesbl.config.schema import SweepConfig
+from bayesbl.config.sweep import SweepConfig
 from bayesbl.errors import CurveError, UserError
 from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
 from bayesbl.gap.branch import likeliest_branch

@@ -12,7 +12,7 @@ import xarray as xr
 from rich.console import Console
 from scipy import stats
 
-from bayesbl.config.schema import CompareConfig
+from bayesbl.config.measurement import CompareConfig
 from bayesbl.figures import wear as wear_figure
 from bayesbl.figures.style import save
 from bayesbl.figures.wear import line_band, reached

@@ -1,33 +1,26 @@
-"""Bench files and what is simulated on them: from TOML to a :class:`Bench`, and back."""
+"""Bench files: from TOML to a :class:`Bench`, and back."""
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    ValidationError,
     field_validator,
     model_validator,
 )
 
 from bayesbl.config.fields import (
-    BASE_DIRECTORY,
-    InputPath,
-    Name,
-    OutputPath,
-    Positive,
     Section,
     as_tuple,
     refuse,
 )
-from bayesbl.config.problems import config_error, problems_of
+from bayesbl.config.files import load_file
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.physics.bench import (
     Bench,
@@ -240,59 +233,6 @@ class BenchFile(Section):
         )
 
 
-class SimulatedRecording(Section):
-    """An entry of ``[[recordings]]`` that is to be simulated; no start angle: one is drawn."""
-
-    name: Name
-    file: str = Field(min_length=1)
-    gap_rad: float = Field(ge=0.0)
-    reference_speed_rpm: float | None = None
-    rotations: Positive = 5.0
-    sampling_hz: Positive = 1000.0
-    start_angle_rad: float | None = None
-    motor_start_angle_rad: float | None = None
-
-
-class SimulateRun(Section):
-    """``[run]`` of a simulation; without an output the files stand beside the configuration."""
-
-    seed: int = Field(default=1, ge=0, lt=2**63)
-    workers: int = Field(default=1, ge=1, le=1024)
-    output: OutputPath | None = None
-
-
-class SimulateFile(Section):
-    """``kind = "simulate"``."""
-
-    schema_version: Literal[1] = Field(alias="schema")
-    kind: Literal["simulate"]
-    run: SimulateRun = SimulateRun()
-    bench: InputPath
-    truth_file: str | None = Field(default=None, min_length=1)
-    recordings: Annotated[
-        tuple[SimulatedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)
-    ]
-
-    @field_validator("recordings")
-    @classmethod
-    def _different_files(
-        cls, recordings: tuple[SimulatedRecording, ...]
-    ) -> tuple[SimulatedRecording, ...]:
-        for kind in ("name", "file"):
-            values = [getattr(recording, kind) for recording in recordings]
-            twice = sorted({value for value in values if values.count(value) > 1})
-            if twice:
-                refuse(
-                    f"Two recordings have the same {kind}.",
-                    found=f'"{twice[0]}"',
-                    expected="a different one for each",
-                )
-        return recordings
-
-
-_Model = TypeVar("_Model", BenchFile, SimulateFile)
-
-
 def load_bench(path: str | Path) -> Bench:
     """The bench of a bench file.
 
@@ -302,7 +242,7 @@ def load_bench(path: str | Path) -> Bench:
         Naming file and field: no such file, no TOML, unknown keys or effects, values out of
         range, parameters that make no physical sense.
     """
-    loaded = _load(Path(path), BenchFile)
+    loaded = load_file(Path(path), BenchFile)
     try:
         return loaded.bench()
     except BenchError as error:
@@ -319,17 +259,6 @@ def reference_bench() -> Bench:
     """The bench that the package ships: its A(δ) follows the paper's eq. 4."""
     with resources.as_file(resources.files("bayesbl.physics") / REFERENCE_BENCH) as path:
         return load_bench(path)
-
-
-def load_simulation(path: str | Path) -> SimulateFile:
-    """A simulate file, validated.
-
-    Raises
-    ------
-    ConfigError
-        As :func:`load_bench`.
-    """
-    return _load(Path(path), SimulateFile)
 
 
 def dump_bench(bench: Bench) -> str:
@@ -375,21 +304,3 @@ def _noise_table(noise: NoiseModel, sd_name: str) -> dict[str, Any]:
     if noise.degrees_of_freedom is not None:
         table |= {"kind": "student_t", "degrees_of_freedom": noise.degrees_of_freedom}
     return table
-
-
-def _load(path: Path, model: type[_Model]) -> _Model:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        tables = tomllib.loads(text)
-    except (OSError, ValueError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(
-            "The file cannot be read as TOML.",
-            file=path,
-            found=reason,
-            expected="key = value; text stands in quotes",
-        ) from None
-    try:
-        return model.model_validate(tables, context={BASE_DIRECTORY: path.absolute().parent})
-    except ValidationError as error:
-        raise config_error(problems_of(error, model, text), path) from None

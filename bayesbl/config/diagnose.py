@@ -15,7 +15,7 @@ from bayesbl.config.fields import (
     as_tuple,
     refuse,
 )
-from bayesbl.config.schema import Interval, RecordedConfig, SnapshotRecording
+from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording
 from bayesbl.recording.channels import did_you_mean
 
 Method = Literal["forward", "inverse", "free_motion"]

@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.config.schema import CompareConfig, FitConfig, RunConfig, StudyConfig, SweepConfig
+from bayesbl.config.measurement import CompareConfig, FitConfig
+from bayesbl.config.sections import RunConfig
+from bayesbl.config.study import StudyConfig
+from bayesbl.config.sweep import SweepConfig
 
 KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
     {

@@ -31,7 +31,7 @@ from bayesbl.config.problems import (
     location_of,
     problems_of,
 )
-from bayesbl.config.schema import RunConfig
+from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
 

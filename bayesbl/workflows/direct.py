@@ -17,7 +17,7 @@ import xarray as xr
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import CompareConfig, SnapshotConfig
+from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.errors import BenchError, ConfigError, UserError
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, changes, gaps

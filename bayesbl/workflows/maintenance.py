@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.schema import CompareConfig
+from bayesbl.config.measurement import CompareConfig
 from bayesbl.gap.wear import LEAST_SHARE_GROWING, since_repair, wear
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.wear import wear_group, years_between

@@ -13,7 +13,8 @@ import xarray as xr
 
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import CompareConfig, SnapshotConfig, SnapshotRecording
+from bayesbl.config.measurement import CompareConfig, SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import CurveError
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve

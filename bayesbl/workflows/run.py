@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import config_from_options, dump_config, load_config
-from bayesbl.config.schema import (
-    RunConfig,
-    SnapshotConfig,
-    SnapshotRecording,
-    StudyConfig,
-    SweepConfig,
-)
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import RunConfig, SnapshotRecording
+from bayesbl.config.study import StudyConfig
+from bayesbl.config.sweep import SweepConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,
@@ -239,7 +236,8 @@ def _check_diagnosis(config: DiagnoseConfig) -> str:
 
 
 def _check_simulation(plan: Plan, path: Path) -> None:
-    from bayesbl.config.bench import load_bench, load_simulation
+    from bayesbl.config.bench import load_bench
+    from bayesbl.config.simulate import load_simulation
 
     config = load_simulation(path)
     plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")

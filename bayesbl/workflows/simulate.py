@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from bayesbl import __version__
-from bayesbl.config.bench import SimulatedRecording, dump_bench, load_bench, load_simulation
+from bayesbl.config.bench import dump_bench, load_bench
+from bayesbl.config.simulate import SimulatedRecording, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.physics.bench import Bench
 from bayesbl.recording.types import TIME, Recording

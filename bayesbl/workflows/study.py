@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import StudyConfig
+from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ResultError
 from bayesbl.results.folder import (
     CONFIG_FILE,

@@ -16,7 +16,7 @@ import xarray as xr
 
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.loading import dump_config
-from bayesbl.config.schema import SweepConfig
+from bayesbl.config.sweep import SweepConfig
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.gap.bench_draws import SweptDraws
 from bayesbl.gap.curve import published_curve

@@ -1,0 +1,104 @@
+"""The command line: options to configurations, workflows run, results printed, exit statuses.
+
+``--help`` has to answer at once, so nothing heavy is imported before a command needs it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from bayesbl import __version__
+from bayesbl.cli.bench import diagnose_command, effects_command, simulate_command, sweep_command
+from bayesbl.cli.measuring import compare_command, fit_command
+from bayesbl.cli.start import check_command, init_command, run_command
+from bayesbl.cli.statuses import FAILED, INTERRUPTED, WITHHELD, WRONG
+from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
+from bayesbl.errors import UserError
+
+__all__ = ["FAILED", "INTERRUPTED", "WITHHELD", "WRONG", "app", "main", "status"]
+
+app = typer.Typer(
+    help="The backlash gap of a robot joint, and how it changed, from recordings of motor speed.",
+    epilog="Exit status: 0 done, 2 wrong usage, configuration or input, 3 answer withheld, "
+    "1 anything else.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+# In the order of the help.
+app.command("run")(run_command)
+app.command("check")(check_command)
+app.command("fit")(fit_command)
+app.command("compare")(compare_command)
+app.command("simulate")(simulate_command)
+app.command("sweep")(sweep_command)
+app.command("diagnose")(diagnose_command)
+app.command("effects")(effects_command)
+app.command("figures")(figures_command)
+app.command("report")(report_command)
+app.command("inspect")(inspect_command)
+app.command("init")(init_command)
+app.command("cite")(cite_command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"bayesbl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Options before the command."""
+
+
+def main() -> None:
+    """The installed command."""
+    # The matrices are small: threads of linear algebra cost more than they bring, and round
+    # differently on other numbers of cores.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    sys.exit(status())
+
+
+def status(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line, ``sys.argv``'s by default, and return its exit status."""
+    from bayesbl.report.console import error, make_console
+
+    try:
+        app(arguments, prog_name="bayesbl")
+    except SystemExit as end:
+        # Usage errors, --help and Ctrl-C end inside typer.
+        code = end.code if isinstance(end.code, int) else FAILED
+        if code == INTERRUPTED:
+            print("Interrupted; nothing was written over.", file=sys.stderr)
+        return code
+    except UserError as problem:
+        error(make_console(stderr=True), problem)
+        return WRONG
+    except OSError as problem:
+        place = f"{problem.filename}: " if problem.filename else ""
+        print(f"Error: {place}{problem.strerror or problem}.", file=sys.stderr)
+        return FAILED
+    except Exception:
+        import traceback
+
+        print(f"This is a bug in bayesbl {__version__}; please report it:\n", file=sys.stderr)
+        traceback.print_exc()
+        return FAILED
+    return 0

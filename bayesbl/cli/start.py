@@ -1,0 +1,72 @@
+"""Commands on a configuration: write a first one, check it, run it whatever its kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bayesbl.cli.options import Before, ConfigPath, Force, Json, Out, Seed, Workers
+from bayesbl.cli.running import run_config, simulate
+from bayesbl.cli.statuses import WRONG
+
+
+def run_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    before: Before = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Run a configuration, whatever its kind."""
+    from bayesbl.workflows.run import kind_of, load_run
+
+    if kind_of(config) == "simulate":
+        simulate(config, out, seed, workers, force, json)
+    else:
+        loaded = load_run(config, out=out, seed=seed, workers=workers, before=before)
+        run_config(loaded, force, json)
+
+
+def check_command(config: ConfigPath) -> None:
+    """Check all that can be checked without running."""
+    from bayesbl.report.console import error, make_console
+    from bayesbl.workflows.run import check
+
+    plan = check(config)
+    for label, text in plan.lines:
+        typer.echo(f"{label}: {text}")
+    for problem in plan.problems:
+        error(make_console(stderr=True), problem)
+    if plan.problems:
+        raise typer.Exit(WRONG)
+    typer.echo("Nothing stands against a run.")
+
+
+def init_command(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING", help="One to be fitted, several to be compared."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="The file to write. [default: RECORDING.toml]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write a first configuration for recordings, columns and units guessed."""
+    from bayesbl.report.console import error, make_console
+    from bayesbl.report.started import print_guess
+    from bayesbl.workflows.run import check
+    from bayesbl.workflows.start import start_config
+
+    path, guess = start_config(recordings, out, force=force)
+    print_guess(guess, path, make_console())
+    problems = check(path).problems
+    for problem in problems:
+        error(make_console(stderr=True), problem)
+    if problems:
+        raise typer.Exit(WRONG)

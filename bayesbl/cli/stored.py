@@ -1,0 +1,76 @@
+"""Commands on stored results: their figures, page and summary, and what to cite."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bayesbl.cli.options import Json, ResultPath
+from bayesbl.cli.running import print_json, tell_study
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def figures_command(result: ResultPath) -> None:
+    """Draw the figures of a result again."""
+    from bayesbl.results.folder import FIGURES
+    from bayesbl.results.store import read_tree
+
+    tree = read_tree(result)
+    folder = (result if result.is_dir() else result.parent) / FIGURES
+    for path in _draw_in_place(tree, folder):
+        typer.echo(str(path))
+
+
+def report_command(result: ResultPath) -> None:
+    """Write a result as one HTML page, report.html, that opens anywhere."""
+    from bayesbl.library import draw
+    from bayesbl.report.page.build import write_page
+
+    typer.echo(str(write_page(result, draw)))
+
+
+def inspect_command(result: ResultPath, json: Json = False) -> None:
+    """Print what a result says."""
+    from bayesbl.report.console import make_console, print_summary
+    from bayesbl.results.store import read_tree
+
+    tree = read_tree(result)
+    if json:
+        print_json(result if result.is_dir() else result.parent)
+    elif tree.attrs["kind"] == "study":
+        from bayesbl.workflows.study import summarise_study
+
+        tell_study(summarise_study(tree))
+    else:
+        print_summary(tree, make_console())
+
+
+def cite_command(
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
+) -> None:
+    """Print what to cite, as text and as BibTeX."""
+    from bayesbl.report.citations import all_bibtex, told_citations
+
+    if not bibtex:
+        for line in told_citations():
+            typer.echo(f"{line}\n")
+    typer.echo(all_bibtex())
+
+
+def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:
+    """Draw beside and move: an interrupted command leaves the figures that were there."""
+    import tempfile
+
+    from bayesbl.library import draw
+
+    with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
+        drawn = draw(tree, Path(beside))
+        folder.mkdir(exist_ok=True)
+        for path in drawn:
+            os.replace(path, folder / path.name)
+    return [folder / path.name for path in drawn]

@@ -1,0 +1,219 @@
+"""``kind = "fit"`` and ``"compare"``: measured recordings of one joint, and how they are read."""
+
+from __future__ import annotations
+
+from datetime import date as Date
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from bayesbl.config.fields import (
+    PUBLISHED,
+    CurveSource,
+    InputPath,
+    Positive,
+    Range,
+    ResultFile,
+    Section,
+    as_tuple,
+    refuse,
+)
+from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
+
+
+class Joint(Section):
+    """``[joint]``: what is known of the joint itself."""
+
+    gear_ratio: Positive | None = None
+    limit_rad: Positive | None = None
+    decide_before: Date | None = None
+
+    @model_validator(mode="after")
+    def _date_of_a_limit(self) -> Self:
+        if self.decide_before is not None and self.limit_rad is None:
+            refuse(
+                "A date to decide before needs a limit that the gap may pass.",
+                found="decide_before without limit_rad",
+                expected="limit_rad beside it, e.g. limit_rad = 1.2e-3",
+            )
+        return self
+
+
+class Search(Section):
+    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first."""
+
+    method: Literal["guess", "paper"] = "guess"
+    start_from: ResultFile | None = None
+
+
+class Noise(Section):
+    """``[estimator.noise]``: what is assumed of the noise; ``order`` belongs to ``ar``."""
+
+    kind: Literal["auto", "white", "ar", "student_t"] = "auto"
+    order: int | None = Field(default=None, ge=1, le=15)
+
+    @model_validator(mode="after")
+    def _order_of_ar(self) -> Self:
+        if self.order is not None and self.kind != "ar":
+            refuse(
+                "An order belongs to autoregressive noise.",
+                found=f'order = {self.order} with kind = "{self.kind}"',
+                expected='kind = "ar", or no order',
+            )
+        return self
+
+
+class Estimator(Section):
+    """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
+
+    ``bench`` and ``gap_rad``, the range of its log-uniform prior, belong to the direct route; the
+    rest to the amplitude route, which the direct one shows beside its own answer.
+    """
+
+    route: Literal["amplitude", "direct"] = "amplitude"
+    bench: InputPath | None = None
+    gap_rad: Range = (1e-4, 1e-2)
+    model: Model = Field(default_factory=Model)
+    search: Search = Field(default_factory=Search)
+    noise: Noise = Field(default_factory=Noise)
+
+    @field_validator("gap_rad")
+    @classmethod
+    def _positive_gaps(cls, gap_rad: tuple[float, float]) -> tuple[float, float]:
+        if gap_rad[0] <= 0.0:
+            refuse("A gap must be positive.", found=gap_rad[0], expected="greater than 0")
+        return gap_rad
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.route == "direct" and self.bench is None:
+            refuse(
+                "The direct route needs a bench.",
+                found='route = "direct" without a bench',
+                expected='bench = "bench.toml"',
+            )
+        if self.search.method == "paper" and self.model.baseline_harmonics != 0:
+            refuse(
+                "The paper's search has no baseline.",
+                found=f'method = "paper" with {self.model.baseline_harmonics} harmonics',
+                expected="baseline_harmonics = 0 in [estimator.model]",
+            )
+        return self
+
+
+class Posterior(Section):
+    """``[posterior]``: independent ensembles, and when to stop them."""
+
+    ensembles: int = Field(default=4, ge=2, le=64)
+    max_steps: int = Field(default=20_000, ge=100)
+    check_sampler: bool = False
+
+
+class Curve(Section):
+    """``[curve]``: from amplitude to gap; ``published`` or the result of a sweep."""
+
+    source: CurveSource = PUBLISHED
+    allow_extrapolation: bool = False
+
+
+class SnapshotConfig(RecordedConfig):
+    """A run over measured recordings of one joint."""
+
+    least_recordings: ClassVar[int] = 1
+    most_recordings: ClassVar[int | None] = None
+
+    joint: Joint = Field(default_factory=Joint)
+    recordings: Annotated[tuple[SnapshotRecording, ...], BeforeValidator(as_tuple)]
+    estimator: Estimator = Field(default_factory=Estimator)
+    posterior: Posterior = Field(default_factory=Posterior)
+    interval: Interval = Field(default_factory=Interval)
+    curve: Curve = Field(default_factory=Curve)
+
+    @field_validator("recordings")
+    @classmethod
+    def _right_number(
+        cls, recordings: tuple[SnapshotRecording, ...]
+    ) -> tuple[SnapshotRecording, ...]:
+        count, least, most = len(recordings), cls.least_recordings, cls.most_recordings
+        if count < least or (most is not None and count > most):
+            refuse(
+                "This is not the number of recordings that this kind of run takes.",
+                found=f"{count} recording{'' if count == 1 else 's'}",
+                expected=f"exactly {least}" if least == most else f"at least {least}",
+            )
+        names = [recording.name for recording in recordings]
+        if len(set(names)) < len(names):
+            refuse(
+                "Two recordings have the same name.",
+                found=", ".join(f'"{name}"' for name in names),
+                expected="a different name for each",
+            )
+        return recordings
+
+
+class FitConfig(SnapshotConfig):
+    """``kind = "fit"``: one recording."""
+
+    least_recordings = 1
+    most_recordings = 1
+
+    kind: Literal["fit"]
+
+    @model_validator(mode="after")
+    def _decides_nothing(self) -> Self:
+        if self.joint.decide_before is not None:
+            refuse(
+                "One recording tells no rate of wear, so nothing about a later date.",
+                found=f"decide_before = {self.joint.decide_before}",
+                expected='kind = "compare" with two dated recordings or more',
+            )
+        return self
+
+
+class CompareConfig(SnapshotConfig):
+    """``kind = "compare"``: snapshots of one joint in the order they were taken.
+
+    Where all have a date, the dates give the order.
+    """
+
+    least_recordings = 2
+
+    kind: Literal["compare"]
+
+    @property
+    def dates(self) -> tuple[Date, ...] | None:
+        """When each recording was taken; ``None`` unless all are dated."""
+        return _dates(self.recordings)
+
+    @field_validator("recordings")
+    @classmethod
+    def _by_date(cls, recordings: tuple[SnapshotRecording, ...]) -> tuple[SnapshotRecording, ...]:
+        dates = _dates(recordings)
+        if dates is None:
+            return recordings
+        order = sorted(range(len(dates)), key=dates.__getitem__)
+        return tuple(recordings[number] for number in order)
+
+    @model_validator(mode="after")
+    def _decides_on_the_future(self) -> Self:
+        before = self.joint.decide_before
+        if before is None:
+            return self
+        if self.dates is None:
+            refuse(
+                "A date to decide before needs recordings that are dated.",
+                found="a recording without a date",
+                expected="date = 2026-03-01 in every [[recordings]], or --date for each",
+            )
+        if before <= self.dates[-1]:
+            refuse(
+                "The date to decide before is not after the last recording.",
+                found=f"decide_before = {before}, last recording {self.dates[-1]}",
+                expected="a later date",
+            )
+        return self
+
+
+def _dates(recordings: tuple[SnapshotRecording, ...]) -> tuple[Date, ...] | None:
+    dates = [recording.date for recording in recordings]
+    return tuple(d for d in dates if d is not None) if None not in dates else None

@@ -1,0 +1,170 @@
+"""What the configurations of several kinds share: one frozen model per section.
+
+Defaults stand in these models and nowhere else. Paths are resolved against the folder that the
+validation context names, and must exist. A new kind is one module beside this one, and one entry
+in ``kinds.KINDS``. Only pydantic is imported, so that ``bayesbl check`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+from datetime import date as Date
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from bayesbl.config.fields import (
+    ChannelName,
+    InputPath,
+    Name,
+    OutputPath,
+    Range,
+    Section,
+    SymbolName,
+    column_entry,
+    refuse,
+)
+from bayesbl.recording.channels import ColumnSpec
+from bayesbl.signal.parameters import (
+    AMPLITUDE,
+    DECAY,
+    DEFAULT_FIXED,
+    FREQUENCY,
+    ROTATION,
+    SEPARATION,
+    START,
+    SYMBOLS,
+    WINDOW_END,
+    WINDOW_START,
+)
+from bayesbl.units import accepted_units
+
+_POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATION, ROTATION})
+
+
+class Run(Section):
+    """``[run]``: what does not change the problem, besides the seed."""
+
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=1024)
+    output: OutputPath
+
+
+class RunConfig(Section):
+    """What every kind of run shares."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    kind: str
+    run: Run
+
+
+class Column(Section):
+    """An entry of ``[columns]``: a column's name in the file, and its unit."""
+
+    name: str = Field(min_length=1)
+    unit: str | None = None
+
+
+ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
+
+
+class SnapshotRecording(Section):
+    """An entry of ``[[recordings]]`` that was measured; its name is the file's by default.
+
+    ``repaired`` marks the first one after a repair.
+    """
+
+    name: Name
+    file: InputPath
+    date: Date | None = None
+    repaired: bool = False
+    reference_speed_rpm: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_after_file(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "name" not in value and isinstance(value.get("file"), str):
+            return {"name": Path(value["file"]).stem, **value}
+        return value
+
+
+class RecordedConfig(RunConfig):
+    """A run over recordings whose columns may have other names and units."""
+
+    columns: dict[ChannelName, ColumnEntry] = Field(default_factory=dict)
+
+    @property
+    def column_specs(self) -> dict[str, ColumnSpec]:
+        """``[columns]`` as the readers take it."""
+        return {key: ColumnSpec(column.name, column.unit) for key, column in self.columns.items()}
+
+    @field_validator("columns")
+    @classmethod
+    def _columns_make_sense(cls, columns: dict[str, Column]) -> dict[str, Column]:
+        for channel, column in columns.items():
+            if column.unit is not None and column.unit not in accepted_units(channel):
+                refuse(
+                    f"The unit of {channel} is not known.",
+                    found=f'"{column.unit}"',
+                    expected=" or ".join(f'"{unit}"' for unit in accepted_units(channel)),
+                )
+        names = [column.name for column in columns.values()]
+        if len(set(names)) < len(names):
+            refuse(
+                "A column is mapped to two channels.",
+                found=", ".join(
+                    f'"{name}"' for name in sorted(set(names)) if names.count(name) > 1
+                ),
+                expected="a column for each channel",
+            )
+        return columns
+
+
+class Model(Section):
+    """``[estimator.model]``: which symbols of eq. 6 are held, and the baseline under the pulses.
+
+    A symbol is free unless it stands in ``fixed``.
+    """
+
+    baseline_harmonics: int = Field(default=1, ge=0, le=20)
+    fixed: dict[SymbolName, float] = Field(default_factory=lambda: dict(DEFAULT_FIXED))
+    ranges: dict[SymbolName, Range] = Field(default_factory=dict)
+
+    @field_validator("fixed")
+    @classmethod
+    def _physical(cls, fixed: dict[str, float]) -> dict[str, float]:
+        for name in sorted(_POSITIVE_SYMBOLS & fixed.keys()):
+            if fixed[name] <= 0.0:
+                refuse(f"{name} must be positive.", found=fixed[name], expected="greater than 0")
+        if fixed.get(WINDOW_START, 0.0) < 0.0:
+            refuse(f"{WINDOW_START} must not be negative.", expected="0 or more")
+        if START not in fixed and WINDOW_START not in fixed:
+            refuse(
+                f"{START} and {WINDOW_START} cannot both be free: only their sum enters the model.",
+                expected=f"one of the two, e.g. {WINDOW_START} = 0.0",
+            )
+        if fixed.get(WINDOW_START, 0.0) >= fixed.get(WINDOW_END, float("inf")):
+            refuse(
+                f"{WINDOW_END} must be later than {WINDOW_START} (eq. 3).",
+                expected=f"{WINDOW_START} < {WINDOW_END}",
+            )
+        return fixed
+
+    @model_validator(mode="after")
+    def _fixed_or_ranged(self) -> Self:
+        both = [name for name in SYMBOLS if name in self.fixed and name in self.ranges]
+        if both:
+            refuse(
+                f"{' and '.join(both)} cannot have a range while fixed.",
+                found=f"{', '.join(both)} in fixed and in ranges",
+                expected="each symbol in one of the two",
+            )
+        return self
+
+
+class Interval(Section):
+    """``[interval]``: which credible interval is reported."""
+
+    level: float = Field(default=0.9, gt=0.0, lt=1.0)
+    kind: Literal["equal_tailed", "hdi"] = "equal_tailed"

@@ -1,0 +1,72 @@
+"""``kind = "simulate"``: recordings to be made on a bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, field_validator
+
+from bayesbl.config.fields import InputPath, Name, OutputPath, Positive, Section, as_tuple, refuse
+from bayesbl.config.files import load_file
+
+
+class SimulatedRecording(Section):
+    """An entry of ``[[recordings]]`` that is to be simulated; no start angle: one is drawn."""
+
+    name: Name
+    file: str = Field(min_length=1)
+    gap_rad: float = Field(ge=0.0)
+    reference_speed_rpm: float | None = None
+    rotations: Positive = 5.0
+    sampling_hz: Positive = 1000.0
+    start_angle_rad: float | None = None
+    motor_start_angle_rad: float | None = None
+
+
+class SimulateRun(Section):
+    """``[run]`` of a simulation; without an output the files stand beside the configuration."""
+
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    workers: int = Field(default=1, ge=1, le=1024)
+    output: OutputPath | None = None
+
+
+class SimulateFile(Section):
+    """``kind = "simulate"``."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    kind: Literal["simulate"]
+    run: SimulateRun = SimulateRun()
+    bench: InputPath
+    truth_file: str | None = Field(default=None, min_length=1)
+    recordings: Annotated[
+        tuple[SimulatedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)
+    ]
+
+    @field_validator("recordings")
+    @classmethod
+    def _different_files(
+        cls, recordings: tuple[SimulatedRecording, ...]
+    ) -> tuple[SimulatedRecording, ...]:
+        for kind in ("name", "file"):
+            values = [getattr(recording, kind) for recording in recordings]
+            twice = sorted({value for value in values if values.count(value) > 1})
+            if twice:
+                refuse(
+                    f"Two recordings have the same {kind}.",
+                    found=f'"{twice[0]}"',
+                    expected="a different one for each",
+                )
+        return recordings
+
+
+def load_simulation(path: str | Path) -> SimulateFile:
+    """A simulate file, validated.
+
+    Raises
+    ------
+    ConfigError
+        Naming file and field: no such file, no TOML, unknown keys, values out of range.
+    """
+    return load_file(Path(path), SimulateFile)

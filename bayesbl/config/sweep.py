@@ -1,0 +1,56 @@
+"""``kind = "sweep"``: a bench, and the gaps it is swept over for a curve of its own."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from bayesbl.config.fields import InputPath, Positive, Section, refuse
+from bayesbl.config.sections import Interval, Model, RunConfig
+
+
+class GapRange(Section):
+    """``[sweep] gap_rad``: the gaps over which a bench is swept."""
+
+    low: Positive = 1e-4
+    high: Positive = 4e-3
+    count: int = Field(default=40, ge=6, le=1000)
+    spacing: Literal["log", "linear"] = "log"
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if not self.low < self.high:
+            refuse(
+                "The range of gaps is empty.",
+                found=f"low = {self.low:g}, high = {self.high:g}",
+                expected="low < high",
+            )
+        return self
+
+
+class Sweep(Section):
+    """``[sweep]``: which recordings are simulated, and the polynomial through them."""
+
+    gap_rad: GapRange = Field(default_factory=GapRange)
+    start_angles: int = Field(default=4, ge=2, le=100)
+    rotations: float = Field(default=5.0, ge=2.0, le=100.0)
+    sampling_hz: float = Field(default=1000.0, ge=100.0)
+    bench_draws: int = Field(default=0, ge=0, le=10_000)
+    degree: int = Field(default=3, ge=1, le=8)
+
+
+class SweepEstimator(Section):
+    """``[estimator]`` of a sweep: what decides the meaning of A."""
+
+    model: Model = Field(default_factory=Model)
+
+
+class SweepConfig(RunConfig):
+    """``kind = "sweep"``: the gap curve of a bench."""
+
+    kind: Literal["sweep"]
+    bench: InputPath
+    sweep: Sweep = Field(default_factory=Sweep)
+    estimator: SweepEstimator = Field(default_factory=SweepEstimator)
+    interval: Interval = Field(default_factory=Interval)
