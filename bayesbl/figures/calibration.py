@@ -28,18 +28,10 @@ from bayesbl.inference.calibration import (
     ecdf_band,
     uniformity,
 )
+from bayesbl.results.calibration import WORDS
 
 if TYPE_CHECKING:
     import xarray as xr
-
-WORDS = {
-    "delta": "δ",
-    "change": "change of δ",
-    "amplitude": "A",
-    "decay_rate": "τ",
-    "frequency": "ω",
-}
-"""How figures and tables call what is asked for."""
 
 _ROW_IN = 0.24
 _NAMES_IN = 2.1
@@ -72,7 +64,7 @@ def draw_calibration(
         for level, panel in zip(LEVELS, axes, strict=True):
             _coverage(panel, table, shown, level)
         axes[0].set_yticks(range(rows), [str(line["name"]) for line in table])
-        axes[-1].legend(loc="upper right", bbox_to_anchor=(1.0, 1.0), handletextpad=0.2)
+        axes[0].legend(loc="upper right", bbox_to_anchor=(-0.05, -0.02), handletextpad=0.2)
         lower = grid(figure, 1, len(shown), top=above + 0.3, between=(0.0, 0.35))
         below = [figure.add_subplot(lower[0, i]) for i in range(len(shown))]
         for name, panel in zip(shown, below, strict=True):
