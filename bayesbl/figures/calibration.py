@@ -82,14 +82,14 @@ def _coverage(
     for y, line in enumerate(table):
         count = int(line["cases"]) - int(line["failed"])
         low, high = (100.0 * (end - level) for end in coverage_band(max(count, 1), level))
-        panel.fill_between([low, high], y - 0.36, y + 0.36, color=BAND, linewidth=0.0)
+        panel.fill_between([low, high], y - 0.4, y + 0.4, color=BAND, linewidth=0.0)
         for index, name in enumerate(names):
             if f"{name}_holds" in line:
                 style = look(index)
                 panel.plot(
                     100.0 * (float(line[f"{name}_{level:.0%}"]) - level),
-                    y + 0.18 * (index - 0.5 * (len(names) - 1)),
-                    color=style.colour, marker=style.marker, linestyle="none",
+                    y + 0.7 / len(names) * (index - 0.5 * (len(names) - 1)),
+                    color=style.colour, marker=style.marker, markersize=3.0, linestyle="none",
                     label=WORDS[name] if y == 0 else None,
                 )  # fmt: skip
     panel.axvline(0.0, color=NEUTRAL, linewidth=0.6)
