@@ -25,10 +25,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, NonNegativeInt, PositiveInt
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    model_validator,
+)
 
 from bayesbl.config.bench import load_bench
-from bayesbl.config.fields import as_tuple
+from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import GapCurve
@@ -105,6 +113,24 @@ class Row(BaseModel):
     encoder_counts: PositiveInt | None = None
     speed_source: SpeedSource = "sensor"
     drift_share: float = 0.0
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Row:
+        if self.bench is None:
+            if self.route == "direct" or self.posterior == "normal" or self.emcee_cases:
+                refuse(
+                    "Without a bench there is the posterior of the disturbance model alone.",
+                    expected='route = "amplitude" and posterior = "emcee" or "short", or a bench',
+                )
+        elif self.route == "direct" and not isinstance(self.gap_rad, tuple):
+            refuse(
+                "The direct route's prior is on the range that gaps are drawn from.",
+                found=self.gap_rad,
+                expected="gap_rad = [low, high]",
+            )
+        elif self.route == "amplitude" and self.curve is None:
+            refuse("The amplitude route needs a curve.", found="none", expected="a sweep's file")
+        return self
 
 
 QUANTITIES = {
@@ -260,8 +286,7 @@ def _directly(
     row: Row, bench: Bench, recordings: Sequence[Recording], seed: np.random.SeedSequence
 ) -> Answer:
     """The direct route's answer for both recordings together."""
-    if not isinstance(row.gap_rad, tuple):
-        raise ValueError("the direct route's prior is on the range that gaps are drawn from")
+    assert isinstance(row.gap_rad, tuple)
     seen = [
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)

@@ -12,6 +12,7 @@ import xarray as xr
 from scipy.stats import binom, norm
 
 from bayesbl.config.loading import load_config
+from bayesbl.errors import ConfigError
 from bayesbl.figures.calibration import draw_calibration
 from bayesbl.inference.calibration import (
     LEVELS,
@@ -292,6 +293,19 @@ def test_the_line_of_a_fixed_gap_does_not_ask_for_uniform_ranks():
     assert set(drawn) - set(fixed) == {"delta_uniform_p"}
     assert drawn["delta_claimed/actual"] == pytest.approx(0.3 / np.std(ranks), rel=0.02)
     assert drawn["delta_90%"] == coverage(ranks, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        ("posterior = 'normal'", "Without a bench"),
+        (f"bench = '{ROOT}/configs/bench.toml'", "needs a curve"),
+        (f"bench = '{ROOT}/configs/bench.toml'\nroute = 'direct'\ngap_rad = 1e-3", "the range"),
+    ],
+)
+def test_rows_that_do_not_fit_together_are_refused(tmp_path, wrong, problem):
+    with pytest.raises(ConfigError, match=problem):
+        prepare(load_config(study_of(tmp_path, "wrong", {"a": f"cases = 1\n{wrong}"})))
 
 
 def test_the_shipped_tables_are_of_the_shipped_configurations():
