@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 from bayesbl.config.bench import load_bench
 from bayesbl.inference.agreement import agrees, disagreements
 from bayesbl.inference.alignment import fit_aligned
+from bayesbl.inference.calibration import LEVELS, coverage
 from bayesbl.inference.direct import DirectPosterior, sample_direct
 from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.simulated import (
@@ -31,7 +32,6 @@ from bayesbl.inference.simulated import (
 )
 from bayesbl.physics.bench import Bench
 
-LEVELS = (0.5, 0.8, 0.9, 0.95)
 FAST = SamplerSettings(ensembles=2, max_steps=1000)
 FULL = SamplerSettings()
 
@@ -122,7 +122,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         "bias_se_%": 100.0 * float(error.std()) / math.sqrt(error.size),
         "width_%": 100.0 * float(np.median(cases["width"].values)),
     }
-    line |= {f"cover_{p:.0%}": _covered(cases["rank"].values, p) for p in LEVELS}
+    line |= {f"cover_{p:.0%}": coverage(cases["rank"].values, p) for p in LEVELS}
     line |= {
         "claimed/actual": float(np.sqrt(np.mean(sd**2) / np.mean(error**2))),
         "refused": float(np.mean(cases["agrees"].values == 0.0)),
@@ -149,10 +149,6 @@ def _beside(full: DirectPosterior | None, log_gap: np.ndarray, truth: float) -> 
         "full_rank": float(np.mean(draws < truth)),
         "effective": full.effective / full.simulated,
     }
-
-
-def _covered(rank: np.ndarray, level: float) -> float:
-    return float(np.mean(np.abs(rank - 0.5) <= 0.5 * level))
 
 
 @cache

@@ -259,7 +259,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(
     searching_from: Callable[[np.ndarray], None],
 ) -> None:
     # 40 recordings, 90 % intervals of A, τ and ω from the sandwich. Less than 30 of 40 has 0.15 %
-    # for each of the three: false alarm 0.4 %. The whole study is experiments/coverage.py.
+    # for each of the three: false alarm 0.4 %. The whole study is experiments/calibration.py.
     covered = np.zeros(3)
     for seed in range(40):
         noise = SLOW if seed % 2 else WHITE

@@ -189,6 +189,13 @@ def draw_study(tree: xr.DataTree, folder: Path) -> list[Path]:
     return _draw(load_study(config["study"]), tree, folder)
 
 
+def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.Dataset]]:
+    """Lines of a result's table, and the cases of each row by its name."""
+    groups = _groups(tree)
+    lines = [json.loads(group.attrs["line"]) for group in groups]
+    return lines, {group.attrs["name"]: group for group in groups}
+
+
 def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
     """Give rows the cases of a finished result that this run may add to, or refuse."""
     tree = read_tree(output)
@@ -323,9 +330,7 @@ def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
 def _draw(study: Study, tree: xr.DataTree, folder: Path) -> list[Path]:
     if study.figure is None:
         return []
-    groups = _groups(tree)
-    lines = [json.loads(group.attrs["line"]) for group in groups]
-    figure = study.figure(lines, {group.attrs["name"]: group for group in groups})
+    figure = study.figure(*stored_rows(tree))
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{study.name}{suffix}" for suffix in (".pdf", ".png")]
     for path in paths:

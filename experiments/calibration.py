@@ -1,0 +1,369 @@
+"""Do the posteriors hold what they promise? Coverage, and simulation-based calibration.
+
+    bayesbl run configs/calibration_main.toml
+    bayesbl run configs/calibration.toml
+    bayesbl run configs/calibration_model.toml
+
+Truths are drawn from the prior, recordings simulated, and each goes through the whole fit. On
+recordings of the virtual bench it is the gap δ and its change between two recordings that is asked
+for, on recordings of the disturbance model its A, τ and ω: a bench has no true A.
+
+The prior of δ is log-uniform on the swept range. The product's own goes on beyond that range, where
+it then withholds the answer; so ranks are of that posterior cut off at the range, and stand beside
+those of the posterior as shipped. With the gap fixed there is no prior that truths came from: the
+posterior is as shipped, coverage is told and uniform ranks are not asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import xarray as xr
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    model_validator,
+)
+
+from bayesbl.config.bench import load_bench
+from bayesbl.config.fields import as_tuple, refuse
+from bayesbl.gap.branch import likeliest_branch
+from bayesbl.gap.change import MeasuredRinging, gaps
+from bayesbl.gap.curve import GapCurve
+from bayesbl.inference.agreement import disagreements
+from bayesbl.inference.alignment import fit_aligned
+from bayesbl.inference.calibration import rank
+from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE
+from bayesbl.inference.direct import sample_direct
+from bayesbl.inference.estimator import Estimator, PointEstimate
+from bayesbl.inference.posterior import SamplerSettings, sample_posterior
+from bayesbl.inference.simulated import GAP, observed
+from bayesbl.physics.bench import Bench, SpeedSource
+from bayesbl.physics.noise import NoiseModel
+from bayesbl.physics.spoiling import drifting, with_samples_lost
+from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.results.curve_file import read_curve
+from bayesbl.signal.parameters import AMPLITUDE, DECAY, FREQUENCY
+from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
+from bayesbl.workflows.direct import DirectMeasurement, direct_unknowns
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SAMPLERS = {
+    "emcee": SamplerSettings(),
+    # Enough draws for a rank, at a third of the time; it stops before its bounds are stable.
+    "short": SamplerSettings(ensembles=2, max_steps=500),
+}
+FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
+SNAPSHOTS = ("before", "after")
+
+SYMBOLS = {"amplitude": AMPLITUDE, "decay_rate": DECAY, "frequency": FREQUENCY}
+"""What is asked for on recordings of the disturbance model: name in the table to symbol."""
+
+AMPLITUDES_RPM = (10.0, 40.0)
+FREQUENCIES_RAD_PER_S = (10.0 * math.pi, 50.0 * math.pi)
+LARGEST_BASELINE_RPM = 10.0
+
+
+class Row(BaseModel):
+    """A row: what is simulated, and how it is fitted.
+
+    Without ``bench``, recordings are the disturbance model's own. ``gap_rad`` is one gap, or
+    [low, high] of a log-uniform draw. ``bench_off`` draws the true bench within the tolerances of
+    the bench file. ``route`` ``amplitude`` needs a ``curve``.
+
+    ``posterior`` of the amplitude route: ``emcee`` as shipped; ``short``, the same stopped early;
+    ``normal`` around the optimum with the covariance that emcee samples. In the first
+    ``emcee_cases`` of a row emcee as shipped stands beside it. The direct route has its fast
+    posterior.
+
+    What real recordings suffer from: ``degrees_of_freedom`` of Student-t noise; ``missing_share``
+    of the samples lost; ``speed_source`` ``encoder``, the speed differentiated from
+    ``encoder_counts``, with no other noise; ``drift_share``, growth of the speed from begin to end.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    cases: PositiveInt
+    bench: Path | None = None
+    curve: Path | None = None
+    route: Literal["amplitude", "direct"] = "amplitude"
+    gap_rad: Annotated[float | tuple[float, float], BeforeValidator(as_tuple)] = (1e-4, 4e-3)
+    bench_off: bool = False
+    posterior: Literal["emcee", "short", "normal"] = "emcee"
+    emcee_cases: NonNegativeInt = 0
+    speed_noise_sd_rpm: float = Field(default=1.5, gt=0.0)
+    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
+    degrees_of_freedom: float | None = None
+    rotations: float = 5.0
+    sampling_hz: float = 1000.0
+    missing_share: float = Field(default=0.0, ge=0.0, lt=0.05)
+    encoder_counts: PositiveInt | None = None
+    speed_source: SpeedSource = "sensor"
+    drift_share: float = 0.0
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Row:
+        if self.bench is None:
+            if self.route == "direct" or self.posterior == "normal" or self.emcee_cases:
+                refuse(
+                    "Without a bench there is the posterior of the disturbance model alone.",
+                    expected='route = "amplitude" and posterior = "emcee" or "short", or a bench',
+                )
+        elif self.route == "direct" and not isinstance(self.gap_rad, tuple):
+            refuse(
+                "The direct route's prior is on the range that gaps are drawn from.",
+                found=self.gap_rad,
+                expected="gap_rad = [low, high]",
+            )
+        elif self.route == "amplitude" and self.curve is None:
+            refuse("The amplitude route needs a curve.", found="none", expected="a sweep's file")
+        return self
+
+
+QUANTITIES = {
+    "delta": "ln of the gap of the last recording",
+    "change": "change of the gap, rad",
+    "amplitude": "A, rpm",
+    "decay_rate": "τ, 1/s",
+    "frequency": "ω, rad/s",
+}
+COLUMNS = {
+    "delta_rad": ("rad", "gap simulated"),
+    "change_rad": ("rad", "change simulated"),
+    "outside": ("1", "share of the draws beyond the range that the gap was drawn from"),
+    "withheld": ("1", "1 where an answer would be withheld"),
+    **{
+        f"{name}_{what}": ("1", f"{text}: {of}")
+        for name, of in QUANTITIES.items()
+        for what, text in (
+            ("rank", "share of the posterior below the truth"),
+            ("shipped_rank", "share of the posterior below the truth, its prior as shipped"),
+            ("emcee_rank", "share of emcee's posterior below the truth"),
+            ("error", "posterior median less the truth"),
+            ("sd", "posterior standard deviation"),
+        )
+    },
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Draws of both gaps, each of shape (draws,), and whether the product would withhold them."""
+
+    gaps_rad: tuple[FloatArray, FloatArray]
+    withheld: bool
+
+
+def count(row: Row) -> int:
+    """Number of pairs of recordings, or of recordings of the disturbance model."""
+    return row.cases
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """From truth to ranks."""
+    truth_seed, fit_seed, rank_seed = seed.spawn(3)
+    generator = np.random.default_rng(truth_seed)
+    if row.bench is None:
+        return _of_symbols(row, generator, fit_seed, np.random.default_rng(rank_seed))
+    bench = _bench(row)
+    true = bench.draw(generator) if row.bench_off else bench
+    truths = _gap(row, generator), _gap(row, generator)
+    recordings = [_recorded(row, true, gap, generator) for gap in truths]
+    if row.route == "direct":
+        answers = [_directly(row, bench, recordings, fit_seed)]
+    else:
+        wanted = [row.posterior, *(["emcee"] if index < row.emcee_cases else [])]
+        answers = _by_amplitude(_curve(row.curve), recordings, fit_seed, wanted)
+    return _of_gaps(row, truths, answers, np.random.default_rng(rank_seed))
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Coverage at each level, whether it is in its band, uniformity of the ranks, and widths."""
+    from bayesbl.results.calibration import calibration_line
+
+    from_prior = row.bench is None or isinstance(row.gap_rad, tuple)
+    line: dict[str, float | str] = {}
+    for name in QUANTITIES:
+        if f"{name}_rank" in cases:
+            line |= calibration_line(name, cases, from_prior=from_prior)
+    return line | {"withheld": float(cases["withheld"].mean())}
+
+
+def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
+    """Coverage less what was promised, row by row, and the ranks' distribution less uniform."""
+    from bayesbl.figures.calibration import draw_calibration
+
+    return draw_calibration(table, cases, list(QUANTITIES))
+
+
+def _of_symbols(
+    row: Row,
+    generator: np.random.Generator,
+    seed: np.random.SeedSequence,
+    ranker: np.random.Generator,
+) -> dict[str, float]:
+    """Ranks of A, τ and ω, truths drawn from the posterior's flat priors."""
+    truth = draw_symbols(generator, generator.uniform(*AMPLITUDES_RPM))
+    truth[FREQUENCY] = generator.uniform(*FREQUENCIES_RAD_PER_S)
+    size, phase = generator.uniform(0.0, LARGEST_BASELINE_RPM), generator.uniform(0.0, 2 * math.pi)
+    recording = synthetic_recording(
+        truth,
+        _noise(row),
+        generator,
+        rotations=row.rotations,
+        baseline_rpm=(size * math.cos(phase), size * math.sin(phase)),
+        sampling_hz=row.sampling_hz,
+    )
+    fit = Estimator(sampler=SAMPLERS[row.posterior]).fit(recording, seed)
+    values = {"withheld": float(fit.posterior.diagnostics.outcome == "withheld")}
+    for name, symbol in SYMBOLS.items():
+        draws = fit.posterior.draws[symbol].ravel()
+        values[f"{name}_rank"] = rank(truth[symbol], draws, ranker)
+        values[f"{name}_error"] = float(np.median(draws)) - truth[symbol]
+        values[f"{name}_sd"] = float(draws.std())
+    return values
+
+
+def _by_amplitude(
+    curve: GapCurve,
+    recordings: Sequence[Recording],
+    seed: np.random.SeedSequence,
+    wanted: Sequence[str],
+) -> list[Answer]:
+    """The amplitude route's answer by each posterior that is wanted, from the same optima."""
+    search_seed, sample_seed, gap_seed = seed.spawn(3)
+    estimator = Estimator()
+    points = [
+        likeliest_branch(curve, estimator, estimator.estimate(recording, own))
+        for recording, own in zip(recordings, search_seed.spawn(len(recordings)), strict=True)
+    ]
+    answers = []
+    for kind in wanted:
+        seeds = sample_seed.spawn(len(points))
+        ringing = [_ringing(p, kind, own) for p, own in zip(points, seeds, strict=True)]
+        found = gaps(curve, [r for r, _ in ringing], gap_seed)
+        withheld = any(w for _, w in ringing) or any(gap.reason is not None for gap in found)
+        before, after = (gap.delta_rad.ravel() for gap in found)
+        answers.append(Answer((before, after), withheld))
+    return answers
+
+
+def _ringing(
+    point: PointEstimate, kind: str, seed: np.random.SeedSequence
+) -> tuple[MeasuredRinging, bool]:
+    """Draws of A, and whether the fit would withhold its answer."""
+    centre, covariance = point.ringing
+    if kind == "normal":
+        sd = math.sqrt(covariance[0, 0])
+        draws = np.random.default_rng(seed).normal(centre[0], sd, (4, 1000))
+        return MeasuredRinging(draws, centre, covariance), centre[0] < WEAKEST_SIGNAL_TO_NOISE * sd
+    posterior = sample_posterior(
+        point.objective,
+        point.optimum,
+        point.spread,
+        SAMPLERS[kind],
+        seed,
+        contenders=point.contenders,
+    )
+    withheld = posterior.diagnostics.outcome == "withheld"
+    return MeasuredRinging(posterior.draws[AMPLITUDE], centre, covariance), withheld
+
+
+def _directly(
+    row: Row, bench: Bench, recordings: Sequence[Recording], seed: np.random.SeedSequence
+) -> Answer:
+    """The direct route's answer for both recordings together."""
+    assert isinstance(row.gap_rad, tuple)
+    seen = [
+        observed(replace(recording, name=name), bench)
+        for recording, name in zip(recordings, SNAPSHOTS, strict=True)
+    ]
+    fit = fit_aligned(bench, seen, direct_unknowns(bench, SNAPSHOTS, row.gap_rad))
+    posterior = sample_direct(fit, FAST_DIRECT, seed, corrected=False)
+    found = DirectMeasurement(posterior, tuple(disagreements(fit)))
+    withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
+    before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
+    return Answer((before, after), withheld)
+
+
+def _of_gaps(
+    row: Row,
+    truths: tuple[float, float],
+    answers: Sequence[Answer],
+    generator: np.random.Generator,
+) -> dict[str, float]:
+    """Ranks of δ and its change in the first answer; of another one, the ranks alone."""
+    low, high = row.gap_rad if isinstance(row.gap_rad, tuple) else (0.0, math.inf)
+    truth = {"delta": math.log(truths[1]), "change": truths[1] - truths[0]}
+    values = {"delta_rad": truths[1], "change_rad": truth["change"]}
+    for answer, kind in zip(answers, ("", "emcee_"), strict=False):
+        before, after = answer.gaps_rad
+        within = np.all([(low <= gap) & (gap <= high) for gap in answer.gaps_rad], axis=0)
+        for name, draws in (("delta", np.log(after)), ("change", after - before)):
+            values[f"{name}_{kind}rank"] = rank(truth[name], draws[within], generator)
+            if answer is answers[0]:
+                values[f"{name}_shipped_rank"] = rank(truth[name], draws, generator)
+                values[f"{name}_error"] = float(np.median(draws)) - truth[name]
+                values[f"{name}_sd"] = float(draws.std())
+                values["outside"] = float(1.0 - within.mean())
+                values["withheld"] = float(answer.withheld)
+    return values
+
+
+def _gap(row: Row, generator: np.random.Generator) -> float:
+    if isinstance(row.gap_rad, tuple):
+        return math.exp(generator.uniform(*np.log(row.gap_rad)))
+    return row.gap_rad
+
+
+def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator) -> Recording:
+    """A recording of a random start angle, as it would be read in."""
+    start_angle_rad = generator.uniform(0.0, 2.0 * math.pi)
+    how = {
+        "rotations": row.rotations,
+        "sampling_hz": row.sampling_hz,
+        "start_angle_rad": start_angle_rad,
+    }
+    if row.drift_share:
+        return drifting(bench, gap_rad, row.drift_share, generator, **how)
+    recording = bench.simulate(gap_rad, **how, seed=generator)
+    if row.missing_share:
+        return with_samples_lost(recording, row.missing_share, generator)
+    return recording
+
+
+def _noise(row: Row) -> NoiseModel:
+    return NoiseModel(row.speed_noise_sd_rpm, row.coefficients, row.degrees_of_freedom)
+
+
+@cache
+def _curve(path: Path) -> GapCurve:
+    return read_curve(path)
+
+
+@cache
+def _bench(row: Row) -> Bench:
+    assert row.bench is not None
+    bench = load_bench(row.bench)
+    seen = bench.measurement
+    return bench.with_measurement(
+        replace(
+            seen,
+            encoder_counts=row.encoder_counts or seen.encoder_counts,
+            speed_source=row.speed_source,
+            speed_noise=_noise(row),
+        )
+    )
