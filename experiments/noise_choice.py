@@ -4,8 +4,8 @@
 
 Recordings of the disturbance model, whose A is known, with noise of a kind that is known too. Each
 is fitted as any recording is. The optimum is least squares whatever the noise, so only the noise
-model is then replaced: by the kind that is chosen, by each that can be asked for, and by the truth
-itself. The posterior of A is taken normal around the optimum with the covariance that emcee samples.
+model is then replaced: by the kind that is chosen, by each that can be asked for, and by the
+truth. The posterior of A is normal around the optimum, with the covariance that emcee samples.
 """
 
 from __future__ import annotations

@@ -1,10 +1,14 @@
 """How much must a joint wear before a comparison of two recordings reports it?
 
+    bayesbl sweep configs/sweep.toml
+    bayesbl run configs/wear_detection.toml
+
 A case is a pair of recordings of the virtual bench, before and after a known change of the gap,
-with start angles of their own, each fitted as any recording is and both put through one draw of a
-swept curve. An increase is *reported* if its probability is at least ``REPORTED_AT``; reported
-without a change it is a false alarm, of which there should be at most one minus that. The
-posterior of A is taken normal around the optimum, with the covariance that emcee samples.
+with start angles of their own. By the amplitude route each is fitted as any recording is and both
+are put through one draw of a swept curve; the posterior of A is taken normal around the optimum,
+with the covariance that emcee samples. By the direct route both are fitted together, with the fast
+posterior. An increase is *reported* if its probability is at least ``REPORTED_AT``; reported
+without a change it is a false alarm, of which there should be at most one minus that.
 """
 
 from __future__ import annotations
@@ -14,24 +18,40 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    model_validator,
+)
 
 from bayesbl.config.bench import load_bench
-from bayesbl.config.fields import as_tuple
+from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve
+from bayesbl.inference.agreement import disagreements
+from bayesbl.inference.alignment import fit_aligned
+from bayesbl.inference.calibration import coverage_band
+from bayesbl.inference.direct import sample_direct
 from bayesbl.inference.estimator import Estimator
+from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.inference.simulated import GAP, observed
 from bayesbl.physics.bench import Bench
 from bayesbl.physics.noise import NoiseModel
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import read_curve
+from bayesbl.workflows.direct import DirectMeasurement, direct_unknowns
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 REPORTED_AT = 0.95
@@ -43,25 +63,39 @@ POWER = 0.95
 REPEATS = 200
 """Tables drawn again from the fitted curve, for the standard error of the smallest change."""
 
+FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
+SNAPSHOTS = ("before", "after")
+
 
 class Row(BaseModel):
     """A row: one joint and one way to record it, over several true changes.
 
-    ``pairs`` are simulated for each of ``changes_rad``; a change of 0 counts false alarms.
+    ``pairs`` are simulated for each of ``changes_rad``, and ``more_without_wear`` pairs with no
+    change, which count false alarms. ``route`` ``amplitude`` needs a ``curve``; ``prior_rad`` is
+    the range of the direct route's prior.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     bench: Path
-    curve: Path
+    route: Literal["amplitude", "direct"] = "amplitude"
+    curve: Path | None = None
+    prior_rad: Annotated[tuple[float, float], BeforeValidator(as_tuple)] = (1e-4, 1e-2)
     gap_rad: float = Field(gt=0.0)
     changes_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
     pairs: PositiveInt
+    more_without_wear: NonNegativeInt = 0
     speed_noise_sd_rpm: float = Field(gt=0.0)
     coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
     rotations: float = 5.0
     sampling_hz: float = 1000.0
+
+    @model_validator(mode="after")
+    def _has_a_curve(self) -> Row:
+        if self.route == "amplitude" and self.curve is None:
+            refuse("The amplitude route needs a curve.", found="none", expected="a sweep's file")
+        return self
 
 
 COLUMNS = {
@@ -75,26 +109,25 @@ COLUMNS = {
 
 def count(row: Row) -> int:
     """Number of pairs, over all changes."""
-    return row.pairs * len(row.changes_rad)
+    return row.pairs * len(row.changes_rad) + row.more_without_wear
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One pair; changes take turns, so that a study cut short has pairs of each."""
-    truth_seed, fit_seed, gap_seed = seed.spawn(3)
+    truth_seed, fit_seed = seed.spawn(2)
     generator = np.random.default_rng(truth_seed)
-    change = row.changes_rad[index % len(row.changes_rad)]
-    ringing = [
-        _fit(row, gap, generator, own)
-        for gap, own in zip((row.gap_rad, row.gap_rad + change), fit_seed.spawn(2), strict=True)
-    ]
-    before, after = gaps(_curve(row.curve), ringing, gap_seed)
-    found, _ = changes({"before": before.delta_rad, "after": after.delta_rad})
+    in_turn = index < row.pairs * len(row.changes_rad)
+    change = row.changes_rad[index % len(row.changes_rad)] if in_turn else 0.0
+    recordings = [_recorded(row, gap, generator) for gap in (row.gap_rad, row.gap_rad + change)]
+    by_route = _directly if row.route == "direct" else _by_amplitude
+    before, after, withheld = by_route(row, recordings, fit_seed)
+    found, _ = changes({"before": before, "after": after})
     return {
         "change_rad": change,
         "probability_increase": found.probability_increase,
         "change_median_rad": float(np.median(found.change_rad)),
         "change_sd_rad": float(found.change_rad.std()),
-        "withheld": float(before.reason is not None or after.reason is not None),
+        "withheld": float(withheld),
     }
 
 
@@ -102,6 +135,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """False alarms, the share reported at each change, and the smallest change found."""
     change, reported = cases["change_rad"].values, _reported(cases)
     line: dict[str, float | str] = {
+        "route": row.route,
         "gap_mrad": 1e3 * row.gap_rad,
         "noise_sd_rpm": row.speed_noise_sd_rpm,
         "rotations": row.rotations,
@@ -110,7 +144,11 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     known = np.unique(change)
     shares = [float(reported[change == c].mean()) for c in known]
     if known[0] == 0.0:
+        without = int(np.sum(change == 0.0))
+        line["pairs_without_wear"] = float(without)
         line["false_alarms"] = shares[0]
+        # What a nominal rate leaves in at most 1 of 200 studies.
+        line["false_alarms_at_most"] = coverage_band(without, 1.0 - REPORTED_AT)[1]
     middle, width = detection_curve(change, reported)
     smallest = smallest_change(middle, width)
     line |= {
@@ -156,46 +194,58 @@ def smallest_change(middle_rad: float, width_rad: float, power: float = POWER) -
 
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
-    """Detection curves: the share of pairs reported against the true change, from the table."""
+    """Detection curves of each route: the share of pairs reported against the true change."""
+    from bayesbl.figures.layout import grid
+    from bayesbl.figures.style import DOUBLE_COLUMN_IN, head_panels, new_figure, publication_style
+
+    # Tables from before there were two routes do not name theirs.
+    routes = list(dict.fromkeys(str(line.get("route") or "amplitude") for line in table))
+    with publication_style():
+        drawn = new_figure(DOUBLE_COLUMN_IN, 0.5 + 2.7 * len(routes))
+        places = grid(drawn, len(routes), 1, right=2.9, between=(0.75, 0.0))
+        panels = [drawn.add_subplot(places[n, 0]) for n in range(len(routes))]
+        for route, panel in zip(routes, panels, strict=True):
+            _draw_curves(panel, [line for line in table if (line.get("route") or route) == route])
+        head_panels(panels, [f"By the {route} route" for route in routes])
+        panels[-1].set_xlabel("True change of the gap δ (mrad)")
+    return drawn
+
+
+def _draw_curves(panel: Axes, table: Sequence[Mapping[str, Any]]) -> None:
     from scipy.stats import binom, norm
 
-    from bayesbl.figures.layout import grid
-    from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, look, new_figure, publication_style
+    from bayesbl.figures.style import NEUTRAL, look
 
-    with publication_style():
-        drawn = new_figure(DOUBLE_COLUMN_IN, 3.0)
-        panel = drawn.add_subplot(grid(drawn, 1, 1, right=2.9)[0, 0])
-        for index, line in enumerate(table):
-            style, size = look(index), float(line["pairs_per_change"])
-            change, share = (
-                np.array(str(line[key]).split(), dtype=float)
-                for key in ("changes_mrad", "reported")
-            )
-            band = binom.ppf([[0.05], [0.95]], size, share) / size
-            panel.errorbar(
-                change, share, np.abs(band - share), color=style.colour, marker=style.marker,
-                linestyle="none", capsize=2.0, elinewidth=0.7,
-            )  # fmt: skip
-            fine = np.linspace(0.0, 1.1 * change.max(), 200)
-            middle, width = (float(line[k]) for k in ("half_found_mrad", "curve_width_mrad"))
-            found = f"{float(line['smallest_mrad']):.2g} mrad found in {100.0 * POWER:g} %"
-            panel.plot(
-                fine, norm.cdf((fine - middle) / width), color=style.colour,
-                linestyle=style.dashes, label=f"{line['name']}:\n{found}",
-            )  # fmt: skip
-        levels = ((POWER, f"{100.0 * POWER:g} %"), (1.0 - REPORTED_AT, "nominal\nfalse alarms"))
-        for level, told in levels:
-            panel.axhline(level, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
-            panel.annotate(
-                told, (1.0, level), xycoords=("axes fraction", "data"), xytext=(2.0, 0.0),
-                textcoords="offset points", va="center", fontsize=6.0,
-            )  # fmt: skip
-        panel.set_xlim(left=-0.003)
-        panel.set_ylim(0.0, 1.03)
-        panel.set_xlabel("True change of the gap δ (mrad)")
-        panel.set_ylabel("Share of pairs in which an increase is reported")
-        panel.legend(loc="center left", bbox_to_anchor=(1.18, 0.5))
-    return drawn
+    for index, line in enumerate(table):
+        style = look(index)
+        change, share = (
+            np.array(str(line[key]).split(), dtype=float) for key in ("changes_mrad", "reported")
+        )
+        size = np.full(change.shape, float(line["pairs_per_change"]))
+        size[change == 0.0] = float(line.get("pairs_without_wear") or size[0])
+        band = binom.ppf([[0.05], [0.95]], size, share) / size
+        panel.errorbar(
+            change, share, np.abs(band - share), color=style.colour, marker=style.marker,
+            linestyle="none", capsize=2.0, elinewidth=0.7,
+        )  # fmt: skip
+        fine = np.linspace(0.0, 1.1 * change.max(), 200)
+        middle, width = (float(line[k]) for k in ("half_found_mrad", "curve_width_mrad"))
+        found = f"{float(line['smallest_mrad']):.2g} mrad found in {100.0 * POWER:g} %"
+        panel.plot(
+            fine, norm.cdf((fine - middle) / width), color=style.colour,
+            linestyle=style.dashes, label=f"{line['name']}:\n{found}",
+        )  # fmt: skip
+    levels = ((POWER, f"{100.0 * POWER:g} %"), (1.0 - REPORTED_AT, "nominal\nfalse alarms"))
+    for level, told in levels:
+        panel.axhline(level, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
+        panel.annotate(
+            told, (1.0, level), xycoords=("axes fraction", "data"), xytext=(2.0, 0.0),
+            textcoords="offset points", va="center", fontsize=6.0,
+        )  # fmt: skip
+    panel.set_xlim(left=-0.02 * panel.get_xlim()[1])
+    panel.set_ylim(0.0, 1.03)
+    panel.set_ylabel("Share of pairs reported")
+    panel.legend(loc="center left", bbox_to_anchor=(1.18, 0.5))
 
 
 def _reported(cases: xr.Dataset) -> FloatArray:
@@ -219,21 +269,51 @@ def _standard_error(change_rad: FloatArray, middle_rad: float, width_rad: float)
     return float(np.std(again))
 
 
-def _fit(
-    row: Row, gap_rad: float, generator: np.random.Generator, seed: np.random.SeedSequence
-) -> MeasuredRinging:
-    recording = _bench(row).simulate(
+def _recorded(row: Row, gap_rad: float, generator: np.random.Generator) -> Recording:
+    """A recording of a random start angle."""
+    return _bench(row).simulate(
         gap_rad,
         rotations=row.rotations,
         sampling_hz=row.sampling_hz,
         start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
         seed=generator,
     )
-    estimator = Estimator()
-    point = likeliest_branch(_curve(row.curve), estimator, estimator.estimate(recording, seed))
-    centre, covariance = point.ringing
-    draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
-    return MeasuredRinging(draws, centre, covariance)
+
+
+def _by_amplitude(
+    row: Row, recordings: Sequence[Recording], seed: np.random.SeedSequence
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Draws of both gaps by the curve, rad, and whether an answer would be withheld."""
+    assert row.curve is not None
+    curve, estimator = _curve(row.curve), Estimator()
+    *own, draw_seed, gap_seed = seed.spawn(len(recordings) + 2)
+    generator = np.random.default_rng(draw_seed)
+    ringing = []
+    for recording, search_seed in zip(recordings, own, strict=True):
+        point = likeliest_branch(curve, estimator, estimator.estimate(recording, search_seed))
+        centre, covariance = point.ringing
+        draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
+        ringing.append(MeasuredRinging(draws, centre, covariance))
+    before, after = gaps(curve, ringing, gap_seed)
+    withheld = before.reason is not None or after.reason is not None
+    return before.delta_rad, after.delta_rad, withheld
+
+
+def _directly(
+    row: Row, recordings: Sequence[Recording], seed: np.random.SeedSequence
+) -> tuple[FloatArray, FloatArray, bool]:
+    """As :func:`_by_amplitude`, both recordings fitted together as simulations of their bench."""
+    bench = _bench(row)
+    seen = [
+        observed(replace(recording, name=name), bench)
+        for recording, name in zip(recordings, SNAPSHOTS, strict=True)
+    ]
+    fit = fit_aligned(bench, seen, direct_unknowns(bench, SNAPSHOTS, row.prior_rad))
+    posterior = sample_direct(fit, FAST_DIRECT, seed, corrected=False)
+    found = DirectMeasurement(posterior, tuple(disagreements(fit)))
+    withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
+    before, after = (posterior.values(GAP, name) for name in SNAPSHOTS)
+    return before, after, withheld
 
 
 @cache
