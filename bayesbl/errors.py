@@ -84,3 +84,7 @@ class CurveError(UserError):
 
 class ResultError(UserError):
     """A stored result that is missing, damaged, unfinished, or in the way."""
+
+
+class ClusterError(UserError):
+    """A cluster that cannot be reached, or whose workers cannot run a study."""

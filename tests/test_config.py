@@ -389,12 +389,18 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "check_sampler": True,
         "before": date(2027, 1, 1),
     }
-    assert set(values) == set(OPTIONS)
+    of_a_study = {"scheduler": "tcp://host:8786"}
+    assert set(values | of_a_study) == set(OPTIONS)
     files, dates = [folder / "before.csv", folder / "after.csv"], [date(2026, 3, 1)] * 2
     config = config_from_options("compare", files, None, dates, **values)
     assert config.dates == tuple(dates)
+    study = config_from_options("study", (), CONFIGS / "search_study.toml", **of_a_study)
     for option, location in OPTIONS.items():
-        assert attrgetter(".".join(map(str, location)))(config) == values[option]
+        field = attrgetter(".".join(map(str, location)))
+        if option in of_a_study:
+            assert field(study) == of_a_study[option]
+        else:
+            assert field(config) == values[option]
 
 
 DATED = """schema = 1

@@ -62,6 +62,15 @@ Workers = Annotated[
         "depend on it. [default: all cores]",
     ),
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786, in place of "
+        "processes.",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
 Curve = Annotated[

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from bayesbl.cli.options import Before, ConfigPath, Force, Json, Out, Seed, Workers
+from bayesbl.cli.options import Before, ConfigPath, Force, Json, Out, Scheduler, Seed, Workers
 from bayesbl.cli.running import run_config, simulate
 from bayesbl.cli.statuses import WRONG
+from bayesbl.errors import ConfigError
 
 
 def run_command(
@@ -17,6 +18,7 @@ def run_command(
     out: Out = None,
     seed: Seed = None,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     before: Before = None,
     force: Force = False,
     json: Json = False,
@@ -24,10 +26,21 @@ def run_command(
     """Run a configuration, whatever its kind."""
     from bayesbl.workflows.run import kind_of, load_run
 
-    if kind_of(config) == "simulate":
+    kind = kind_of(config)
+    if scheduler is not None and kind not in ("study", ""):
+        raise ConfigError(
+            "Only studies run on a cluster.",
+            file=config,
+            where="--scheduler",
+            found=f'kind = "{kind}"',
+            expected='kind = "study"',
+        )
+    if kind == "simulate":
         simulate(config, out, seed, workers, force, json)
     else:
-        loaded = load_run(config, out=out, seed=seed, workers=workers, before=before)
+        loaded = load_run(
+            config, out=out, seed=seed, workers=workers, scheduler=scheduler, before=before
+        )
         run_config(loaded, force, json)
 
 

@@ -48,6 +48,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "check_sampler": ("posterior", "check_sampler"),
         "seed": ("run", "seed"),
         "workers": ("run", "workers"),
+        "scheduler": ("run", "scheduler"),
         "out": ("run", "output"),
     }
 )
@@ -162,8 +163,9 @@ def dump_config(config: RunConfig) -> str:
 
 
 def config_fingerprint(config: RunConfig) -> str:
-    """SHA-256 of what decides the numbers: everything but the workers and the output folder."""
-    problem = config.model_dump(mode="json", by_alias=True, exclude={"run": {"workers", "output"}})
+    """SHA-256 of what decides the numbers: everything but who computes and the output folder."""
+    left_out = {"run": {"workers", "scheduler", "output"}}
+    problem = config.model_dump(mode="json", by_alias=True, exclude=left_out)
     return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
 
 

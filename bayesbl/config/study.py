@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_validator
 
 from bayesbl.config.fields import InputPath, as_tuple, refuse, resolve
-from bayesbl.config.sections import RunConfig
+from bayesbl.config.sections import Run, RunConfig
 
 
 def _resolve_row(row: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
@@ -24,6 +25,20 @@ def _names_file(text: str, info: ValidationInfo) -> bool:
     return "\0" not in text and len(text) < 1024 and resolve(text, info).is_file()
 
 
+def _scheduler(address: str) -> str:
+    if not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:\d+", address):
+        refuse(
+            "This is not the address of a Dask scheduler.", expected="one such as tcp://host:8786"
+        )
+    return address
+
+
+class StudyRun(Run):
+    """``[run]`` of a study: with a scheduler, cases run on its Dask cluster."""
+
+    scheduler: Annotated[str, AfterValidator(_scheduler)] | None = None
+
+
 class StudyConfig(RunConfig):
     """``kind = "study"``: an experiment from a file of its own, row by row.
 
@@ -31,6 +46,7 @@ class StudyConfig(RunConfig):
     """
 
     kind: Literal["study"]
+    run: StudyRun
     study: InputPath
     rows: Annotated[
         tuple[Annotated[dict[str, Any], AfterValidator(_resolve_row)], ...],

@@ -67,6 +67,16 @@ def code_versions() -> dict[str, str]:
     return {"bayesbl": own, "python": platform.python_version(), **dependency_versions()}
 
 
+@cache
+def code_sha256() -> str:
+    """SHA-256 of this package's code as it was when this process first asked."""
+    package = Path(bayesbl.__file__).resolve().parent
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
+
+
 def dependency_versions() -> dict[str, str]:
     """Version of each of :data:`DEPENDENCIES`."""
     return {name: _version(name) for name in DEPENDENCIES}

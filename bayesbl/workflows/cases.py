@@ -1,4 +1,4 @@
-"""Finished cases of a study on disk, and the processes that run the others.
+"""Finished cases of a study on disk, and the processes or the cluster that run the others.
 
 Cases are kept beside the output folder until the study is whole: a file per row, a line per case,
 each written at once. A study that is killed loses the cases in flight and nothing else.
@@ -11,18 +11,16 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from bayesbl.errors import UserError
 from bayesbl.results.checkpoint import locked_sibling
 from bayesbl.workflows.processes import processes
-from bayesbl.workflows.study_file import Study, Table, load_study
+from bayesbl.workflows.study_file import Study, Table, load_study, seed_of_case
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +44,21 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A case that is to be run."""
+    """A case that is to be run; ``seed`` is the study's."""
 
     table: Table
     index: int
-    seed: np.random.SeedSequence
+    seed: int
+
+    @property
+    def row(self) -> str:
+        """The row's name."""
+        return str(self.table["name"])
+
+    @property
+    def in_words(self) -> str:
+        """Which case it is."""
+        return f'case {self.index} of row "{self.row}"'
 
 
 class CaseStore:
@@ -107,19 +115,48 @@ class CaseStore:
 
 
 def run_cases(
-    study: Study, jobs: Sequence[Job], workers: int, commit: str
-) -> Iterator[tuple[str, Case]]:
-    """Run cases in processes of their own; yields (row, case) as they end, in any order.
+    study: Study,
+    jobs: Sequence[Job],
+    workers: int,
+    commit: str,
+    scheduler: str | None = None,
+    say: Callable[[str], None] = print,
+) -> Iterator[tuple[Job, Case]]:
+    """Run cases in processes of their own, or on the cluster of a Dask scheduler.
 
-    One worker is a process of its own too: linear algebra on one thread rounds otherwise than on
-    many, and the numbers must not depend on the workers.
+    Yields them as they end, in any order. One worker is a process of its own too: linear algebra
+    on one thread rounds otherwise than on many, and the numbers must not depend on the workers.
+
+    Raises
+    ------
+    ClusterError
+        As :func:`bayesbl.workflows.cluster.run_on_cluster`.
     """
     if not jobs:
         return
+    if scheduler is not None:
+        from bayesbl.workflows.cluster import run_on_cluster
+
+        yield from run_on_cluster(study, jobs, commit, scheduler, say)
+        return
     with processes(min(workers, len(jobs)), _load, study.path) as pool:
-        rows = {pool.submit(_run_job, job, commit): str(job.table["name"]) for job in jobs}
-        for future in as_completed(rows):
-            yield rows[future], future.result()
+        futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+
+
+def run_job(study: Study, job: Job, commit: str) -> Case:
+    """Run a case here; a :class:`UserError` of the study is its message."""
+    start = time.perf_counter()
+    values, message = {}, ""
+    try:
+        values = study.run_case(job.table, job.index, seed_of_case(job.seed, job.row, job.index))
+    except UserError as error:
+        message = str(error)
+    except Exception as error:
+        error.add_note(f"In {job.in_words}.")
+        raise
+    return Case(job.index, values, time.perf_counter() - start, commit, message)
 
 
 _loaded: Study | None = None
@@ -131,18 +168,9 @@ def _load(path: Path) -> None:
     _loaded = load_study(path)
 
 
-def _run_job(job: Job, commit: str) -> Case:
+def _run_loaded(job: Job, commit: str) -> Case:
     assert _loaded is not None
-    start = time.perf_counter()
-    values, message = {}, ""
-    try:
-        values = _loaded.run_case(job.table, job.index, job.seed)
-    except UserError as error:
-        message = str(error)
-    except Exception as error:
-        error.add_note(f'In case {job.index} of row "{job.table["name"]}".')
-        raise
-    return Case(job.index, values, time.perf_counter() - start, commit, message)
+    return run_job(_loaded, job, commit)
 
 
 def _whole_lines(file: Path) -> list[bytes]:

@@ -1,4 +1,4 @@
-"""Studies: many independent cases in rows, over processes, resumed where they were left.
+"""Studies: many independent cases in rows, over processes or a cluster, resumed where left.
 
 What a study is stands in :mod:`bayesbl.workflows.study_file`. ``result.nc`` holds all cases, a
 group per row; ``table.csv`` a line per row.
@@ -33,7 +33,7 @@ from bayesbl.results.folder import (
 from bayesbl.results.provenance import git_commit, provenance
 from bayesbl.results.store import OUTCOME, read_tree, write_json, write_text, write_tree
 from bayesbl.workflows.cases import Case, CaseStore, Job, run_cases
-from bayesbl.workflows.study_file import RESERVED, Study, Table, load_study, seed_of_case
+from bayesbl.workflows.study_file import RESERVED, Study, Table, load_study
 
 if TYPE_CHECKING:
     from bayesbl.workflows.measure import StageProgress
@@ -65,9 +65,7 @@ class Row:
     def jobs(self, seed: int) -> list[Job]:
         """The cases that are still to be run."""
         return [
-            Job(self.table, index, seed_of_case(seed, self.name, index))
-            for index in range(self.count)
-            if index not in self.cases
+            Job(self.table, index, seed) for index in range(self.count) if index not in self.cases
         ]
 
 
@@ -91,7 +89,8 @@ def run_study(
     progress
         Called with (row, finished cases, all cases).
     say
-        Told in a sentence what is taken over and what is run again.
+        Told in a sentence what is taken over, what is run again, and on how many workers of a
+        cluster.
 
     Raises
     ------
@@ -107,7 +106,7 @@ def run_study(
     with CaseStore.beside(output, fresh=force) as store:
         for row in rows:
             _take_from_store(row, store, say)
-        _finish(study, rows, config, store, progress)
+        _finish(study, rows, config, store, progress, say)
         tree = _tree(study, rows, config)
         summary = summarise_study(tree)
         with new_result(output, force=force or add, also={TABLE_FILE}) as folder:
@@ -240,16 +239,18 @@ def _finish(
     config: StudyConfig,
     store: CaseStore,
     progress: StageProgress | None,
+    say: Callable[[str], None],
 ) -> None:
     """Run all cases that lack, each stored as soon as it ends."""
     by_name = {row.name: row for row in rows}
     jobs = [job for row in rows for job in row.jobs(config.run.seed)]
-    for name, case in run_cases(study, jobs, config.run.workers, git_commit()):
-        row = by_name[name]
-        store.add(name, case)
+    run = config.run
+    for job, case in run_cases(study, jobs, run.workers, git_commit(), run.scheduler, say):
+        row = by_name[job.row]
+        store.add(row.name, case)
         row.cases[case.index] = case
         if progress is not None:
-            progress(name, len(row.cases), row.count)
+            progress(row.name, len(row.cases), row.count)
 
 
 def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree:

@@ -23,8 +23,8 @@ and may define::
     def figure(table, cases) -> matplotlib.figure.Figure: ...
         # From the table's lines and the cases of each row by name.
 
-Cases run in other processes, on one thread each, in any order. What is costly and shared by the
-cases of a row goes into a function under ``functools.cache``.
+Cases run in other processes, maybe on other machines, on one thread each, in any order. What is
+costly and shared by the cases of a row goes into a function under ``functools.cache``.
 """
 
 from __future__ import annotations
@@ -133,6 +133,10 @@ class Study:
             for name, value in self.module.summarise(self.row(table), cases).items()
         }
 
+    def files(self, table: Table) -> list[str]:
+        """Paths of the files that a row names."""
+        return [value for value in table.values() if _is_file(value)]
+
     def definition(self, table: Table, seed: int) -> str:
         """SHA-256 of what decides a row's cases: its table, the code that runs them, the seed.
 
@@ -205,9 +209,13 @@ def seed_of_case(seed: int, row: str, index: int) -> np.random.SeedSequence:
 
 def _content(value: Any) -> Any:
     """A file's name and hash in place of its path."""
-    if isinstance(value, str) and len(value) < 1024 and Path(value).is_file():
+    if _is_file(value):
         return [Path(value).name, hashlib.sha256(Path(value).read_bytes()).hexdigest()]
     return value
+
+
+def _is_file(value: Any) -> bool:
+    return isinstance(value, str) and len(value) < 1024 and Path(value).is_file()
 
 
 def _names(node: ast.stmt) -> set[str]:
