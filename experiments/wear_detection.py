@@ -149,20 +149,23 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         line["false_alarms"] = shares[0]
         # What a nominal rate leaves in at most 1 of 200 studies.
         line["false_alarms_at_most"] = coverage_band(without, 1.0 - REPORTED_AT)[1]
-    middle, width = detection_curve(change, reported)
-    smallest = smallest_change(middle, width)
     line |= {
         "changes_mrad": " ".join(f"{1e3 * c:g}" for c in known),
         "reported": " ".join(f"{share:.3f}" for share in shares),
+        "change_sd_mrad": 1e3 * float(np.median(cases["change_sd_rad"].values)),
+        "withheld": float(cases["withheld"].values.mean()),
+    }
+    if known.size == 1:
+        return line
+    middle, width = detection_curve(change, reported)
+    smallest = smallest_change(middle, width)
+    return line | {
         "half_found_mrad": 1e3 * middle,
         "curve_width_mrad": 1e3 * width,
         "smallest_mrad": 1e3 * smallest,
         "smallest_se_mrad": 1e3 * _standard_error(change, middle, width),
         "smallest_%": 100.0 * smallest / row.gap_rad,
-        "change_sd_mrad": 1e3 * float(np.median(cases["change_sd_rad"].values)),
-        "withheld": float(cases["withheld"].values.mean()),
     }
-    return line
 
 
 def detection_curve(change_rad: FloatArray, reported: FloatArray) -> tuple[float, float]:
@@ -198,6 +201,7 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
     from bayesbl.figures.layout import grid
     from bayesbl.figures.style import DOUBLE_COLUMN_IN, head_panels, new_figure, publication_style
 
+    table = [line for line in table if line.get("smallest_mrad")]  # others have no curve
     # Tables from before there were two routes do not name theirs.
     routes = list(dict.fromkeys(str(line.get("route") or "amplitude") for line in table))
     with publication_style():
