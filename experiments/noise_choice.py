@@ -161,8 +161,8 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
     )
 
     with publication_style():
-        drawn = new_figure(DOUBLE_COLUMN_IN, 1.1 + 0.3 * len(table))
-        places = grid(drawn, 1, 3, left=1.75, bottom=0.75, between=(0.0, 0.2))
+        drawn = new_figure(DOUBLE_COLUMN_IN, 0.95 + 0.3 * len(table))
+        places = grid(drawn, 1, 3, left=1.55, bottom=0.6, between=(0.0, 0.25))
         chosen, covered, width = (drawn.add_subplot(places[0, n]) for n in range(3))
         _draw_choice(chosen, table)
         for y, line in enumerate(table):
@@ -173,7 +173,7 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
         covered.axvline(100.0 * LEVEL, color=NEUTRAL, linewidth=0.6)
         width.axvline(1.0, color=NEUTRAL, linewidth=0.6)
         width.set_xscale("log", base=2)
-        width.xaxis.set_major_formatter("{x:g}")
+        width.set_xticks([0.25, 0.5, 1.0], ["1/4", "1/2", "1"])
         for panel in (chosen, covered, width):
             panel.set_ylim(len(table) - 0.5, -0.5)
             panel.set_yticks([])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 from scipy.stats import norm
 
 from bayesbl.config.loading import load_config
+from bayesbl.errors import ConfigError
 from bayesbl.results.store import write_tree
 from bayesbl.workflows.study import prepare
 from bayesbl.workflows.study_file import load_study
@@ -111,6 +113,49 @@ def test_much_wear_is_found_and_every_change_has_its_pairs(study, table):
         assert case["withheld"] == 0.0
     assert min(found[n]["probability_increase"] for n in (1, 3)) > 0.99
     assert max(found[n]["change_sd_rad"] for n in range(4)) < 5e-5
+
+
+def test_pairs_without_wear_come_on_top_of_those_at_each_change(study, table):
+    assert study.count(table | {"more_without_wear": 3}) == 7
+    more = study.run_case(table | {"more_without_wear": 3}, 5, np.random.SeedSequence([11, 5]))
+    assert more["change_rad"] == 0.0
+    line = study.summarise(table, cases([0.0, 3e-4, 0.0, 0.0], [0.99, 1.0, 0.5, 0.5]))
+    assert (line["pairs_without_wear"], line["false_alarms"]) == (3.0, pytest.approx(1 / 3))
+    alone = study.summarise(table, cases([0.0] * 200, [0.99] * 10 + [0.5] * 190))
+    assert alone["false_alarms"] == 0.05 < alone["false_alarms_at_most"] < 0.1
+    assert "smallest_mrad" not in alone
+
+
+def test_the_direct_route_finds_the_change_and_is_sharper(study, table):
+    """By how much the study tells; here the noise of the current is what is left."""
+    row = {key: value for key, value in table.items() if key != "curve"} | {"route": "direct"}
+    seeds = [np.random.SeedSequence([12, n]) for n in range(2)]
+    found = [study.run_case(row, n, seed) for n, seed in enumerate(seeds)]
+    for case, change in zip(found, (0.0, 3e-4), strict=True):
+        # Four claimed standard deviations: a false alarm in 16000 a case.
+        assert abs(case["change_median_rad"] - change) < 4.0 * case["change_sd_rad"]
+        assert case["withheld"] == 0.0
+    assert found[1]["probability_increase"] > 0.99
+    by_amplitude = study.run_case(table, 1, seeds[1])
+    assert found[1]["change_sd_rad"] < 0.5 * by_amplitude["change_sd_rad"]
+
+
+def test_the_amplitude_route_is_refused_without_a_curve(study, table):
+    with pytest.raises(ConfigError, match="needs a curve"):
+        study.count({key: value for key, value in table.items() if key != "curve"})
+
+
+def test_every_table_is_drawn_and_rows_without_wear_alone_are_left_out(study):
+    lines = []
+    for file in ("wear_detection.csv", "wear_detection_core.csv"):
+        with open(ROOT / "experiments/results" / file, newline="") as stream:
+            lines.append(list(csv.DictReader(stream)))
+    old, core = (study.figure(table, {}) for table in lines)
+    assert [panel.get_title("left")[5:] for panel in core.axes] == [
+        "By the direct route",
+        "By the amplitude route",
+    ]
+    assert len(old.axes) == 1
 
 
 def test_the_shipped_study_is_valid_but_for_a_sweep_that_is_not_there_yet():
