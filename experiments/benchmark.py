@@ -24,11 +24,16 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesbl.config.bench import load_bench
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.loading import load_config
+from bayesbl.discrepancy.forward.diagnosis import ForwardSettings, diagnose_forward
 from bayesbl.inference.estimator import Estimator
 from bayesbl.inference.optimum import Optimum, find_optimum
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.inference.warm import EarlierOptimum, warm_optimum
 from bayesbl.physics.noise import NoiseModel
+from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
@@ -45,6 +50,7 @@ from bayesbl.signal.parameters import (
     DisturbanceModel,
 )
 from bayesbl.signal.synthetic import synthetic_recording
+from bayesbl.workflows.forward import forward_problem
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
 POPULATION = 1000
@@ -80,6 +86,8 @@ def main() -> None:
     show("posterior around it, at most 2 s", posterior, "s")
     with tempfile.TemporaryDirectory() as folder:
         show("bayesbl fit, peak memory, below 400 MB", fit_megabytes(Path(folder)), "MB")
+        first = fit_megabytes(Path(folder) / "first", NUMBA_CACHE_DIR=f"{folder}/compiled")
+        show("bayesbl fit, peak memory of a first run, which compiles", first, "MB")
     with tempfile.TemporaryDirectory() as folder:
         show("bayesbl compare, figures included, at most 15 s", compare_seconds(Path(folder)), "s")
     with tempfile.TemporaryDirectory() as folder:
@@ -93,6 +101,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for bench, told in (("bench", "bench known"), ("bench_tolerances", "seven tolerances")):
             show(f"direct fit, {told}, at most 60 s", direct_seconds(Path(folder), bench), "s")
+    with tempfile.TemporaryDirectory() as folder:
+        naming, whole = diagnose_seconds(Path(folder))
+        show("locating and naming, three recordings, at most 20 s", naming, "s")
+        show("bayesbl diagnose, posterior and figures too, at most 120 s", whole, "s")
     show("bayesbl --help, below 0.4 s", process_seconds(["--help"], 7), "s")
 
 
@@ -165,11 +177,13 @@ def warm_seconds() -> tuple[float, float]:
     return best_seconds(search), best_seconds(sample, 3)
 
 
-def fit_megabytes(folder: Path) -> float:
+def fit_megabytes(folder: Path, **environment: str) -> float:
     """Largest resident memory of ``bayesbl fit`` on an example recording, in MB (10⁶ bytes)."""
     program = Path(sys.executable).with_name("bayesbl")
     arguments = ["fit", str(RECORDINGS / "wear_before.csv"), "--out", str(folder / "fit")]
-    with subprocess.Popen([program, *arguments], stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        [program, *arguments], stdout=subprocess.DEVNULL, env={**os.environ, **environment}
+    ) as process:
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
@@ -190,6 +204,34 @@ def direct_seconds(folder: Path, bench: str) -> float:
     options = ["--route", "direct", "--bench", str(RECORDINGS.parent / f"{bench}.toml")]
     file = str(RECORDINGS / "wear_before.csv")
     return process_seconds(["fit", file, *options, "--out", str(folder / bench)], 1)
+
+
+def diagnose_seconds(folder: Path) -> tuple[float, float]:
+    """Seconds to name what is hidden in the example, the whole catalogue open, and of the command.
+
+    Three recordings of five rotations; two threads, as its configuration says.
+    """
+    data, result = folder / "data", folder / "diagnosis"
+    hidden = RECORDINGS.parent / "simulate_hidden_friction.toml"
+    process_seconds(["simulate", str(hidden), "--out", str(data)], 1)
+    text = (RECORDINGS.parent / "diagnose_hidden_friction.toml").read_text()
+    text = text.replace('"../results/hidden_friction_data/', f'"{data}/')
+    text = text.replace('"bench.toml"', f'"{RECORDINGS.parent / "bench.toml"}"')
+    file = folder / "diagnose.toml"
+    file.write_text(text)
+    config = load_config(file)
+    assert isinstance(config, DiagnoseConfig)
+    recordings = [read_recording(e.file, name=e.name) for e in config.recordings]
+    problem = forward_problem(config, load_bench(config.bench), recordings)
+    used, held_out, unknowns, _ = problem
+    settings = ForwardSettings(workers=2)
+
+    def name() -> object:
+        bench = load_bench(config.bench)
+        return diagnose_forward(bench, used, held_out, unknowns, settings)
+
+    naming = best_seconds(name, 1)
+    return naming, process_seconds(["diagnose", str(file), "--out", str(result)], 1)
 
 
 def best_seconds(run: Callable[[], object], batches: int = BATCHES) -> float:

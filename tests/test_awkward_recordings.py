@@ -356,9 +356,9 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         lambda p: write_csv(
             p / "a.csv", changed(plain(), motor_speed_rpm=np.minimum(plain()[SPEED], 2022.0))
         ),
-        "motor_speed_rpm at",
+        "motor_speed_rpm from",
         "at the largest value, 2022",
-        "does not reach the limit",
+        "cut the file to a part that stays inside it",
     ),
     "a sensor that stands still for a second": (
         lambda p: write_csv(
@@ -373,14 +373,14 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
             p / "a.csv", changed(speed_only(plain()), motor_speed_rpm=two_speeds(plain()))
         ),
         "near 5 s",
-        "rpm before",
+        "rpm from 0 to 5 s",
         "a recording for each speed",
     ),
     "a machine that starts up": (
         lambda p: write_csv(
             p / "a.csv", changed(speed_only(plain()), motor_speed_rpm=starting_up(plain()))
         ),
-        "near 0 s",
+        "motor_speed_rpm from 0 to",
         "rpm for most of the recording",
         "cut the file",
     ),
@@ -389,7 +389,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
             p / "a.csv", changed(speed_only(plain()), motor_speed_rpm=in_blocks(plain()))
         ),
         "motor_speed_rpm near",
-        "rpm before",
+        "rpm from 0 to",
         "cut the file",
     ),
     "a constant speed": (

@@ -124,6 +124,7 @@ limit_rad = 1e-3
 [columns]
 motor_speed_rpm = "Speed [rpm]"
 [estimator]
+route = "amplitude"
 bench = "bench.toml"
 [estimator.model]
 baseline_harmonics = 2
@@ -223,6 +224,18 @@ WRONG = {
     ),
     "order without ar": ("[estimator.noise]\norder = 2\n", 'kind = "ar"', "[estimator.noise]"),
     "direct without bench": ('[estimator]\nroute = "direct"\n', "needs a bench", "[estimator]"),
+    "bench without direct": ('[estimator]\nbench = "before.csv"\n', "not the route", "[estimator]"),
+    "direct from an earlier result": (
+        '[estimator]\nroute = "direct"\nbench = "before.csv"\n'
+        '[estimator.search]\nstart_from = "after.csv"\n',
+        "cannot start from an earlier result",
+        "[estimator]",
+    ),
+    "direct with a second sampler": (
+        '[estimator]\nroute = "direct"\nbench = "before.csv"\n[posterior]\ncheck_sampler = true\n',
+        "the amplitude route's posterior only",
+        "[posterior]",
+    ),
     "direct with a rangeless gap": (
         "[estimator]\ngap_rad = [1e-3, 1e-3]\n",
         "range is empty",

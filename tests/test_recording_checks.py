@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -171,3 +172,28 @@ def test_a_position_in_degrees_is_recognised_by_the_speed(example: Recording) ->
 
 def test_position_and_speed_may_count_in_opposite_directions(example: Recording) -> None:
     checks.require_plausible_speed_unit(with_speed(example, -example.motor_speed_rpm))
+
+
+@pytest.mark.parametrize("changes_s", [(10.0,), (10.0, 20.5), (6.25, 12.0, 21.0)])
+def test_every_speed_of_a_recording_is_named_with_its_time_range(
+    changes_s: tuple[float, ...],
+) -> None:
+    time_s = np.arange(30_000) / 1000.0
+    speeds = np.array([1000.0, 1500.0, -1500.0, 800.0])
+    noise = np.random.default_rng(1).normal(0.0, 1.5, time_s.size)
+    speed = speeds[np.searchsorted(changes_s, time_s, side="right")] + noise
+    recording = Recording("steps", time_s, {"motor_speed_rpm": speed})
+    with pytest.raises(RecordingError) as caught:
+        checks.require_one_speed(recording)
+    found = re.findall(r"(\S+) rpm from (\S+) to (\S+) s", str(caught.value.found))
+    told = np.array(found, dtype=float)
+    edges_s = np.array([0.0, *changes_s, 30.0])
+    expected = np.column_stack([speeds[: len(told)], edges_s[:-1], edges_s[1:]])
+    np.testing.assert_allclose(told, expected, atol=0.3)
+
+
+def test_a_part_at_another_speed_is_named_with_its_time_range(example: Recording) -> None:
+    time_s = example.time_s
+    slow = np.interp(time_s, [0.0, 2.0, 5.0], [0.2, 0.2, 1.0])
+    with pytest.raises(RecordingError, match=r"from 0 to 4\.25 s.* rpm for most"):
+        checks.require_one_speed(with_speed(example, slow * example.motor_speed_rpm))

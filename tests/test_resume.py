@@ -20,7 +20,7 @@ from bayesbl.results.store import read_tree
 from bayesbl.workflows.run import run
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
-SAMPLES = 8000
+SAMPLES, THINNED = 8000, 4  # 8 s, every fourth sample: 250 Hz
 STEPS = 600
 KILLS = 20
 
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("resume")
     for name in ("before", "after"):
         lines = (RECORDINGS / f"wear_{name}.csv").read_text().splitlines(keepends=True)
-        (folder / f"{name}.csv").write_text("".join(lines[: SAMPLES + 1]))
+        (folder / f"{name}.csv").write_text(lines[0] + "".join(lines[1 : SAMPLES + 1 : THINNED]))
     (folder / "compare.toml").write_text(
         f"""schema = 1
 kind = "compare"
@@ -226,7 +226,7 @@ def test_two_runs_into_one_folder_do_not_mix(folder: Path, tmp_path: Path) -> No
 
 def test_a_run_that_cannot_end_leaves_nothing(folder: Path, tmp_path: Path) -> None:
     lines = (folder / "after.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "short.csv").write_text("".join(lines[:3001]))
+    (tmp_path / "short.csv").write_text("".join(lines[: 3000 // THINNED]))
     config = config_from_options("fit", [tmp_path / "short.csv"], out=tmp_path / "out")
     with pytest.raises(RecordingError):
         run(config, lambda tree, place: None, say=lambda sentence: None)

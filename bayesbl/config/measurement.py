@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import date as Date
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl.config.fields import (
     PUBLISHED,
@@ -92,6 +92,18 @@ class Estimator(Section):
                 found='route = "direct" without a bench',
                 expected='bench = "bench.toml"',
             )
+        if self.bench is not None and "route" not in self.model_fields_set:
+            refuse(
+                "A bench is given, but not the route that uses it.",
+                found=f'bench = "{self.bench}" without a route',
+                expected='route = "direct" (--route direct); for a curve, sweep the bench',
+            )
+        if self.route == "direct" and self.search.start_from is not None:
+            refuse(
+                "The direct route starts from its bench and cannot start from an earlier result.",
+                found=f'start_from = "{self.search.start_from}" with route = "direct"',
+                expected='route = "amplitude", or no start_from',
+            )
         if self.search.method == "paper" and self.model.baseline_harmonics != 0:
             refuse(
                 "The paper's search has no baseline.",
@@ -149,6 +161,19 @@ class SnapshotConfig(RecordedConfig):
                 expected="a different name for each",
             )
         return recordings
+
+    @field_validator("posterior")
+    @classmethod
+    def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:
+        estimator = info.data.get("estimator")  # missing where it was refused itself
+        if estimator is not None and estimator.route == "direct" and posterior.check_sampler:
+            refuse(
+                "The second sampler samples the amplitude route's posterior only; by the direct "
+                "route, full simulations check the draws.",
+                found='check_sampler = true with route = "direct"',
+                expected='route = "amplitude", or no check_sampler',
+            )
+        return posterior
 
 
 class FitConfig(SnapshotConfig):

@@ -2,7 +2,7 @@
 
 from bayesbl.figures.bench_draws import bench_draws
 from bayesbl.figures.convergence import convergence
-from bayesbl.figures.corner import corner, corners
+from bayesbl.figures.corner import corner
 from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
 from bayesbl.figures.discrepancy import discrepancy
@@ -12,14 +12,13 @@ from bayesbl.figures.gap import gap
 from bayesbl.figures.misfit import misfit
 from bayesbl.figures.noise import noise
 from bayesbl.figures.signal import signal
-from bayesbl.figures.trace import trace, traces
+from bayesbl.figures.trace import trace
 from bayesbl.figures.wear import wear
 
 __all__ = [
     "bench_draws",
     "convergence",
     "corner",
-    "corners",
     "curve",
     "degrees",
     "discrepancy",
@@ -30,6 +29,5 @@ __all__ = [
     "noise",
     "signal",
     "trace",
-    "traces",
     "wear",
 ]

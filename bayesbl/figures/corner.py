@@ -5,24 +5,18 @@ from __future__ import annotations
 import textwrap
 
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesbl.figures.scales import Scale, scale_of
-from bayesbl.figures.snapshots import Snapshot, snapshots
+from bayesbl.figures.snapshots import Snapshot
 from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, WITHHELD, new_figure, publication_style
 from bayesbl.recording.types import FloatArray
 
 _BINS = 32
 _LEVELS = (0.9, 0.5)
 _LEFT_IN, _BOTTOM_IN, _EDGE_IN, _GAP_IN = 0.62, 0.62, 0.08, 0.06
-
-
-def corners(tree: xr.DataTree) -> dict[str, Figure]:
-    """One corner figure per snapshot, by its name."""
-    return {snapshot.name: corner(snapshot) for snapshot in snapshots(tree)}
 
 
 @publication_style()

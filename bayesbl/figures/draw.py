@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from bayesbl.errors import ResultError
 from bayesbl.figures.bench_draws import bench_draws
 from bayesbl.figures.convergence import convergence
-from bayesbl.figures.corner import corners
+from bayesbl.figures.corner import corner
 from bayesbl.figures.curve import curve
 from bayesbl.figures.degrees import degrees
 from bayesbl.figures.diagnosis import diagnosed
@@ -24,8 +25,9 @@ from bayesbl.figures.named import can_be_drawn, named
 from bayesbl.figures.noise import noise
 from bayesbl.figures.overlay import overlay
 from bayesbl.figures.signal import signal
+from bayesbl.figures.snapshots import snapshots
 from bayesbl.figures.style import publication_style, save
-from bayesbl.figures.trace import traces
+from bayesbl.figures.trace import trace
 from bayesbl.figures.wear import wear
 
 
@@ -58,7 +60,13 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
             expected="a fit, a comparison, a sweep or a diagnosis",
         )
     draw = _direct_figures if tree.attrs.get("route") == "direct" else _FIGURES[kind]
-    return [path for name, figure in draw(tree) for path in save(figure, folder, name)]
+    written: list[Path] = []
+    for name, figure in draw(tree):
+        written += save(figure, folder, name)
+        del figure
+        # A figure holds itself in circles, and up to 15 MB: freed before the next one is made.
+        gc.collect()
+    return written
 
 
 def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
@@ -96,11 +104,11 @@ def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
         yield draw.__name__, draw(tree)
     if "wear" in tree.children:
         yield wear.__name__, wear(tree)
-    for name, draw_each in (("corner", corners), ("trace", traces)):
-        found = draw_each(tree)
-        for snapshot, figure in found.items():
-            alone = tree.attrs["kind"] != "compare"
-            yield (name if alone else f"{name}_{snapshot.replace(' ', '_')}"), figure
+    alone = tree.attrs["kind"] != "compare"
+    for draw_one in (corner, trace):
+        for snapshot in snapshots(tree):
+            of_which = "" if alone else "_" + snapshot.name.replace(" ", "_")
+            yield draw_one.__name__ + of_which, draw_one(snapshot)
 
 
 _FIGURES = {

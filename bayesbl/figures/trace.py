@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.figures.layout import grid
 from bayesbl.figures.scales import scale_of
-from bayesbl.figures.snapshots import GAP, Snapshot, snapshots
+from bayesbl.figures.snapshots import GAP, Snapshot
 from bayesbl.figures.style import (
     DOUBLE_COLUMN_IN,
     NEUTRAL,
@@ -23,11 +22,6 @@ from bayesbl.figures.style import (
 from bayesbl.recording.types import FloatArray
 
 _BINS = 30
-
-
-def traces(tree: xr.DataTree) -> dict[str, Figure]:
-    """One trace figure per snapshot, by its name."""
-    return {snapshot.name: trace(snapshot) for snapshot in snapshots(tree)}
 
 
 @publication_style()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -82,12 +81,10 @@ def rank_r_hat_and_ess(
     draws: Mapping[str, FloatArray],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # arviz 0.23 announces 1.0 on import
-        import arviz
+    from arviz_stats.base import array_stats
 
-    r_hat = {n: float(arviz.rhat(x, method="rank")) for n, x in draws.items()}
-    ess = {n: float(arviz.ess(x, method="bulk")) for n, x in draws.items()}
+    r_hat = {n: float(array_stats.rhat(x, method="rank")) for n, x in draws.items()}
+    ess = {n: float(array_stats.ess(x, method="bulk")) for n, x in draws.items()}
     return r_hat, ess
 
 

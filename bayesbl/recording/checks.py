@@ -7,6 +7,7 @@ a fit needs is asked here. Every function raises :class:`RecordingError`; only
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -22,8 +23,8 @@ from bayesbl.recording.channels import (
     did_you_mean,
 )
 from bayesbl.recording.clipping import require_unclipped, without_rails
-from bayesbl.recording.gaps import GRID_TOLERANCE, deviation_from_grid
-from bayesbl.recording.types import Recording
+from bayesbl.recording.gaps import GRID_TOLERANCE, deviation_from_grid, runs
+from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
 MINIMUM_SAMPLING_HZ = 100.0
@@ -37,6 +38,7 @@ BLOCKS_COMPARED = 4
 LARGEST_DEPARTURE = 0.2
 SMALLEST_STEP = 0.02
 STEP_OVER_SCATTER = 6.0
+STRETCHES_TOLD = 6
 """Of :func:`require_one_speed`."""
 
 CONSTANT_RANGE = 1e-6
@@ -178,9 +180,8 @@ def require_one_speed(recording: Recording) -> None:
     if count < 4 * BLOCKS_COMPARED:
         return
     means = recording.motor_speed_rpm[: count * block].reshape(count, block).mean(axis=1)
-    time_s = recording.time_s[: count * block : block]
     usual = float(np.median(means))
-    departures = np.flatnonzero(np.abs(means - usual) > LARGEST_DEPARTURE * abs(usual))
+    departs = np.abs(means - usual) > LARGEST_DEPARTURE * abs(usual)
     windows = np.lib.stride_tricks.sliding_window_view(means, BLOCKS_COMPARED)
     before, after = windows[:-BLOCKS_COMPARED], windows[BLOCKS_COMPARED:]
     size = np.abs(after.mean(axis=1) - before.mean(axis=1))
@@ -188,24 +189,38 @@ def require_one_speed(recording: Recording) -> None:
     steps = np.flatnonzero(
         (size > SMALLEST_STEP * abs(usual)) & (size > STEP_OVER_SCATTER * scatter)
     )
+    edges_s = [*recording.time_s[: count * block : block], recording.time_s[-1]]
     if steps.size:
-        sharpest = int(steps[np.argmax(size[steps])])
-        at = float(time_s[sharpest + BLOCKS_COMPARED])
-        found = (
-            f"{before[sharpest].mean():.5g} rpm before, {after[sharpest].mean():.5g} rpm after it"
-        )
-    elif departures.size:
-        at = float(time_s[departures[0]])
-        found = f"{means[departures[0]]:.5g} rpm there, {usual:.5g} rpm for most of the recording"
+        # One change is seen from several places; each is told where it is sharpest.
+        changes = np.split(steps, np.flatnonzero(np.diff(steps) > BLOCKS_COMPARED) + 1)
+        cuts = [int(change[np.argmax(size[change])]) + BLOCKS_COMPARED for change in changes]
+        where = "near " + ", ".join(f"{edges_s[cut]:.4g}" for cut in cuts[:STRETCHES_TOLD])
+        found = _stretches(means, [0, *cuts, count], edges_s)
+    elif departs.any():
+        begin, end = (edge[0] for edge in runs(departs))
+        where = f"from {edges_s[begin]:.4g} to {edges_s[end]:.4g}"
+        there = np.median(means[begin:end])
+        found = f"{there:.5g} rpm there, {usual:.5g} rpm for most of the recording"
     else:
         return
     raise _error(
         recording,
         "The speed changes: a fit takes one constant speed.",
-        where=f"{MOTOR_SPEED} near {at:.4g} s",
+        where=f"{MOTOR_SPEED} {where} s",
         found=found,
-        expected="one speed; cut the file there into a recording for each speed",
+        expected="one speed; cut the file there into a recording for each speed, two rotations of "
+        "the load or more",
     )
+
+
+def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: Sequence[float]) -> str:
+    """Speed and time range of each stretch between cuts (numbers of blocks), in words."""
+    told = [
+        f"{np.median(means[begin:end]):.5g} rpm from {edges_s[begin]:.4g} to {edges_s[end]:.4g} s"
+        for begin, end in itertools.pairwise(cuts)
+    ]
+    more = len(told) - STRETCHES_TOLD
+    return ", ".join(told[:STRETCHES_TOLD]) + (f" and {more} more" if more > 0 else "")
 
 
 def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) -> None:

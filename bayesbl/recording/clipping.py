@@ -90,13 +90,14 @@ def require_unclipped(recording: Recording, channel: str) -> None:
         count = _samples_at_limit(signal)
         if count:
             extreme = values.max() if side == "largest" else values.min()
-            first = int(np.flatnonzero(values == extreme)[0])
+            first, *_, last = recording.time_s[values == extreme]
             raise RecordingError(
                 f"The {CHANNELS.get(channel, channel)} is cut off, or stands still.",
                 file=recording.source.file if recording.source else recording.name,
-                where=f"{channel} at {recording.time_s[first]:.6g} s",
+                where=f"{channel} from {first:.6g} to {last:.6g} s",
                 found=f"{count} samples exactly at the {side} value, {extreme:.6g}",
-                expected="a signal that does not reach the limit of its sensor",
+                expected="a signal that does not reach the limit of its sensor; record again with "
+                "a wider range, or cut the file to a part that stays inside it",
             )
 
 

@@ -20,7 +20,7 @@ DEPENDENCIES = (
     "scipy",
     "cma",
     "emcee",
-    "arviz",
+    "arviz-stats",
     "xarray",
     "netCDF4",
     "numba",
