@@ -45,7 +45,7 @@ def run_case(row, index, seed):
     if index == row.get("bug"):
         raise KeyError("bug")
     running.append(index)
-    time.sleep(0.02)
+    time.sleep(row.get("sleep", 0.02))
     assert running == [index], "another case runs in this process"
     # Rounding depends on the number of threads that a product of this size is split over.
     draws = np.random.default_rng(seed).standard_normal((300, 300))
@@ -120,12 +120,14 @@ def test_a_case_whose_worker_dies_is_run_again_by_another_to_the_same_numbers(fo
     assert numbers(folder / "dies") == numbers(folder / "lives")
 
 
-def test_a_case_that_kills_every_worker_is_named_and_the_others_kept(folder, scheduler, capsys):
+def test_a_case_that_kills_every_worker_ends_the_study_in_words_and_the_others_are_kept(
+    folder, scheduler, capsys
+):
     rows = "dies = 2\nalways = true"
     config = configure(folder, "kept", f'scheduler = "{scheduler}"', rows)
     assert cli.status(["run", str(config)]) == cli.WRONG
     told = " ".join(capsys.readouterr().err.split())
-    assert 'case 2 of row "second": A case was given up' in told
+    assert "Workers died again and again" in told
     assert "Traceback" not in told
     assert finished(folder) > 0
 
@@ -136,13 +138,14 @@ def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folde
     with distributed.LocalCluster(
         n_workers=1, processes=False, protocol="tcp", dashboard_address=":0"
     ) as cluster:
-        config = configure(folder, "kept", f'scheduler = "{cluster.scheduler_address}"')
+        address = cluster.scheduler_address
+        config = configure(folder, "kept", f'scheduler = "{address}"', "sleep = 0.2")
         with pytest.raises(ClusterError, match="scheduler was lost"):
             run_study(load_config(config), say=list, progress=lambda *_: cluster.close())
     before = finished(folder)
     assert 0 < before < 12
-    run(configure(folder, "kept", "workers = 2"))
-    run(configure(folder, "whole", "workers = 2"))
+    run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))
+    run(configure(folder, "whole", "workers = 2", "sleep = 0.2"))
     assert numbers(folder / "kept") == numbers(folder / "whole")
 
 
@@ -182,6 +185,26 @@ def test_a_worker_with_other_code_or_files_is_refused_before_anything_runs(
     assert "tcp://" in told
     assert "Traceback" not in told
     assert not (folder / "other").exists()
+
+
+def test_a_worker_that_joins_later_is_asked_too(folder, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    said = []
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as cluster:
+        config = load_config(
+            configure(folder, "later", f'scheduler = "{cluster.scheduler_address}"')
+        )
+
+        def say(text: str) -> None:
+            said.append(text)
+            cluster.scale(1)
+
+        with pytest.raises(ClusterError, match=r"tcp://.*set OMP_NUM_THREADS=1"):
+            run_study(config, say=say)
+    assert said == [f"{config.run.scheduler} has no workers yet; 12 cases wait for them."]
 
 
 def common(folder: Path) -> Common:

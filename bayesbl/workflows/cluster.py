@@ -94,8 +94,8 @@ def run_on_cluster(
     Raises
     ------
     ClusterError
-        If the scheduler does not answer or is lost, a worker differs, or a case killed all that
-        ran it.
+        If the scheduler does not answer or is lost, a worker differs, or a case kills all that
+        run it.
     """
     with _connected(scheduler) as client:
         from distributed import KilledWorker, as_completed
@@ -115,11 +115,12 @@ def run_on_cluster(
                 case = future.result()
             except KilledWorker as error:
                 raise ClusterError(
-                    "A case was given up, as every worker that ran it died.",
+                    # Dask suspects all that a dead worker had at hand.
+                    "Workers died again and again while they ran this case, or one beside it.",
                     file=scheduler,
                     where=job.in_words,
                     found=f"last {error.last_worker.address}" if error.last_worker else None,
-                    expected="workers with memory enough for it",
+                    expected="workers with memory enough for a case",
                 ) from None
             except FutureCancelledError:
                 raise ClusterError(
@@ -138,10 +139,12 @@ def _run(common: Common, job: Job, commit: str) -> Case:
 
 @cache
 def _study_here(common: Common) -> Study:
-    """The study as this worker loads it; new when a file of it is."""
+    """The study as this worker loads it, asked again as workers may join later."""
+    from distributed import get_worker
+
     different = common.differences()
     if different:
-        raise _refusal({"a worker that joined later": different}, None)
+        raise _refusal({get_worker().address: different}, None)
     return load_study(common.study)
 
 
