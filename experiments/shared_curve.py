@@ -49,7 +49,7 @@ class Row(BaseModel):
 COLUMNS = {
     "change_rad": ("rad", "change simulated"),
     **{f"{way}_width_rad": ("rad", f"width of the 90 % interval, curve {way}") for way in WAYS},
-    **{f"{way}_holds": ("1", f"1 where that interval holds the change, curve {way}") for way in WAYS},
+    **{f"{way}_holds": ("1", "1 where that interval holds the change") for way in WAYS},
 }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ What is stored under ``results`` is taken as it is; delete a folder there to hav
 from __future__ import annotations
 
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from common import RESULTS, ROOT, STUDIES, PaperFigure, Stored, options, write_all
+from common import COUNTED, RESULTS, ROOT, STUDIES, PaperFigure, Stored, options, write_all
 
 NAMES = (
     *(f"figure_{number}" for number in (3, 5, 6, 7, 8, 9, 10)),
@@ -25,6 +26,7 @@ NAMES = (
     "shared_curve",
     "disagreement",
     "confusion",
+    "calibration",
     "wear_detection",
     "efficiency",
     "time_to_limit",
@@ -47,10 +49,19 @@ def run_missing(results: Path) -> None:
                 _run(config)
 
 
-def remake_studies() -> None:
-    """Run every study from scratch or from where it was left."""
+def remake_studies(results: Path) -> Path:
+    """Run every study that is not finished; a folder with their tables."""
     for config in STUDIES.values():
         _run(config)
+    tables = results / "tables"
+    tables.mkdir(exist_ok=True)
+    for name in STUDIES:
+        shutil.copy(results / name / "table.csv", tables / f"{name}.csv")
+    for name, command in COUNTED.items():
+        committed = f"experiments/results/{name}.csv"
+        _, *line = shlex.split(command.replace(committed, str(tables / f"{name}.csv")))
+        subprocess.run([sys.executable, *line], cwd=ROOT, check=True)
+    return tables
 
 
 def _run(config: str) -> None:
@@ -66,15 +77,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = options("All figures, from a fresh clone.")
     parser.add_argument("--remake", action="store_true", help="run the studies too")
     given = parser.parse_args(arguments)
+    tables = given.tables
     try:
         if given.results == ROOT / "results":
             run_missing(given.results)
         if given.remake:
-            remake_studies()
+            tables = remake_studies(given.results)
     except subprocess.CalledProcessError as failed:
         print(f"This failed: {shlex.join(failed.cmd)}", file=sys.stderr)
         return 1
-    tables = ROOT / "results" if given.remake else given.tables
     return write_all(FIGURES, Stored(given.results, tables), given.out)
 
 

@@ -6,13 +6,13 @@ import sys
 
 import numpy as np
 import xarray as xr
-from common import PaperFigure, Stored, arrays, main, numbers
+from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.figures.layout import grid
 from bayesbl.figures.snapshots import GAP, snapshots
-from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, head_panels, look, new_figure
+from bayesbl.figures.style import DOUBLE_COLUMN_IN, head_panels, look, new_figure
 
 _WAYS = {"shared": "one curve for both", "independent": "a curve for each"}
 _LEVEL = 0.9
@@ -28,8 +28,8 @@ def data(stored: Stored) -> xr.Dataset:
     changes = np.array([last - first, apart])
     edges = np.linspace(*np.quantile(apart, (0.0005, 0.9995)), _BINS + 1)
     tail = 0.5 - 0.5 * _LEVEL
-    lines = [line for line in stored.table("gap_coverage") if line["change_width_mrad"]]
-    widths = [numbers(lines, c) for c in ("change_width_mrad", "if_independent_mrad")]
+    (line,) = stored.table("shared_curve")
+    widths = [_numbers(line[f"{way}_width_mrad"]) for way in ("shared", "apart")]
     return arrays(
         edge_mrad=("edge", edges, "mrad"),
         density_per_mrad=(
@@ -38,19 +38,24 @@ def data(stored: Stored) -> xr.Dataset:
         interval_mrad=(
             ("way", "bound"), np.quantile(changes, (tail, 0.5, 1.0 - tail), axis=1).T, "mrad"
         ),
-        width_mrad=(("way", "row"), widths, "mrad"),
-        coverage=("row", numbers(lines, "change_90%"), "1"),
-    ).assign_coords(way=list(_WAYS), row=[line["name"] for line in lines])  # fmt: skip
+        change_mrad=("pair", _numbers(line["changes_mrad"]), "mrad"),
+        width_mrad=(("way", "pair"), widths, "mrad"),
+        coverage=("way", [float(line[f"{way}_90%"]) for way in ("shared", "apart")], "1"),
+    ).assign_coords(way=list(_WAYS)).assign_attrs(cases=int(line["cases"]))  # fmt: skip
+
+
+def _numbers(cell: str) -> np.ndarray:
+    return np.array(cell.split(), dtype=float)
 
 
 def draw(shown: xr.Dataset) -> Figure:
     """Densities of the change of the examples; widths in the study."""
     figure = new_figure(DOUBLE_COLUMN_IN, 2.5)
-    spec = grid(figure, 1, 2, top=0.5, between=(0.0, 1.35))
+    spec = grid(figure, 1, 2, top=0.5, between=(0.0, 0.7))
     example, study = (figure.add_subplot(spec[0, i]) for i in range(2))
     _draw_example(example, shown)
     _draw_study(study, shown)
-    titles = ["the two examples, bench known to 5 %", "pairs of simulated recordings"]
+    titles = ["the two examples, bench known to 5 %", "simulated pairs from 0.8 mrad on"]
     head_panels([example, study], titles)
     handles, labels = example.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=2)
@@ -81,46 +86,31 @@ def _draw_example(panel: Axes, shown: xr.Dataset) -> None:
 
 
 def _draw_study(panel: Axes, shown: xr.Dataset) -> None:
-    rows = np.arange(shown.sizes["row"])
     for index, way in enumerate(_WAYS):
-        style, width = look(index), shown["width_mrad"].sel(way=way).values
-        panel.barh(
-            rows + 0.2 * (2 * index - 1), width, 0.36, color=style.colour,
-            hatch="" if index == 0 else "////", edgecolor="white", linewidth=0.0,
+        style = look(index)
+        panel.plot(
+            shown["change_mrad"], shown["width_mrad"].sel(way=way), color=style.colour,
+            linestyle=style.dashes, marker=style.marker,
         )  # fmt: skip
-        for row, value in zip(rows, width, strict=True):
-            panel.annotate(
-                f"{value:.3f}", (value, row + 0.2 * (2 * index - 1)), xytext=(3.0, 0.0),
-                textcoords="offset points", va="center",
-            )  # fmt: skip
-    told = [
-        "bench off\nwithin 5 %" if "off" in str(r) else "bench known" for r in shown["row"].values
-    ]
-    panel.set_yticks(rows, told)
-    panel.tick_params(axis="y", length=0.0)
-    panel.invert_yaxis()
-    panel.margins(x=0.16)
-    panel.locator_params(axis="x", nbins=5)
-    panel.axvline(0.0, color=NEUTRAL, linewidth=0.6)
-    panel.set_xlabel("Width of the change's 90 % interval (mrad)")
+    panel.set_ylim(bottom=0.0)
+    panel.set_xlabel("True change of the gap δ (mrad)")
+    panel.set_ylabel("Width of its 90 % interval (mrad)")
 
 
 def caption(shown: xr.Dataset) -> str:
     """What is seen, with the widths."""
     widths = np.diff(shown["interval_mrad"].isel(bound=[0, 2]).values, axis=1).ravel()
-    study = "; ".join(
-        f"{row}: {shared:.3f} mrad shared and {alone:.3f} mrad apart, the shared interval covers "
-        f"{100.0 * cover:.0f} %"
-        for row, shared, alone, cover in zip(
-            shown["row"].values, *shown["width_mrad"].values, shown["coverage"].values, strict=True
-        )
-    )
+    at_rest, worn = (shown["width_mrad"].isel(pair=i).values for i in (0, -1))
     return (
-        "One bench stands behind both recordings of a joint, so most of what is wrong with its "
-        "curve cancels in the change. (a) Posterior of the change of the example recordings "
-        "through the curve of a bench known to 5 %: both through the same draws of the curve "
-        f"(90 % interval {widths[0]:.3f} mrad wide) and each through draws of its own "
-        f"({widths[1]:.3f} mrad). (b) Median width in a study of pairs; {study}."
+        "One bench stands behind both recordings of a joint, so what is wrong with its curve "
+        "cancels in a small change. (a) Posterior of the change of the example recordings through "
+        "the curve of a bench known to 5 %: both through the same draws of the curve (90 % "
+        f"interval {widths[0]:.3f} mrad wide) and each through draws of its own ({widths[1]:.3f} "
+        "mrad). (b) Median width in a study of pairs from 0.8 mrad on, with the bench off within "
+        f"its tolerances: {at_rest[0]:.3f} against {at_rest[1]:.3f} mrad without a change, "
+        f"{worn[0]:.2f} against {worn[1]:.2f} mrad at the largest. Of {shown.attrs['cases']} "
+        f"intervals each, {100.0 * float(shown['coverage'][0]):.0f} and "
+        f"{100.0 * float(shown['coverage'][1]):.0f} % hold the change."
     )
 
 

@@ -104,7 +104,7 @@ def _main() -> None:
     print(GOLDEN)
 
 
-FROM_TABLES = ("shared_estimator", "confusion", "wear_detection", "efficiency")
+FROM_TABLES = ("calibration", "shared_estimator", "confusion", "wear_detection", "efficiency")
 """Figures of committed tables alone, which are held against the tables instead."""
 
 
