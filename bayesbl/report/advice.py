@@ -90,8 +90,8 @@ def _without_limit(summary: Summary) -> Advice:
     if worn.is_told(summary):
         wear = summary["wear"]
         if wear["probability_wear"] >= SURE:
-            told = tuple(worn.sentences(wear))
-            return Advice("watch", "The joint wears: keep measuring it.", (*told, ask))
+            sentences = tuple(worn.sentences(wear))
+            return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
         return Advice("fine", "No wear is shown: measure again later.", (ask,))
     change = summary.get("change_rad")
     if change is None:
