@@ -308,6 +308,12 @@ def test_dated_snapshots_are_advised_by_when_the_limit_is_reached(before, tone):
     assert (before is not None) == any("2027-06-01" in told for told in given.sentences)
 
 
+def test_no_date_is_planned_by_where_no_wear_is_shown():
+    given = advice(dated(certain=0.6, before=0.4))
+    assert given.tone == "fine"
+    assert "2027" not in given.title
+
+
 def test_a_joint_beyond_its_limit_is_due_whatever_the_forecast():
     summary = dated()
     summary["snapshots"][-1]["probability_above_limit"] = 0.99

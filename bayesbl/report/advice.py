@@ -65,6 +65,8 @@ def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
     if above is None or above > 1.0 - SURE or not worn.is_told(summary):
         return None
     wear, told = summary["wear"], tuple(worn.sentences(summary["wear"]))
+    if wear["probability_wear"] < SURE:
+        return Advice("fine", "No repair is due, and no wear is shown.", told)
     if wear["limit_not_before"] is None:
         return Advice("fine", "No repair is due for years.", told)
     passed = wear["probability_limit_before"]
