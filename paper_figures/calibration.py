@@ -32,7 +32,8 @@ RANKS = "calibration_ranks"
 
 def data(stored: Stored) -> xr.Dataset:
     """Coverage at each level, and how many ranks lie in each hundredth, by row and quantity."""
-    lines = [line for study in STUDIES for line in stored.table(study)]
+    studies = [study for study in STUDIES if stored.has_table(study)] or STUDIES[:1]
+    lines = [line for study in studies for line in stored.table(study)]
     counted = {
         (line["row"], line["quantity"]): np.array(line["counts"].split(), dtype=float)
         for line in stored.table(RANKS)
@@ -119,7 +120,8 @@ def _main() -> int:
     given, rest = parser.parse_known_args()
     if given.write_ranks is None:
         return main(FIGURE, arguments=rest)
-    write_ranks([ROOT / "results" / study for study in STUDIES], given.write_ranks)
+    folders = [ROOT / "results" / study for study in STUDIES]
+    write_ranks([folder for folder in folders if folder.exists()], given.write_ranks)
     print(given.write_ranks)
     return 0
 

@@ -135,6 +135,10 @@ class Stored:
         with files[0].open(encoding="utf-8", newline="") as stream:
             return list(csv.DictReader(stream))
 
+    def has_table(self, name: str) -> bool:
+        """Whether a table is there."""
+        return self._file(name).is_file()
+
     @cached_property
     def bench(self) -> Bench:
         """The bench that was swept, from the sweep's own result."""

@@ -25,7 +25,9 @@ _OUTSIDE = "outside: "
 _UNIT = re.compile(r"_(kg_m2|nm(_s)?(_per_\w+)?|per_\w+)$")
 """At the end of a parameter's name."""
 
-_ROW_IN, _TOP_IN = 0.172, 1.5
+_ROW_IN = 0.172
+_LETTER_IN = 0.05
+"""Mean width of a letter of 7 pt."""
 
 
 def data(stored: Stored) -> xr.Dataset:
@@ -69,9 +71,11 @@ def draw(shown: xr.Dataset) -> Figure:
     """A row for what was hidden, a column for what was answered; the right answer framed."""
     count, right = shown["count"].values, shown["right"].values.astype(bool)
     rows, columns = count.shape
-    height = 0.1 + _ROW_IN * rows + _TOP_IN
+    hidden, answers = ([_label(str(n)) for n in shown[k].values] for k in ("hidden", "answer"))
+    left, top = (0.4 + _LETTER_IN * max(map(len, names)) for names in (hidden, answers))
+    height = 0.1 + _ROW_IN * rows + top
     figure = new_figure(DOUBLE_COLUMN_IN, height)
-    panel = figure.add_subplot(grid(figure, 1, 1, left=2.0, top=_TOP_IN, bottom=0.1)[0, 0])
+    panel = figure.add_subplot(grid(figure, 1, 1, left=left, top=top, bottom=0.1)[0, 0])
     total = count.sum(axis=1, keepdims=True)
     panel.imshow(count / np.maximum(total, 1), cmap="Greys", vmin=0.0, vmax=1.3, aspect="auto")
     for row, column in np.argwhere((count > 0) | right):
@@ -86,8 +90,8 @@ def draw(shown: xr.Dataset) -> Figure:
                 column, row, f"{count[row, column]}", ha="center", va="center_baseline",
                 color="white" if share > 0.6 else "black",
             )  # fmt: skip
-    panel.set_yticks(range(rows), [_label(name) for name in shown["hidden"].values])
-    panel.set_xticks(range(columns), [_label(n) for n in shown["answer"].values], rotation=90)
+    panel.set_yticks(range(rows), hidden)
+    panel.set_xticks(range(columns), answers, rotation=90)
     panel.set_xticks(np.arange(columns - 1) + 0.5, minor=True)
     panel.set_yticks(np.arange(rows - 1) + 0.5, minor=True)
     panel.grid(which="minor", color="#dcdcdc", linewidth=0.4)

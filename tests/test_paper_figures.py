@@ -53,12 +53,13 @@ NOT_YET = {
 }
 """Tables of the long studies, where they were not run yet."""
 
-DRAWN = [name for name in FIGURES if name != "calibration" or not NOT_YET & {"calibration_ranks"}]
+DRAWN = [name for name in FIGURES if f"{name}_ranks" not in NOT_YET]
 """Figures whose tables are there."""
 
 DIMENSIONLESS = {
-    "Date", "Probability", "Hidden", "Named first", "RMS / noise floor",
-    "Posterior sd / Cramér-Rao bound", "Share of pairs in which wear is reported",
+    "Date", "Probability", "Hidden", "Named first", "rank", "RMS / noise floor",
+    "Share of ranks below, less uniform", "Posterior sd / Cramér-Rao bound",
+    "Share of pairs in which wear is reported",
 }  # fmt: skip
 """Names of axes that have no unit."""
 
