@@ -16,7 +16,8 @@ from bayesbl.figures.style import DOUBLE_COLUMN_IN, head_panels, look, new_figur
 
 _WAYS = {"shared": "one curve for both", "independent": "a curve for each"}
 _LEVEL = 0.9
-_BINS = 45
+_EDGES_MRAD = np.linspace(0.15, 0.37, 45)
+"""Around the change of the examples, 0.25 mrad; fixed, so that bins do not move with the draws."""
 
 
 def data(stored: Stored) -> xr.Dataset:
@@ -26,15 +27,13 @@ def data(stored: Stored) -> xr.Dataset:
     # A draw of the first gap that belongs to another draw of the curve.
     apart = last - np.random.default_rng(8).permutation(first)
     changes = np.array([last - first, apart])
-    edges = np.linspace(*np.quantile(apart, (0.0005, 0.9995)), _BINS + 1)
+    density = [np.histogram(change, _EDGES_MRAD, density=True)[0] for change in changes]
     tail = 0.5 - 0.5 * _LEVEL
     (line,) = stored.table("shared_curve")
     widths = [_numbers(line[f"{way}_width_mrad"]) for way in ("shared", "apart")]
     return arrays(
-        edge_mrad=("edge", edges, "mrad"),
-        density_per_mrad=(
-            ("way", "bin"), [np.histogram(c, edges, density=True)[0] for c in changes], "1/mrad"
-        ),
+        edge_mrad=("edge", _EDGES_MRAD, "mrad"),
+        density_per_mrad=(("way", "bin"), density, "1/mrad"),
         interval_mrad=(
             ("way", "bound"), np.quantile(changes, (tail, 0.5, 1.0 - tail), axis=1).T, "mrad"
         ),

@@ -37,7 +37,8 @@ MONTE_CARLO = 0.06
 
 OF_DRAWS = {
     "uncertainty_budget": {"share": 0.03, "log_sd": 0.06, "along_percent": 0.06},
-    "shared_curve": {"density_per_mrad": 0.12, "edge_mrad": 0.03, "interval_mrad": 0.03},
+    # Some 600 draws in the highest bin, half of them copies: 5 % each, over 88 bins.
+    "shared_curve": {"density_per_mrad": 0.18, "interval_mrad": 0.012},
     "figure_6": {"*": 0.01},
     "figure_8": {"curve/*": 3e-3, "gap_curve/*": 3e-3, "gap_curve/coefficients": 0.02},
     "figure_9": {"predictive/low_rpm": 3e-3, "predictive/high_rpm": 3e-3},
