@@ -9,7 +9,8 @@ noise. All of them are read through the same curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -25,6 +26,7 @@ from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.curve import GapCurve
 from bayesbl.inference.estimator import Estimator, PointEstimate
 from bayesbl.physics.bench import Bench
+from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.curve_file import read_curve
 from bayesbl.signal.parameters import (
@@ -64,6 +66,8 @@ class Row(BaseModel):
     curve: Path
     gaps_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
     recordings: PositiveInt
+    speed_noise_sd_rpm: float = Field(default=1.5, gt=0.0)
+    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
     rotations: float = 5.0
     sampling_hz: float = 1000.0
 
@@ -85,7 +89,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     truth_seed, *fit_seeds = seed.spawn(1 + len(MODELS))
     generator = np.random.default_rng(truth_seed)
     gap, curve = row.gaps_rad[index % len(row.gaps_rad)], _curve(row.curve)
-    recording = _bench(row.bench).simulate(
+    recording = _bench(row).simulate(
         gap,
         rotations=row.rotations,
         sampling_hz=row.sampling_hz,
@@ -108,7 +112,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
-    """Mean error of each estimator at each gap in percent of δ, and its worst over the gaps."""
+    """Mean error of each estimator at each gap in percent of δ, with its standard error."""
     gap = cases["gap_rad"].values
     line: dict[str, float | str] = {
         "gaps_mrad": _listed(1e3 * g for g in row.gaps_rad),
@@ -119,7 +123,9 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     for name in ESTIMATORS:
         error = 100.0 * cases[f"{name}_error"].values
         line[f"{name}_%"] = _listed(float(np.mean(error[gap == g])) for g in row.gaps_rad)
-        line[f"{name}_scatter_%"] = _listed(float(np.std(error[gap == g])) for g in row.gaps_rad)
+        line[f"{name}_se_%"] = _listed(
+            float(np.std(error[gap == g])) / math.sqrt(row.recordings) for g in row.gaps_rad
+        )
     return line
 
 
@@ -157,8 +163,8 @@ def _log_sd(curve: GapCurve, point: PointEstimate) -> float:
     return float(curve.log_slope(amplitude)[0]) * math.hypot(math.sqrt(covariance[0, 0]), scatter)
 
 
-def _listed(numbers: object) -> str:
-    return " ".join(f"{x:.5g}" for x in numbers)  # type: ignore[attr-defined]
+def _listed(numbers: Iterable[float]) -> str:
+    return " ".join(f"{x:.5g}" for x in numbers)
 
 
 @cache
@@ -167,5 +173,7 @@ def _curve(path: Path) -> GapCurve:
 
 
 @cache
-def _bench(path: Path) -> Bench:
-    return load_bench(path)
+def _bench(row: Row) -> Bench:
+    bench = load_bench(row.bench)
+    noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients)
+    return bench.with_measurement(replace(bench.measurement, speed_noise=noise))
