@@ -1,15 +1,82 @@
-"""All figures here from stored results; says which command makes a result that is missing."""
+"""All figures here, from a fresh clone: quick experiments that are missing are run first.
+
+    python paper_figures/make_all.py            # a few minutes; tables of studies as committed
+    python paper_figures/make_all.py --remake   # the studies too: many hours
+
+What is stored under ``results`` is taken as it is; delete a folder there to have it made again.
+"""
 
 from __future__ import annotations
 
+import shlex
+import subprocess
 import sys
+import time
+from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 
-from common import main
+from common import RESULTS, ROOT, STUDIES, PaperFigure, Stored, options, write_all
 
-NUMBERS = (3, 5, 6, 7, 8, 9, 10)
+NAMES = (
+    *(f"figure_{number}" for number in (3, 5, 6, 7, 8, 9, 10)),
+    "uncertainty_budget",
+    "shared_estimator",
+    "shared_curve",
+    "disagreement",
+    "confusion",
+    "wear_detection",
+    "efficiency",
+    "time_to_limit",
+)
 
-FIGURES = [(f"figure_{number}", import_module(f"figure_{number}").draw) for number in NUMBERS]
+FIGURES: list[PaperFigure] = [import_module(name).FIGURE for name in NAMES]
+
+
+def run_missing(results: Path) -> None:
+    """Run the quick experiments that ``results`` lacks.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If one of them fails.
+    """
+    for name, made in RESULTS.items():
+        if not (results / name / "result.nc").exists():
+            for command in made.commands:
+                _run(command)
+
+
+def remake_studies() -> None:
+    """Run every study from scratch or from where it was left."""
+    for config in STUDIES.values():
+        _run(f"run {config}")
+
+
+def _run(command: str) -> None:
+    print(f"bayesbl {command}", flush=True)
+    begun = time.monotonic()
+    line = [sys.executable, "-m", "bayesbl", *shlex.split(command)]
+    subprocess.run(line, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    print(f"  {time.monotonic() - begun:.0f} s", flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what is missing, then draw."""
+    parser = options("All figures, from a fresh clone.")
+    parser.add_argument("--remake", action="store_true", help="run the studies too")
+    given = parser.parse_args(arguments)
+    try:
+        if given.results == ROOT / "results":
+            run_missing(given.results)
+        if given.remake:
+            remake_studies()
+    except subprocess.CalledProcessError as failed:
+        print(f"This failed: {shlex.join(failed.cmd)}", file=sys.stderr)
+        return 1
+    tables = ROOT / "results" if given.remake else given.tables
+    return write_all(FIGURES, Stored(given.results, tables), given.out)
+
 
 if __name__ == "__main__":
-    sys.exit(main(FIGURES))
+    sys.exit(main())

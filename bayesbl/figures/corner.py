@@ -110,7 +110,7 @@ def _label(
         if outer:
             axis.set_ticks(_inner_ticks(*axis.get_view_interval()))
             axis.set_tick_params(length=1.8, pad=1.5, labelsize=5.5)
-            axis.set_label_text(scale.label("\n"), fontsize=6.0)
+            axis.set_label_text(scale.label("\n"), fontsize=7.0)
             axis.set_label_coords(*away)
 
 

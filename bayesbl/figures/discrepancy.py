@@ -174,7 +174,7 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
             textcoords="offset points",
             ha="right" if order[i] > _RIGHT_HALF else "left",
             va="center",
-            fontsize=5.5,
+            fontsize=7.0,
         )
 
 

@@ -146,7 +146,7 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
             xycoords=("axes fraction", "data"),
             rotation=90.0,
             va="center",
-            fontsize=6.0,
+            fontsize=7.0,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
         )
 
