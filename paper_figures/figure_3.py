@@ -132,6 +132,7 @@ def _span(
     panel.annotate(
         text, (0.5 * (start + stop), height), (0.0, -3.0 if below else 3.0),
         textcoords="offset points", ha="center", va="top" if below else "bottom",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
     )  # fmt: skip
 
 

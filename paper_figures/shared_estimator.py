@@ -76,7 +76,7 @@ def _draw_errors(panel: Axes, shown: xr.Dataset) -> None:
         )  # fmt: skip
     panel.set_yscale("symlog", linthresh=2.0, linscale=1.2)
     panel.set_ylim(-100.0, 700.0)
-    ticks = [-100, -30, -10, -5, -2, 0, 2, 5, 10, 30, 100, 500]
+    ticks = [-100, -30, -10, -2, 0, 2, 10, 30, 100, 500]
     panel.set_yticks(ticks)
     panel.yaxis.set_major_formatter(
         FuncFormatter(lambda y, _: f"{y:+g}".replace("-", "−") if y else "0")

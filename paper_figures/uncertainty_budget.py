@@ -115,13 +115,13 @@ def _draw_along(panel: Axes, shown: xr.Dataset) -> None:
             shown["knot_mrad"], shown["along_percent"].sel(along=source),
             color=SOURCES.get(str(source), SOURCES["regression"])[0], linestyle=look(index).dashes,
         )  # fmt: skip
-    for gap, percent, told in (
-        (3.8, 1.3, "noise, 5 rotations"),
-        (3.8, 6.5, "bench to 5 %"),
-        (3.8, 0.045, "start angle"),
-        (3.8, 0.0016, "fit of the curve"),
+    for gap, percent, told, side in (
+        (0.115, 0.9, "noise, 5 rotations", "left"),
+        (3.8, 6.5, "bench to 5 %", "right"),
+        (3.8, 0.045, "start angle", "right"),
+        (3.8, 0.0016, "fit of the curve", "right"),
     ):
-        panel.text(gap, percent, told, ha="right", va="bottom")
+        panel.text(gap, percent, told, ha=side, va="bottom")
     plain_log_axis(panel.xaxis)
     plain_log_axis(panel.yaxis, (1.0,))
     panel.set_xlim(0.1, 4.0)
