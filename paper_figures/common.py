@@ -39,38 +39,30 @@ Arrays = xr.Dataset | xr.DataTree
 
 @dataclass(frozen=True)
 class Made:
-    """How a stored result comes about.
+    """How a stored result comes about: its kind, and the configurations to be run for it.
 
-    ``commands`` are what follows ``bayesbl`` at the root of the repository; what they need stands
-    above in :data:`RESULTS`.
+    What these need stands above in :data:`RESULTS`.
     """
 
     kind: str
-    commands: tuple[str, ...]
+    configs: tuple[str, ...]
 
     @property
     def told(self) -> str:
-        """The commands as one types them."""
-        return " && ".join(f"bayesbl {command}" for command in self.commands)
+        """The commands as one types them at the root of the repository."""
+        return " && ".join(f"bayesbl run {config}" for config in self.configs)
 
 
 RESULTS: Mapping[str, Made] = {
-    "sweep": Made("sweep", ("sweep configs/sweep.toml",)),
-    "sweep_tolerances": Made("sweep", ("sweep configs/sweep_tolerances.toml",)),
-    "wear_published": Made(
-        "compare", ("run configs/wear_snapshots.toml --out results/wear_published",)
-    ),
-    "wear_swept": Made("compare", ("run configs/wear_swept.toml",)),
-    "wear_tolerances": Made("compare", ("run configs/wear_tolerances.toml",)),
-    "wear_dates": Made(
-        "compare", ("simulate configs/simulate_wear_dates.toml", "run configs/wear_dates.toml")
-    ),
+    "sweep": Made("sweep", ("configs/sweep.toml",)),
+    "sweep_tolerances": Made("sweep", ("configs/sweep_tolerances.toml",)),
+    "wear": Made("compare", ("configs/wear_snapshots.toml",)),
+    "wear_swept": Made("compare", ("configs/wear_swept.toml",)),
+    "wear_tolerances": Made("compare", ("configs/wear_tolerances.toml",)),
+    "wear_dates": Made("compare", ("configs/simulate_wear_dates.toml", "configs/wear_dates.toml")),
     "hidden_friction": Made(
         "diagnose",
-        (
-            "simulate configs/simulate_hidden_friction.toml",
-            "diagnose configs/diagnose_hidden_friction.toml",
-        ),
+        ("configs/simulate_hidden_friction.toml", "configs/diagnose_hidden_friction.toml"),
     ),
 }
 """The quick experiments by the name of their folder in ``results``, in an order that works."""

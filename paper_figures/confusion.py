@@ -78,7 +78,7 @@ def draw(shown: xr.Dataset) -> Figure:
         if right[row, column]:
             panel.add_patch(
                 Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, fill=False, linewidth=1.2,
-                          edgecolor="#d55e00", zorder=3.0)
+                          edgecolor="#d55e00", zorder=3.0, clip_on=False)
             )  # fmt: skip
         if count[row, column]:
             share = count[row, column] / total[row, 0]

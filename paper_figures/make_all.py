@@ -43,20 +43,20 @@ def run_missing(results: Path) -> None:
     """
     for name, made in RESULTS.items():
         if not (results / name / "result.nc").exists():
-            for command in made.commands:
-                _run(command)
+            for config in made.configs:
+                _run(config)
 
 
 def remake_studies() -> None:
     """Run every study from scratch or from where it was left."""
     for config in STUDIES.values():
-        _run(f"run {config}")
+        _run(config)
 
 
-def _run(command: str) -> None:
-    print(f"bayesbl {command}", flush=True)
+def _run(config: str) -> None:
+    print(f"bayesbl run {config}", flush=True)
     begun = time.monotonic()
-    line = [sys.executable, "-m", "bayesbl", *shlex.split(command)]
+    line = [sys.executable, "-m", "bayesbl", "run", config]
     subprocess.run(line, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     print(f"  {time.monotonic() - begun:.0f} s", flush=True)
 

@@ -19,7 +19,7 @@ from bayesbl.results.curve_file import curve_from_dataset
 from bayesbl.results.summary import SOURCE_PREFIX
 
 CURVES = {
-    "wear_published": "eq. 4 as printed",
+    "wear": "eq. 4 as printed",
     "wear_swept": "sweep, bench known",
     "wear_tolerances": "sweep, bench to 5 %",
 }
