@@ -196,6 +196,18 @@ def arrays(**variables: tuple[object, ...]) -> xr.Dataset:
     return xr.Dataset({n: (d, np.asarray(v), {"units": u}) for n, (d, v, u) in variables.items()})
 
 
+def picked(tree: xr.DataTree, **variables: Sequence[str] | None) -> xr.DataTree:
+    """Some variables of some groups with all attributes; ``None`` for every variable of a group."""
+    groups = {}
+    for group, names in variables.items():
+        data = tree[group].to_dataset()
+        left = [] if names is None else [n for n in data.data_vars if n not in names]
+        groups[group] = data.drop_vars(left)  # labels stay, though nothing may be left to label
+    kept = xr.DataTree.from_dict(groups)
+    kept.attrs = dict(tree.attrs)
+    return kept
+
+
 def numbers(lines: Sequence[Mapping[str, str]], column: str) -> np.ndarray:
     """A column of a table as numbers, NaN where it is empty, shape (lines,)."""
     return np.array([float(line[column]) if line[column] else np.nan for line in lines])

@@ -5,18 +5,23 @@ from __future__ import annotations
 import sys
 
 import xarray as xr
-from common import PaperFigure, Stored, main
+from common import PaperFigure, Stored, main, picked
 
 from bayesbl.figures import gap
 from bayesbl.figures.change import told
 from bayesbl.figures.snapshots import GAP, credible_interval, snapshots
-
-GROUPS = ("posterior", "curve", "change", "diagnostics")
+from bayesbl.signal.parameters import AMPLITUDE
 
 
 def data(stored: Stored) -> xr.DataTree:
     """Draws of A, δ and the change, and the curve between them."""
-    return stored.tree("wear_swept").filter(lambda node: node.name in (None, *GROUPS))
+    return picked(
+        stored.tree("wear_swept"),
+        posterior=(AMPLITUDE, GAP),
+        curve=("delta_rad", "low_rad", "high_rad"),
+        change=None,
+        diagnostics=(),
+    )
 
 
 def caption(tree: xr.DataTree) -> str:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import sys
 
 import xarray as xr
-from common import PaperFigure, Stored, main
+from common import PaperFigure, Stored, main, picked
 
 from bayesbl.figures import disturbance
 from bayesbl.figures.disturbance import pulse_view
+from bayesbl.signal.parameters import DECAY, FREQUENCY
 
 
 def data(stored: Stored) -> xr.DataTree:
     """Noise-free speed over one load rotation at some gaps, and the sweep that they belong to."""
-    tree = stored.tree("sweep")
-    return xr.DataTree.from_dict({name: tree[name].to_dataset() for name in ("examples", "sweep")})
+    return picked(stored.tree("sweep"), examples=None, sweep=(FREQUENCY, DECAY))
 
 
 def caption(tree: xr.DataTree) -> str:

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import xarray as xr
-from common import PaperFigure, Stored, main
+from common import PaperFigure, Stored, main, picked
 
 from bayesbl.figures import curve
 from bayesbl.figures.curve import departures_from_curve
@@ -15,11 +15,9 @@ from bayesbl.gap.curve import published_curve
 
 def data(stored: Stored) -> xr.DataTree:
     """The sweep's points, the curve through them with its band, and the sources of the band."""
-    tree = stored.tree("sweep")
-    groups = {name: tree[name].to_dataset() for name in ("sweep", "curve", "gap_curve")}
-    kept = xr.DataTree.from_dict(groups)
-    kept.attrs = {"degree": int(tree.attrs["degree"])}
-    return kept
+    return picked(
+        stored.tree("sweep"), sweep=("gap_rad", "amplitude_rpm"), curve=None, gap_curve=None
+    )
 
 
 def caption(tree: xr.DataTree) -> str:

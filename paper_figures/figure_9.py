@@ -6,18 +6,23 @@ import sys
 
 import numpy as np
 import xarray as xr
-from common import PaperFigure, Stored, main
+from common import PaperFigure, Stored, main, picked
 
 from bayesbl.figures import signal
 from bayesbl.figures.snapshots import interval_name, snapshots
+from bayesbl.signal.parameters import SYMBOLS
 
 
 def data(stored: Stored) -> xr.DataTree:
     """Recorded speed, model at the optimum, predictive band and residual of each snapshot."""
-    return stored.tree("wear_swept").filter(lambda node: node.name in (None, *GROUPS))
-
-
-GROUPS = ("posterior", "observed_data", "predictive", "optimum", "diagnostics")
+    return picked(
+        stored.tree("wear_swept"),
+        observed_data=("time_s", "motor_speed_rpm"),
+        predictive=None,
+        optimum=SYMBOLS,
+        posterior=(),
+        diagnostics=(),
+    )
 
 
 def caption(tree: xr.DataTree) -> str:

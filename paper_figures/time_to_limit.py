@@ -5,19 +5,18 @@ from __future__ import annotations
 import sys
 
 import xarray as xr
-from common import PaperFigure, Stored, main
+from common import PaperFigure, Stored, main, picked
 
 from bayesbl.figures import wear
+from bayesbl.figures.snapshots import GAP
 from bayesbl.report.worn import sentences
 from bayesbl.results.summary import summarise
-
-GROUPS = ("posterior", "wear", "diagnostics")
 
 
 def data(stored: Stored) -> xr.DataTree:
     """Draws of δ by date, of the wear's line and of the time to the limit."""
     tree = stored.tree("wear_dates")
-    kept = tree.filter(lambda node: node.name in (None, *GROUPS))
+    kept = picked(tree, posterior=(GAP,), wear=None, diagnostics=())
     kept.attrs["answer"] = " ".join(sentences(summarise(tree)["wear"]))
     return kept
 
