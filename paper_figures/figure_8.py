@@ -16,7 +16,17 @@ from bayesbl.gap.curve import published_curve
 def data(stored: Stored) -> xr.DataTree:
     """The sweep's points, the curve through them with its band, and the sources of the band."""
     return picked(
-        stored.tree("sweep"), sweep=("gap_rad", "amplitude_rpm"), curve=None, gap_curve=None
+        stored.tree("sweep"),
+        sweep=("gap_rad", "amplitude_rpm"),
+        curve=("delta_rad", "low_rad", "high_rad"),
+        gap_curve=(
+            "coefficients",
+            "knots_rpm",
+            "correction",
+            "start_angle_sd_rpm",
+            "source_regression",
+            "source_lack_of_fit",
+        ),
     )
 
 
