@@ -11,9 +11,13 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 from paper_results import FROM_TABLES, GOLDEN, ROOT, SAMPLED, described, make
 
 from bayesbl.figures.snapshots import snapshots
+from bayesbl.figures.style import publication_style
 from bayesbl.physics.effects import EFFECTS
 
 SCRIPTS = ROOT / "paper_figures"
@@ -38,6 +42,13 @@ OF_DRAWS = {
     "figure_10": {"curve/*": 3e-3},
 }
 """Arrays that come of draws: tolerance as a share of their largest value."""
+
+
+DIMENSIONLESS = {
+    "Date", "Probability", "Hidden", "Named first", "RMS / noise floor",
+    "Posterior sd / Cramér-Rao bound", "Share of pairs in which wear is reported",
+}  # fmt: skip
+"""Names of axes that have no unit."""
 
 
 @pytest.fixture(scope="module")
@@ -176,25 +187,55 @@ def test_a_figure_is_written_with_a_caption_and_embedded_fonts(stored, name, tmp
     assert "nan" not in told.lower().split()
 
 
+def written(figure: Figure) -> list[Text]:
+    """Every text that a reader sees; ticks beyond the axes have labels that are never drawn."""
+    found = [text for legend in figure.legends for text in legend.get_texts()]
+    for panel in figure.axes:
+        legend = panel.get_legend()
+        found += legend.get_texts() if legend else []
+        found += [panel.title, panel._left_title, *panel.texts]
+        for axis in (panel.xaxis, panel.yaxis):
+            if not axis.get_visible():
+                continue
+            low, high = sorted(axis.get_view_interval())
+            slack = 1e-6 * (high - low)
+            found.append(axis.label)
+            for tick in axis.get_major_ticks():
+                if low - slack <= tick.get_loc() <= high + slack:
+                    found += [t for t in (tick.label1, tick.label2) if t.get_visible()]
+    return [text for text in found if text.get_visible() and text.get_text().strip()]
+
+
 @pytest.mark.parametrize("name", FIGURES)
-def test_no_text_is_smaller_than_seven_points_and_every_axis_says_what_it_is(shown, name):
-    import matplotlib as mpl
-
-    from bayesbl.figures.style import publication_style
-
+def test_text_can_be_read_at_printed_size(shown, name):
+    """A journal's column widths, no letter below 7 pt, none off the page or on another."""
     with publication_style():
         figure = FIGURES[name].draw(shown[name])
         figure.canvas.draw()
-        written = [t for t in figure.findobj(mpl.text.Text) if t.get_visible() and t.get_text()]
-        assert min(t.get_fontsize() for t in written) >= 7.0
-    width, _ = figure.get_size_inches()
-    assert width in (3.4, 7.0), "a journal's column, or two"
-    box = figure.bbox
-    for text in written:
-        extent = text.get_window_extent()
-        if text.get_figure() is figure and extent.width > 0.0 and text.axes is None:
-            assert extent.x0 >= box.x0 - 1.0, text.get_text()
-            assert extent.x1 <= box.x1 + 1.0, text.get_text()
+        texts = written(figure)
+        boxes = [text.get_window_extent() for text in texts]
+    assert figure.get_size_inches()[0] in (3.4, 7.0)
+    assert min(text.get_fontsize() for text in texts) >= 7.0
+    for index, (text, box) in enumerate(zip(texts, boxes, strict=True)):
+        inside = figure.bbox.padded(1.0)
+        assert inside.contains(box.x0, box.y0), f"off the page: {text.get_text()}"
+        assert inside.contains(box.x1, box.y1), f"off the page: {text.get_text()}"
+        for other, its_box in zip(texts[:index], boxes[:index], strict=True):
+            common_part = Bbox.intersection(box.padded(-1.5), its_box.padded(-1.5))
+            assert common_part is None, f"{text.get_text()} lies on {other.get_text()}"
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_axis_with_numbers_says_what_they_are(shown, name):
+    """Along the bottom and the left of a figure; panels that share an axis share its name."""
+    with publication_style():
+        panels = FIGURES[name].draw(shown[name]).axes
+    labels = [(panel.get_xlabel(), panel.get_ylabel()) for panel in panels]
+    assert any(x for x, _ in labels)
+    for x, y in labels:
+        for label in filter(None, (x, y)):
+            known = "(" in label or label in DIMENSIONLESS
+            assert known, f"no unit in {label}"
 
 
 def test_every_script_is_made_by_make_all_and_every_figure_named_after_its_script():
@@ -263,4 +304,5 @@ def test_arrays_keep_their_units(shown):
         tree = xr.DataTree(content) if isinstance(content, xr.Dataset) else content
         for node in tree.subtree:
             for variable in node.to_dataset(inherit=False).data_vars.values():
-                assert "units" in variable.attrs, f"{name}: {variable.name}"
+                if variable.dtype.kind == "f":
+                    assert "units" in variable.attrs, f"{name}: {variable.name}"

@@ -112,7 +112,8 @@ def legend_above(panel: Axes) -> None:
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
         ncols=4,
-        columnspacing=0.8,
+        columnspacing=0.7,
+        handlelength=1.4,
         handletextpad=0.4,
         borderaxespad=0.2,
     )
