@@ -1,21 +1,26 @@
-"""What every script here shares: where stored results are, and where figures go.
+"""What every script here shares: which stored results there are, and what a figure is.
 
-Run any of them from the root of the repository, for instance
+A script is a module with a :class:`PaperFigure` called ``FIGURE``: ``data`` takes arrays from
+stored results and tables, ``draw`` puts them on paper, ``caption`` says what is seen with the
+numbers of the very arrays. Run one or all of them from the root of the repository:
 
     python paper_figures/figure_8.py
-    python paper_figures/make_all.py --sweep results/sweep_tolerances/result.nc
+    python paper_figures/make_all.py
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -26,86 +31,228 @@ from bayesbl.physics.bench import Bench
 from bayesbl.results.store import read_tree
 
 ROOT = Path(__file__).parents[1]
+TABLES = ROOT / "experiments/results"
 
-MADE_BY = {
-    "sweep": "bayesbl sweep configs/sweep.toml",
-    "wear": "bayesbl compare configs/recordings/wear_before.csv configs/recordings/wear_after.csv "
-    "--curve results/sweep/result.nc --out results/wear",
+Arrays = xr.Dataset | xr.DataTree
+"""What a figure shows: arrays with units, nothing else."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """How a stored result comes about: its kind, and the configurations to be run for it.
+
+    What these need stands above in :data:`RESULTS`.
+    """
+
+    kind: str
+    configs: tuple[str, ...]
+
+    @property
+    def told(self) -> str:
+        """The commands as one types them at the root of the repository."""
+        return " && ".join(f"bayesbl run {config}" for config in self.configs)
+
+
+RESULTS: Mapping[str, Made] = {
+    "sweep": Made("sweep", ("configs/sweep.toml",)),
+    "sweep_tolerances": Made("sweep", ("configs/sweep_tolerances.toml",)),
+    "wear": Made("compare", ("configs/wear_snapshots.toml",)),
+    "wear_swept": Made("compare", ("configs/wear_swept.toml",)),
+    "wear_tolerances": Made("compare", ("configs/wear_tolerances.toml",)),
+    "wear_dates": Made("compare", ("configs/simulate_wear_dates.toml", "configs/wear_dates.toml")),
+    "hidden_friction": Made(
+        "diagnose",
+        ("configs/simulate_hidden_friction.toml", "configs/diagnose_hidden_friction.toml"),
+    ),
 }
-"""The command, at the root of the repository, that makes each stored result."""
+"""The quick experiments by the name of their folder in ``results``, in an order that works."""
+
+STUDIES: Mapping[str, str] = {
+    "calibration_main": "configs/calibration_main.toml",
+    "calibration": "configs/calibration.toml",
+    "efficiency": "configs/efficiency.toml",
+    "estimator_mismatch": "configs/estimator_mismatch.toml",
+    "hidden_effects": "configs/hidden_effects.toml",
+    "shared_curve": "configs/shared_curve.toml",
+    "wear_detection": "configs/wear_detection.toml",
+}
+"""The studies whose tables are committed, with the configuration that makes each again."""
+
+
+COUNTED: Mapping[str, str] = {
+    "calibration_ranks": "python paper_figures/calibration.py --write-ranks "
+    "experiments/results/calibration_ranks.csv",
+    "hidden_effects_confusion": "python experiments/hidden_effects.py "
+    "results/hidden_effects/result.nc experiments/results/hidden_effects_confusion.csv",
+}
+"""Tables that are counted from a study's cases: the command, once the study was run."""
 
 
 @dataclass
 class Stored:
-    """The stored results; each is read when a figure first asks for it."""
+    """Stored results and tables; each is read when a figure first asks for it.
 
-    sweep_path: Path
-    wear_path: Path
+    Parameters
+    ----------
+    results
+        Folder that holds a folder for each of :data:`RESULTS`.
+    tables
+        Folder of the tables, ``NAME.csv``.
+    """
 
-    @cached_property
-    def sweep(self) -> xr.DataTree:
-        """The sweep of the virtual bench."""
-        return _read("sweep", self.sweep_path)
+    results: Path = ROOT / "results"
+    tables: Path = TABLES
+    _trees: dict[str, xr.DataTree] = field(default_factory=dict, repr=False)
 
-    @cached_property
-    def wear(self) -> xr.DataTree:
-        """The comparison of the two example recordings."""
-        return _read("wear", self.wear_path)
+    def tree(self, name: str) -> xr.DataTree:
+        """A result of :data:`RESULTS`.
+
+        Raises
+        ------
+        ResultError
+            If it is not there or of another kind; the message holds the command that makes it.
+        """
+        if name not in self._trees:
+            self._trees[name] = self._read(name)
+        return self._trees[name]
+
+    def table(self, *names: str) -> list[dict[str, str]]:
+        """Lines of the first of some tables that is there.
+
+        Raises
+        ------
+        ResultError
+            If none is.
+        """
+        files = [f for f in map(self._file, names) if f.is_file()]
+        if not files:
+            made_by = COUNTED.get(names[0]) or f"bayesbl run {STUDIES[names[0]]}"
+            raise ResultError(
+                "There is no such table.",
+                file=self._file(names[0]),
+                expected=f"what this command makes: {made_by}",
+            )
+        with files[0].open(encoding="utf-8", newline="") as stream:
+            return list(csv.DictReader(stream))
+
+    def has_table(self, name: str) -> bool:
+        """Whether a table is there."""
+        return self._file(name).is_file()
 
     @cached_property
     def bench(self) -> Bench:
         """The bench that was swept, from the sweep's own result."""
-        text = self.sweep.attrs.get("bench")
+        text = self.tree("sweep").attrs.get("bench")
         if text is None:
             raise ResultError(
                 "This sweep was stored without its bench.",
-                file=self.sweep_path,
-                expected=f"a sweep made anew: {MADE_BY['sweep']} --force",
+                file=self.results / "sweep/result.nc",
+                expected=f"a sweep made anew: {RESULTS['sweep'].told} --force",
             )
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "bench.toml"
             path.write_text(text, encoding="utf-8")
             return load_bench(path)
 
+    def _file(self, name: str) -> Path:
+        return self.tables / f"{name}.csv"
 
-def _read(name: str, path: Path) -> xr.DataTree:
-    kind = {"sweep": "sweep", "wear": "compare"}[name]
-    if not path.exists():
-        raise ResultError(
-            "There is no such result.",
-            file=path,
-            expected=f"what this command makes: {MADE_BY[name]}",
-        )
-    tree = read_tree(path)
-    if tree.attrs["kind"] != kind:
-        raise ResultError(
-            "This result is of another kind.",
-            file=path,
-            found=tree.attrs["kind"],
-            expected=f"a {kind}, as this command makes: {MADE_BY[name]}",
-        )
-    return tree
+    def _read(self, name: str) -> xr.DataTree:
+        path, made = self.results / name / "result.nc", RESULTS[name]
+        if not path.exists():
+            raise ResultError(
+                "There is no such result.",
+                file=path,
+                expected=f"what this command makes: {made.told}",
+            )
+        tree = read_tree(path)
+        if tree.attrs["kind"] != made.kind:
+            raise ResultError(
+                "This result is of another kind.",
+                file=path,
+                found=tree.attrs["kind"],
+                expected=f"a {made.kind}, as this command makes: {made.told}",
+            )
+        return tree
 
 
-def main(
-    figures: Sequence[tuple[str, Callable[[Stored], Figure]]],
-    arguments: Sequence[str] | None = None,
-) -> int:
-    """Draw figures by name and say what was written; exit status 2 if a result was missing."""
-    parser = argparse.ArgumentParser(description="Figures of the paper, from stored results.")
-    parser.add_argument("--sweep", type=Path, default=ROOT / "results/sweep/result.nc")
-    parser.add_argument("--wear", type=Path, default=ROOT / "results/wear/result.nc")
+@dataclass(frozen=True)
+class PaperFigure:
+    """One figure.
+
+    Attributes
+    ----------
+    name
+        Of its files.
+    data
+        The arrays that are shown, from what is stored; they are held by ``tests``.
+    draw
+        From these arrays alone.
+    caption
+        In words, with numbers from these arrays.
+    """
+
+    name: str
+    data: Callable[[Stored], Arrays]
+    draw: Callable[[Arrays], Figure]
+    caption: Callable[[Arrays], str]
+
+    def write(self, stored: Stored, folder: Path) -> list[Path]:
+        """Write ``name.pdf``, ``name.png`` and the caption, ``name.txt``."""
+        arrays = self.data(stored)
+        with publication_style():
+            files = save(self.draw(arrays), folder, self.name)
+        caption = folder / f"{self.name}.txt"
+        caption.write_text(textwrap.fill(self.caption(arrays), 100) + "\n", encoding="utf-8")
+        return [*files, caption]
+
+
+def arrays(**variables: tuple[object, ...]) -> xr.Dataset:
+    """A dataset from ``name=(dimensions, values, unit)``."""
+    return xr.Dataset({n: (d, np.asarray(v), {"units": u}) for n, (d, v, u) in variables.items()})
+
+
+def picked(tree: xr.DataTree, **variables: Sequence[str] | None) -> xr.DataTree:
+    """Some variables of some groups with all attributes; ``None`` for every variable of a group."""
+    groups = {}
+    for group, names in variables.items():
+        data = tree[group].to_dataset()
+        left = [] if names is None else [n for n in data.data_vars if n not in names]
+        groups[group] = data.drop_vars(left)  # labels stay, though nothing may be left to label
+    kept = xr.DataTree.from_dict(groups)
+    kept.attrs = dict(tree.attrs)
+    return kept
+
+
+def numbers(lines: Sequence[Mapping[str, str]], column: str) -> np.ndarray:
+    """A column of a table as numbers, NaN where it is empty, shape (lines,)."""
+    return np.array([float(line[column]) if line[column] else np.nan for line in lines])
+
+
+def options(description: str) -> argparse.ArgumentParser:
+    """Where to read, where to write."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--results", type=Path, default=ROOT / "results")
+    parser.add_argument("--tables", type=Path, default=TABLES)
     parser.add_argument("--out", type=Path, default=ROOT / "results/paper_figures")
-    given = parser.parse_args(arguments)
-    stored = Stored(given.sweep, given.wear)
+    return parser
+
+
+def write_all(figures: Sequence[PaperFigure], stored: Stored, folder: Path) -> int:
+    """Write figures and say which files; exit status 2 if something they need is missing."""
     lacking: dict[str, list[str]] = {}
-    for name, draw in figures:
+    for figure in figures:
         try:
-            with publication_style():
-                for path in save(draw(stored), given.out, name):
-                    print(path)
+            for path in figure.write(stored, folder):
+                print(path)
         except UserError as problem:
-            lacking.setdefault(str(problem), []).append(name)
+            lacking.setdefault(str(problem), []).append(figure.name)
     for problem, names in lacking.items():
         print(f"Not drawn: {', '.join(names)}. {problem}", file=sys.stderr)
     return 2 if lacking else 0
+
+
+def main(*figures: PaperFigure, arguments: Sequence[str] | None = None) -> int:
+    """Draw from what is stored already."""
+    given = options("Figures from stored results.").parse_args(arguments)
+    return write_all(figures, Stored(given.results, given.tables), given.out)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from common import Stored, main
+import xarray as xr
+from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.figures.layout import grid
-from bayesbl.figures.snapshots import Snapshot, snapshots
+from bayesbl.figures.snapshots import snapshots
 from bayesbl.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -25,32 +26,54 @@ from bayesbl.signal.waveform import impact, pulse_train
 _DASHED = (0.0, (4.0, 2.0))
 
 
-def draw(stored: Stored) -> Figure:
-    """One pulse with A, τ, ω, t1, t2; the train of pulses with t0, T and T_w."""
-    snapshot = snapshots(stored.wear)[0]
+def data(stored: Stored) -> xr.Dataset:
+    """One pulse with its envelope, the train of pulses, and the fitted symbols as attributes."""
+    snapshot = snapshots(stored.tree("wear_swept"))[0]
     symbol = {name: snapshot.number("optimum", name) for name in SYMBOLS}
+    amplitude, decay = symbol["amplitude_rpm"], symbol["decay_rate_per_s"]
+    frequency, period = symbol["angular_frequency_rad_per_s"], symbol["rotation_period_s"]
+    length = symbol["window_end_s"] - symbol["window_start_s"]
+    since = np.linspace(-0.15 * length, 1.25 * length, 1500)
+    inside = np.where((since >= 0.0) & (since <= length), since, np.nan)
+    first = symbol["start_time_s"] + symbol["window_start_s"]
+    begin = float(snapshot.values("observed_data", "time_s")[0])
+    time = np.arange(begin, first + 1.6 * period, 1e-3)
+    pulse = impact(since, decay, frequency, length, since[1] - since[0])
+    train = pulse_train(
+        time, first, decay, frequency, length, symbol["pulse_separation_s"], period, 1e-3
+    )
+    found = arrays(
+        since_impact_s=("pulse_sample", since, "s"),
+        pulse_rpm=("pulse_sample", amplitude * pulse, "rpm"),
+        envelope_rpm=("pulse_sample", amplitude * np.exp(-decay * inside), "rpm"),
+        time_s=("sample", time, "s"),
+        train_rpm=("sample", amplitude * train, "rpm"),
+    )
+    return found.assign_attrs(**symbol, recording=snapshot.name)
+
+
+def draw(shown: xr.Dataset) -> Figure:
+    """One pulse with A, τ, ω, t1, t2; the train of pulses with t0, T and T_w."""
+    symbol = shown.attrs
     figure = new_figure(DOUBLE_COLUMN_IN, 2.3)
     spec = grid(figure, 1, 2, widths=(1.0, 1.4))
     pulse, train = figure.add_subplot(spec[0, 0]), figure.add_subplot(spec[0, 1])
-    _draw_pulse(pulse, symbol)
-    _draw_train(train, symbol, snapshot)
-    head_panels([pulse, train], ["one pulse, eq. 3", f"the model of {snapshot.name}, eq. 6"])
+    _draw_pulse(pulse, shown)
+    _draw_train(train, shown)
+    titles = ["one pulse, eq. 3", f"the model of the recording {symbol['recording']}, eq. 6"]
+    head_panels([pulse, train], titles)
     return figure
 
 
-def _draw_pulse(panel: Axes, symbol: dict[str, float]) -> None:
+def _draw_pulse(panel: Axes, shown: xr.Dataset) -> None:
+    symbol = shown.attrs
     amplitude, decay = symbol["amplitude_rpm"], symbol["decay_rate_per_s"]
     frequency = symbol["angular_frequency_rad_per_s"]
     length = symbol["window_end_s"] - symbol["window_start_s"]
-    time = np.linspace(-0.15 * length, 1.25 * length, 1500)
-    inside = (time >= 0.0) & (time <= length)
-    envelope = amplitude * np.exp(-decay * time[inside])
+    since, envelope = 1e3 * shown["since_impact_s"], shown["envelope_rpm"]
     for sign in (-1.0, 1.0):
-        panel.plot(
-            1e3 * time[inside], sign * envelope, color=MEASURED, linewidth=0.7, linestyle=_DASHED
-        )
-    wave = amplitude * impact(time, decay, frequency, length, time[1] - time[0])
-    panel.plot(1e3 * time, wave, color=MODEL, linewidth=1.2)
+        panel.plot(since, sign * envelope, color=MEASURED, linewidth=0.7, linestyle=_DASHED)
+    panel.plot(since, shown["pulse_rpm"], color=MODEL, linewidth=1.2)
     panel.annotate(
         f"A = {amplitude:.1f} rpm", (0.0, amplitude), (9.0, 0.0), textcoords="offset points",
         va="center", arrowprops={"arrowstyle": "-", "linewidth": 0.5},
@@ -79,15 +102,13 @@ def _draw_pulse(panel: Axes, symbol: dict[str, float]) -> None:
     panel.set_ylabel("Disturbance d$_b$ (rpm)")
 
 
-def _draw_train(panel: Axes, symbol: dict[str, float], snapshot: Snapshot) -> None:
+def _draw_train(panel: Axes, shown: xr.Dataset) -> None:
+    symbol = shown.attrs
     amplitude, period = symbol["amplitude_rpm"], symbol["rotation_period_s"]
-    apart, length = symbol["pulse_separation_s"], symbol["window_end_s"] - symbol["window_start_s"]
+    apart = symbol["pulse_separation_s"]
     first = symbol["start_time_s"] + symbol["window_start_s"]
-    begin = float(snapshot.values("observed_data", "time_s")[0])
-    time = np.arange(begin, first + 1.6 * period, 1e-3)
-    shape = (symbol["decay_rate_per_s"], symbol["angular_frequency_rad_per_s"], length)
-    train = amplitude * pulse_train(time, first, *shape, apart, period, 1e-3)
-    panel.plot(time, train, color=MODEL, linewidth=0.9)
+    time = shown["time_s"].values
+    panel.plot(time, shown["train_rpm"], color=MODEL, linewidth=0.9)
     _span(panel, first - apart, first, -1.1 * amplitude, f"T = {apart:.2f} s", below=True)
     _span(panel, first, first + period, 1.1 * amplitude, f"T$_w$ = {period:.2f} s")
     panel.annotate(
@@ -111,8 +132,26 @@ def _span(
     panel.annotate(
         text, (0.5 * (start + stop), height), (0.0, -3.0 if below else 3.0),
         textcoords="offset points", ha="center", va="top" if below else "bottom",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
     )  # fmt: skip
 
 
+def caption(shown: xr.Dataset) -> str:
+    """What is seen, with the fitted symbols."""
+    symbol = shown.attrs
+    return (
+        "The model of the disturbance with its symbols as fitted to the recording "
+        f"{symbol['recording']}. (a) One pulse (eq. 3): amplitude A = "
+        f"{symbol['amplitude_rpm']:.1f} rpm, decay τ = {symbol['decay_rate_per_s']:.1f} 1/s, "
+        f"angular frequency ω = {symbol['angular_frequency_rad_per_s']:.1f} rad/s, in the window "
+        f"from t1 = {symbol['window_start_s']:g} to t2 = {symbol['window_end_s']:g} s; dashed its "
+        "envelope. (b) The train of pulses (eq. 6): in each load rotation, T_w = "
+        f"{symbol['rotation_period_s']:.3f} s, a negative pulse and, T = "
+        f"{symbol['pulse_separation_s']:.3f} s later, a positive one."
+    )
+
+
+FIGURE = PaperFigure("figure_3", data, draw, caption)
+
 if __name__ == "__main__":
-    sys.exit(main([("figure_3", draw)]))
+    sys.exit(main(FIGURE))

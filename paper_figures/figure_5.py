@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from common import Stored, main
+import xarray as xr
+from common import PaperFigure, Stored, arrays, main
 from matplotlib.figure import Figure
 
 from bayesbl.figures.layout import grid
@@ -15,33 +16,44 @@ _SOFTER = 20.0
 """α δ of the second curve: small enough for its slope to be seen."""
 
 
-def draw(stored: Stored) -> Figure:
-    """K_BL(Δθ, δ) for the gap in the middle of the sweep."""
+def data(stored: Stored) -> xr.Dataset:
+    """K_BL(Δθ, δ) for the gap in the middle of the sweep, by sharpness α."""
     stiffness = stored.bench.value("shaft_stiffness_nm_per_rad")
-    sharpness = stored.bench.value("stiffness_sharpness_per_rad")
-    gaps = stored.sweep["sweep"].to_dataset()["gap_rad"].values
+    gaps = stored.tree("sweep")["sweep"]["gap_rad"].values
     gap = float(gaps[gaps.size // 2])
+    alphas = stored.bench.value("stiffness_sharpness_per_rad"), _SOFTER / gap
+    twist = gap * np.linspace(-2.5, 2.5, 4001)
+    curves = [variable_stiffness(twist, gap, stiffness, alpha) for alpha in alphas]
+    return arrays(
+        twist_rad=("twist", twist, "rad"),
+        sharpness_per_rad=("sharpness", alphas, "1/rad"),
+        stiffness_nm_per_rad=(("sharpness", "twist"), curves, "N m/rad"),
+    ).assign_attrs(gap_rad=gap, shaft_stiffness_nm_per_rad=stiffness)
+
+
+def draw(shown: xr.Dataset) -> Figure:
+    """Stiffness against twist, as the bench has it and softer."""
+    gap, stiffness = (shown.attrs[k] for k in ("gap_rad", "shaft_stiffness_nm_per_rad"))
     figure = new_figure(SINGLE_COLUMN_IN, 2.3)
     panel = figure.add_subplot(grid(figure, 1, 1, top=0.2)[0, 0])
-    twist = gap * np.linspace(-2.5, 2.5, 4001)
-    for index, (alpha, told) in enumerate(((sharpness, "bench"), (_SOFTER / gap, "softer"))):
-        style = look(index)
+    for index, told in enumerate(("bench", "softer")):
+        style, curve = look(index), shown.isel(sharpness=index)
         panel.plot(
-            1e3 * twist, 1e-3 * variable_stiffness(twist, gap, stiffness, alpha),
+            1e3 * curve["twist_rad"], 1e-3 * curve["stiffness_nm_per_rad"],
             color=style.colour, linestyle=style.dashes,
-            label=f"α = {_power(alpha)} 1/rad ({told})",
+            label=f"α = {_power(float(curve['sharpness_per_rad']))} 1/rad ({told})",
         )  # fmt: skip
     panel.axhline(1e-3 * stiffness, color=NEUTRAL, linewidth=0.5, linestyle=(0.0, (1.0, 1.5)))
     panel.set_xticks(1e3 * gap * np.array([-2, -1, 0, 1, 2]), ["−2δ", "−δ", "0", "δ", "2δ"])
     panel.set_yticks([0.0, 0.5e-3 * stiffness, 1e-3 * stiffness])
-    panel.set_ylim(0.0, 1.45e-3 * stiffness)
+    panel.set_ylim(0.0, 1.5e-3 * stiffness)
     panel.set_xlabel(f"Twist Δθ (δ = {1e3 * gap:.2f} mrad)")
     panel.set_ylabel("Stiffness K$_{BL}$ (kN m/rad)")
     panel.text(
         2.5e3 * gap, 1.02e-3 * stiffness, f"K$_s$ = {1e-3 * stiffness:g} kN m/rad", ha="right",
-        va="bottom", fontsize=6.0,
+        va="bottom",
     )  # fmt: skip
-    panel.legend(loc="upper center", ncols=2)
+    panel.legend(loc="upper left", borderaxespad=0.0)
     return figure
 
 
@@ -62,5 +74,19 @@ def _power(value: float) -> str:
     return f"{head}10$^{{{exponent}}}$"
 
 
+def caption(shown: xr.Dataset) -> str:
+    """What is seen, with both sharpnesses."""
+    bench, softer = shown["sharpness_per_rad"].values
+    return (
+        "The variable stiffness of the shaft, K_BL, against its twist Δθ for a gap δ of "
+        f"{1e3 * shown.attrs['gap_rad']:.2f} mrad: nearly none inside the gap, K_s = "
+        f"{1e-3 * shown.attrs['shaft_stiffness_nm_per_rad']:g} kN m/rad outside. Solid: as sharp "
+        f"as the bench has it, α = {bench:.3g} 1/rad; dashed: α = {softer:.3g} 1/rad, to show the "
+        "slope."
+    )
+
+
+FIGURE = PaperFigure("figure_5", data, draw, caption)
+
 if __name__ == "__main__":
-    sys.exit(main([("figure_5", draw)]))
+    sys.exit(main(FIGURE))

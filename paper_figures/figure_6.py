@@ -11,7 +11,8 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from common import Stored, main
+import xarray as xr
+from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
@@ -33,7 +34,7 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
-from bayesbl.units import RPM_PER_RAD_PER_S
+from bayesbl.units import RPM_PER_RAD_PER_S, unit_of
 
 _CHANNELS = {
     MOTOR_POSITION: "Position − ω$_{ref}$ t (rad)",
@@ -45,30 +46,68 @@ _LIGHT = "#b4b4b4"
 _REFERENCE = "reference_speed_rpm"
 
 
-def draw(stored: Stored) -> Figure:
+def data(stored: Stored) -> xr.DataTree:
+    """A node for each recording: one load rotation of each channel, recorded and simulated."""
+    return xr.DataTree.from_dict(
+        {s.name: _rotation(stored.bench, s) for s in snapshots(stored.tree("wear_swept"))}
+    )
+
+
+def _rotation(bench: Bench, snapshot: Snapshot) -> xr.Dataset:
+    time, recorded = recorded_channels(snapshot)
+    gap = float(np.median(snapshot.values("posterior", GAP)))
+    simulated = simulated_like(bench, gap, time, recorded)
+    length = min(simulated.time_s.size, time.size)
+    columns: dict[str, tuple[object, ...]] = {"time_s": ("sample", time[:length], "s")}
+    turned = simulated.metadata[_REFERENCE] / RPM_PER_RAD_PER_S * time[:length]
+    for channel in _CHANNELS:
+        for kind, values in (("recorded", recorded), ("simulated", simulated.channels)):
+            shown = values[channel][:length]
+            if channel == MOTOR_POSITION:
+                shown = shown - shown[0] - turned
+            columns[f"{kind}_{channel}"] = ("sample", shown, unit_of(channel))
+    return arrays(**columns).assign_attrs(gap_rad=gap)
+
+
+def draw(shown: xr.DataTree) -> Figure:
     """A column a recording, one load rotation of each channel."""
-    parts = snapshots(stored.wear)
+    parts = {name: node.to_dataset() for name, node in shown.children.items()}
     figure = new_figure(DOUBLE_COLUMN_IN, 4.4)
-    spec = grid(figure, 3, len(parts), top=0.45, between=(0.12, 0.45))
+    spec = grid(figure, 3, len(parts), left=0.62, top=0.45, between=(0.12, 0.45))
     heads, titles = [], []
-    for column, snapshot in enumerate(parts):
-        time, recorded = recorded_channels(snapshot)
-        gap = float(np.median(snapshot.values("posterior", GAP)))
-        simulated = simulated_like(stored.bench, gap, time, recorded)
+    for column, (name, part) in enumerate(parts.items()):
         for row, channel in enumerate(_CHANNELS):
             panel = figure.add_subplot(spec[row, column])
-            _draw_channel(panel, channel, time, recorded, simulated)
+            _draw_channel(panel, channel, part)
             panel.tick_params(labelbottom=row == 2)
             if column == 0:
                 panel.set_ylabel(_CHANNELS[channel])
-                panel.yaxis.set_label_coords(-0.13, 0.5)
+                panel.yaxis.set_label_coords(-0.14, 0.5)
             if row == 0:
                 heads.append(panel)
-                titles.append(f"{snapshot.name}, δ = {1e3 * gap:.3f} mrad")
+                titles.append(f"{name}, δ = {1e3 * part.attrs['gap_rad']:.3f} mrad")
         panel.set_xlabel("Time (s)")
     head_panels(heads, titles)
     figure.legend(*heads[0].get_legend_handles_labels(), loc="upper center", ncols=2)
     return figure
+
+
+def caption(shown: xr.DataTree) -> str:
+    """What is seen, with what is left between recording and simulation."""
+    left = "; ".join(
+        f"{name}: "
+        + ", ".join(
+            f"{float(np.std(part[f'recorded_{c}'] - part[f'simulated_{c}'])):.2g} {unit_of(c)}"
+            for c in (MOTOR_SPEED, MOTOR_CURRENT)
+        )
+        for name, part in shown.children.items()
+    )
+    return (
+        "One load rotation of the two example recordings (grey) and of the virtual bench at the "
+        "gap that was found (blue): motor position less that of the reference speed, motor speed, "
+        "motor current. Only the start angle was fitted. Standard deviation of what is left in "
+        f"speed and current, the recordings' noise: {left}."
+    )
 
 
 def recorded_channels(snapshot: Snapshot) -> tuple[FloatArray, dict[str, FloatArray]]:
@@ -117,28 +156,17 @@ def simulated_like(
     return simulate(float(found.x))
 
 
-def _draw_channel(
-    panel: Axes,
-    channel: str,
-    time: FloatArray,
-    recorded: dict[str, FloatArray],
-    simulated: Recording,
-) -> None:
-    length = min(simulated.time_s.size, time.size)
+def _draw_channel(panel: Axes, channel: str, part: xr.Dataset) -> None:
     # Where there is little noise, a thin line would vanish under the simulated one.
     thick = 0.6 if channel == MOTOR_SPEED else 2.6
-    for values, colour, width, label in (
-        (recorded[channel][:length], _LIGHT, thick, "recorded"),
-        (simulated.channels[channel][:length], MODEL, 0.9, "simulated"),
-    ):
-        shown = values
-        if channel == MOTOR_POSITION:
-            reference = simulated.metadata["reference_speed_rpm"] / RPM_PER_RAD_PER_S
-            shown = values - values[0] - reference * time[:length]
-        panel.plot(time[:length], shown, color=colour, linewidth=width, label=label)
-    panel.set_xlim(0.0, time[length - 1])
+    time = part["time_s"].values
+    for kind, colour, width in (("recorded", _LIGHT, thick), ("simulated", MODEL, 0.9)):
+        panel.plot(time, part[f"{kind}_{channel}"], color=colour, linewidth=width, label=kind)
+    panel.set_xlim(0.0, time[-1])
     panel.locator_params(axis="y", nbins=5)
 
 
+FIGURE = PaperFigure("figure_6", data, draw, caption)
+
 if __name__ == "__main__":
-    sys.exit(main([("figure_6", draw)]))
+    sys.exit(main(FIGURE))

@@ -4,16 +4,43 @@ from __future__ import annotations
 
 import sys
 
-from common import Stored, main
-from matplotlib.figure import Figure
+import numpy as np
+import xarray as xr
+from common import PaperFigure, Stored, main, picked
 
 from bayesbl.figures import signal
+from bayesbl.figures.snapshots import interval_name, snapshots
+from bayesbl.signal.parameters import SYMBOLS
 
 
-def draw(stored: Stored) -> Figure:
-    """As ``bayesbl figures`` draws it."""
-    return signal(stored.wear)
+def data(stored: Stored) -> xr.DataTree:
+    """Recorded speed, model at the optimum, predictive band and residual of each snapshot."""
+    return picked(
+        stored.tree("wear_swept"),
+        observed_data=("time_s", "motor_speed_rpm"),
+        predictive=None,
+        optimum=SYMBOLS,
+        posterior=(),
+        diagnostics=(),
+    )
 
+
+def caption(tree: xr.DataTree) -> str:
+    """What is seen, with the RMS of what is left."""
+    parts = snapshots(tree)
+    left = " and ".join(
+        f"{np.sqrt(np.nanmean(s.values('predictive', 'residual_rpm') ** 2)):.2f} rpm ({s.name})"
+        for s in parts
+    )
+    return (
+        "Motor speed of the two example recordings (grey), the disturbance model at its optimum "
+        f"(blue) and its {interval_name(tree).replace('interval', 'predictive band')}: the whole "
+        "recording as the outline of its samples, and one positive and one negative pulse sample "
+        f"by sample; below each the residual, {left} RMS."
+    )
+
+
+FIGURE = PaperFigure("figure_9", data, signal, caption)
 
 if __name__ == "__main__":
-    sys.exit(main([("figure_9", draw)]))
+    sys.exit(main(FIGURE))

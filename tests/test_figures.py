@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -68,8 +64,6 @@ file = "old.csv"
 name = "new"
 file = "new.csv"
 """
-
-SCRIPTS = Path(__file__).parents[1] / "paper_figures"
 
 SWEEP = """
 schema = 1
@@ -481,92 +475,3 @@ def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monk
     names = {path.name for path in draw_all(nominal, tmp_path)}
     assert names == {"curve", "disturbance", "degrees"}
     assert {path.name for path in draw_all(swept, tmp_path)} == names | {"bench_draws"}
-
-
-# The paper's figures
-
-
-@pytest.fixture
-def scripts(monkeypatch):
-    """The modules of ``paper_figures``, importable as its scripts see each other."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    yield lambda name: importlib.import_module(name)
-    for path in SCRIPTS.glob("*.py"):
-        sys.modules.pop(path.stem, None)
-
-
-def on_bench(tree, gaps, start_angle_rad):
-    """The comparison with its recordings replaced by noise-free ones of the reference bench."""
-    made = [
-        reference_bench().simulate(
-            g, rotations=1.2, sampling_hz=500.0, start_angle_rad=start_angle_rad
-        )
-        for g in gaps
-    ]
-    channels = {
-        name: (("snapshot", "sample"), np.array([r.channels[name] for r in made]))
-        for name in made[0].channels
-    }
-    times = (("snapshot", "sample"), np.array([r.time_s for r in made]))
-    other = tree.copy()
-    names = tree["posterior"]["snapshot"].values
-    other["observed_data"] = xr.DataTree(
-        xr.Dataset({"time_s": times, **channels}, coords={"snapshot": names})
-    )
-    posterior = tree["posterior"].to_dataset()
-    delta = posterior["delta_rad"].copy()
-    for name, gap_rad in zip(names, gaps, strict=True):
-        delta.loc[{"snapshot": name}] = gap_rad
-    other["posterior"] = xr.DataTree(posterior.assign(delta_rad=delta))
-    return other
-
-
-def test_every_script_writes_its_figure_from_stored_results(
-    scripts, sweep_file, tree, file, tmp_path, capsys
-):
-    write_tree(on_bench(tree, (7e-4, 9e-4), 2.0), tmp_path / "bench.nc")
-    make_all, common = scripts("make_all"), scripts("common")
-    without_6 = [figure for figure in make_all.FIGURES if figure[0] != "figure_6"]
-    stored = ["--sweep", str(sweep_file), "--out", str(tmp_path / "drawn")]
-    assert common.main(without_6, [*stored, "--wear", str(file)]) == 0
-    six = [("figure_6", scripts("figure_6").draw)]
-    assert common.main(six, [*stored, "--wear", str(tmp_path / "bench.nc")]) == 0
-    written = {path.name for path in (tmp_path / "drawn").iterdir()}
-    assert written == {f"figure_{n}.{k}" for n in (3, 5, 6, 7, 8, 9, 10) for k in ("pdf", "png")}
-    capsys.readouterr()
-    on_disk = {path.stem for path in SCRIPTS.glob("figure_*.py")}
-    assert on_disk == {name for name, _ in make_all.FIGURES}, "make_all makes all"
-
-
-def test_the_simulated_recording_is_laid_where_the_recorded_one_lies(scripts, sweep_file, tree):
-    figure_6, common = scripts("figure_6"), scripts("common")
-    bench = common.Stored(sweep_file, sweep_file).bench
-    for angle in (0.1, 3.3):
-        made = snapshots(on_bench(tree, (7e-4, 9e-4), angle))[0]
-        time, recorded = figure_6.recorded_channels(made)
-        found = figure_6.simulated_like(bench, 7e-4, time, recorded)
-        turn = (found.metadata["start_angle_rad"] - angle + np.pi) % (2.0 * np.pi) - np.pi
-        assert abs(turn) < 1e-3
-
-
-def test_the_variable_stiffness_is_that_of_the_shaft_outside_the_gap_and_none_inside(scripts):
-    stiffness = scripts("figure_5").variable_stiffness
-    twist = np.array([-3e-3, -1e-3, 0.0, 1e-3, 3e-3])
-    found = stiffness(twist, 1e-3, 1.2e5, 1e6)
-    assert found / 1.2e5 == pytest.approx([1.0, 0.5, 0.0, 0.5, 1.0], abs=2e-3)
-
-
-def test_a_missing_result_is_told_with_its_command(scripts, sweep_file, tmp_path, capsys):
-    figures = [(f"figure_{n}", scripts(f"figure_{n}").draw) for n in (7, 9, 10)]
-    arguments = ["--sweep", str(sweep_file), "--wear", str(tmp_path / "no.nc"), "--out"]
-    assert scripts("common").main(figures, [*arguments, str(tmp_path)]) == 2
-    told = capsys.readouterr()
-    assert told.out.count("figure_7") == 2, "what can be drawn is drawn"
-    assert "Not drawn: figure_9, figure_10." in told.err
-    assert "bayesbl compare" in told.err
-
-
-def test_a_script_runs_by_itself(sweep_file, tmp_path):
-    command = [sys.executable, str(SCRIPTS / "figure_7.py"), "--sweep", str(sweep_file)]
-    done = subprocess.run([*command, "--out", str(tmp_path)], capture_output=True, check=True)
-    assert (tmp_path / "figure_7.pdf").is_file(), done.stderr

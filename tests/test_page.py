@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from datetime import date
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,13 +13,15 @@ import pytest
 import xarray as xr
 
 from bayesbl import cli
-from bayesbl.report import words
+from bayesbl.gap.wear import wear as wear_in_time
+from bayesbl.report import words, worn
 from bayesbl.report.advice import advice
 from bayesbl.report.captions import CAPTIONS, caption, reading_order
 from bayesbl.report.page.build import page
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.summary import summarise
+from bayesbl.results.wear import wear_group, years_between
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""
@@ -249,10 +252,135 @@ def test_the_advice_says_whose_curve_it_rests_on():
 def test_every_verdict_has_its_advice(verdict):
     effects = [{"name": "load_coulomb_friction"}] if verdict == "named" else []
     given = advice(
-        {"kind": "diagnose", "verdict": verdict, "effects": effects, "parameter_errors": []}
+        {
+            "kind": "diagnose",
+            "verdict": verdict,
+            "effects": effects,
+            "parameter_errors": [],
+            "gap": {"unit": "A"},
+        }
     )
     assert given.title
     assert ("load Coulomb friction" in " ".join(given.sentences)) == (verdict == "named")
+
+
+def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit=1.2e-3, count=3):
+    """The summary of a dated comparison, as far as page and advice read it."""
+
+    def interval(low, high):
+        middle = 0.5 * (low + high)
+        return {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
+
+    part = fitted(above=1e-3, limit=limit)
+    days = {"median": "2028-03-02", "low": "2027-01-05", "high": "2029-02-03"}
+    wear = {
+        "snapshots": [f"s{i}" for i in range(count)],
+        "first_date": "2025-01-01",
+        "level": 0.9,
+        "rate_rad_per_year": interval(*rate),
+        "rate_at_most_rad_per_year": 0.95 * rate[1],
+        "probability_wear": certain,
+        "limit_rad": limit,
+        "years_to_limit": interval(*years) if limit else None,
+        "limit_date": days if limit else None,
+        "limit_not_before": "2027-02-01" if limit else None,
+        "decide_before": None if before is None else "2027-06-01",
+        "probability_limit_before": before,
+        "reason": None,
+    }
+    snapshots = [{**part, "name": name} for name in wear["snapshots"]]
+    change = interval(1e-4, 3e-4)
+    return {
+        "kind": "compare",
+        "snapshots": snapshots,
+        "change_rad": change,
+        "probability_increase": 0.999,
+        "wear": wear,
+        "curve": "sweep",
+    }
+
+
+@pytest.mark.parametrize(("before", "tone"), [(None, "fine"), (0.01, "fine"), (0.4, "watch")])
+def test_dated_snapshots_are_advised_by_when_the_limit_is_reached(before, tone):
+    given = advice(dated(before=before))
+    assert given.tone == tone
+    assert "2027-02-01" in given.title, "the one-sided answer is the one to plan by"
+    assert (before is not None) == any("2027-06-01" in told for told in given.sentences)
+
+
+def test_no_date_is_planned_by_where_no_wear_is_shown():
+    given = advice(dated(certain=0.6, before=0.4))
+    assert given.tone == "fine"
+    assert "2027" not in given.title
+
+
+def test_a_joint_beyond_its_limit_is_due_whatever_the_forecast():
+    summary = dated()
+    summary["snapshots"][-1]["probability_above_limit"] = 0.99
+    assert advice(summary).title == "The joint is due for repair."
+
+
+def test_without_a_limit_the_rate_is_told_and_without_a_rate_why():
+    assert "a year" in " ".join(advice(dated(limit=None)).sentences)
+    assert "No wear is shown" in advice(dated(limit=None, certain=0.6)).title
+    healed = dated()
+    healed["wear"] |= {"reason": "The gap shrank: was the joint repaired?"}
+    assert "The gap shrank: was the joint repaired?" in advice(healed).sentences
+
+
+def test_the_headline_of_dated_snapshots_claims_growth_only_where_it_is_shown():
+    assert "grows by 0.30 mrad a year" in worn.headline(dated())
+    assert "not shown to have grown" in worn.headline(dated(certain=0.9))
+
+
+def test_two_snapshots_are_told_to_be_few():
+    assert any("third" in told for told in advice(dated(count=2)).sentences)
+    assert not any("third" in told for told in advice(dated(count=3)).sentences)
+
+
+def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(tree):
+    days = [date(2026, 3, 1), date(2026, 7, 1)]
+    names = [str(n) for n in tree["posterior"].to_dataset()["snapshot"].values]
+    gaps = np.stack([tree["posterior"]["delta_rad"].sel(snapshot=n).values for n in names])
+    years = np.array([years_between(days[0], day) for day in days])
+    found = wear_in_time(gaps, years, np.random.SeedSequence(1), limit_rad=1.2e-3)
+    tree["wear"] = xr.DataTree(wear_group(days, slice(0, 2), found, reason="", decide_before=None))
+    wear = summarise(tree)["wear"]
+    told = plain(Reader(page(tree, [])).text)
+    first = told[: told.index("Numbers")]
+    for expected in (worn.in_mrad(wear["rate_rad_per_year"]), "mrad a year", "Change",
+                     "Limit reached", wear["limit_not_before"], "Plan the repair"):  # fmt: skip
+        assert expected in first, expected
+
+
+def diagnosed_summary(verdict, unit, alike=()):
+    effect = {"name": "load_coulomb_friction", "indistinguishable_from": list(alike)}
+    return {
+        "kind": "diagnose",
+        "verdict": verdict,
+        "effects": [effect] if verdict == "named" else [],
+        "parameter_errors": [],
+        "gap": {"unit": unit},
+        "suggested_recording": None,
+    }
+
+
+@pytest.mark.parametrize("verdict", ["named", "parameter_error"])
+def test_the_bench_that_a_diagnosis_wrote_is_the_one_to_go_on_with(verdict):
+    told = advice(diagnosed_summary(verdict, None))
+    assert "augmented_bench.toml" in told.title
+    assert "--bench augmented_bench.toml" in " ".join(told.sentences)
+    other = advice(diagnosed_summary(verdict, "A"))
+    assert "augmented_bench" not in other.title, "a rigid bench's diagnosis writes none"
+
+
+def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
+    sure, unsure = (
+        " ".join(advice(diagnosed_summary("named", None, alike)).sentences)
+        for alike in ((), ("motor_coulomb_friction",))
+    )
+    assert "told apart" in unsure
+    assert "told apart" not in sure
 
 
 # Figures

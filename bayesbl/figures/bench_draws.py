@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from bayesbl.figures.layout import grid
+from bayesbl.figures.scales import plain_log_axis
 from bayesbl.figures.stored import values
 from bayesbl.figures.style import (
     BAND,
@@ -96,12 +96,8 @@ def _draw_spread(panel: Axes, tree: xr.DataTree) -> None:
             label=f"{len(percent)} bench draws" if index == 0 else None,
         )  # fmt: skip
     panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
-    panel.set_xscale("log")
+    plain_log_axis(panel.xaxis)
     panel.set_xlim(gap[0], gap[-1])
-    steps = [m * 10.0**k for k in range(-4, 5) for m in (1.0, 2.0, 5.0)]
-    panel.xaxis.set_major_locator(FixedLocator(steps))
-    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.xaxis.set_minor_formatter(NullFormatter())
     panel.set_xlabel("Gap δ (mrad)")
     panel.set_ylabel("Departure of A from the nominal bench (%)")
     legend_above(panel)

@@ -49,7 +49,7 @@ def _draw(panel: Axes, snapshot: Snapshot) -> None:
         xycoords=("axes fraction", "data"),
         textcoords="offset points",
         va="top",
-        fontsize=6.0,
+        fontsize=7.0,
         color=NEUTRAL,
     )
     panel.set_xscale("log")

@@ -104,7 +104,7 @@ def _label(
         if outer:
             axis.set_ticks(_inner_ticks(*axis.get_view_interval()))
             axis.set_tick_params(length=1.8, pad=1.5, labelsize=5.5)
-            axis.set_label_text(scale.label("\n"), fontsize=6.0)
+            axis.set_label_text(scale.label("\n"), fontsize=7.0)
             axis.set_label_coords(*away)
 
 
@@ -113,7 +113,10 @@ def _inner_ticks(low: float, high: float) -> list[float]:
     margin = 0.12 * (high - low)
     ticks = MaxNLocator(4).tick_values(low, high)
     inner = [float(t) for t in ticks if low + margin < t < high - margin]
-    return inner if len(inner) < 2 else [inner[0], inner[-1]]
+    if len(inner) < 2:
+        return inner
+    apart = inner[-1] - inner[0] > 0.4 * (high - low)  # else their numbers would touch
+    return [inner[0], inner[-1]] if apart else [inner[len(inner) // 2]]
 
 
 def _explain(figure: Figure, snapshot: Snapshot) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
 from bayesbl.figures.layout import grid
+from bayesbl.figures.scales import plain_log_axis
 from bayesbl.figures.stored import values
 from bayesbl.figures.style import (
     DOUBLE_COLUMN_IN,
@@ -40,7 +40,6 @@ _NAMES: Mapping[str, str] = {
     "regression": "coefficients",
     "lack_of_fit": "lack of fit",
 }
-_DECADE = np.array([1.0, 2.0, 3.0, 5.0])
 
 
 @publication_style()
@@ -57,12 +56,8 @@ def curve(tree: xr.DataTree) -> Figure:
     _draw_close(close, tree)
     amplitude = values(tree, "curve", "amplitude")
     for panel in (paper, close):
-        panel.set_xscale("log")
+        plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
-        ticks = np.concatenate([_DECADE * 10.0**k for k in range(-3, 6)])
-        panel.xaxis.set_major_locator(FixedLocator(list(ticks)))
-        panel.xaxis.set_major_formatter(ScalarFormatter())
-        panel.xaxis.set_minor_formatter(NullFormatter())
         panel.yaxis.set_label_coords(-0.13, 0.5)
         panel.axhline(0.0, color=NEUTRAL, linewidth=0.9, zorder=1.5)
     paper.tick_params(labelbottom=False)

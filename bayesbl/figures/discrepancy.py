@@ -57,8 +57,8 @@ def discrepancy(before: xr.Dataset, recording: str, after: xr.Dataset | None = N
     channels = [str(name) for name in np.atleast_1d(before.attrs["channels"])]
     channels = [n for n in channels if not np.isnan(stages[0][f"{n}_offset"])]
     rows = len(channels)
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.9 + _ROW_IN * rows)
-    spec = grid(figure, rows, 3, left=0.6, top=0.5, between=(0.6, 0.62))
+    figure = new_figure(DOUBLE_COLUMN_IN, 1.04 + _ROW_IN * rows)
+    spec = grid(figure, rows, 3, left=0.6, top=0.64, between=(0.6, 0.62))
     axes: list[Axes] = []
     titles: list[str] = []
     for row, channel in enumerate(channels):
@@ -174,7 +174,7 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
             textcoords="offset points",
             ha="right" if order[i] > _RIGHT_HALF else "left",
             va="center",
-            fontsize=5.5,
+            fontsize=7.0,
         )
 
 
@@ -219,7 +219,7 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
                     label=f"significant: {_NAMES[name]}",
                 )
             )
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles), columnspacing=1.0)
+    figure.legend(handles=handles, loc="upper center", ncols=4, columnspacing=1.2)
 
 
 def _capital(channel: str) -> str:

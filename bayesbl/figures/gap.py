@@ -36,7 +36,8 @@ def gap(tree: xr.DataTree) -> Figure:
     parts = snapshots(tree)
     compare = "change" in tree.children
     figure = new_figure(DOUBLE_COLUMN_IN, 4.2 if compare else 3.4)
-    outer = grid(figure, 1, 2, top=0.46 + 0.14 * len(parts), widths=(1.4, 1.0))
+    told = 1 + len(parts) + ("limit_rad" in tree.attrs)  # lines of the legend, above the panels
+    outer = grid(figure, 1, 2, top=0.28 + 0.15 * told, widths=(1.4, 1.0))
     joint = outer[0, 0].subgridspec(
         2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
     )
@@ -146,7 +147,7 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
             xycoords=("axes fraction", "data"),
             rotation=90.0,
             va="center",
-            fontsize=6.0,
+            fontsize=7.0,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
         )
 

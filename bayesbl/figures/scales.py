@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axis import Axis, XAxis
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from bayesbl.figures.snapshots import GAP
 from bayesbl.recording.types import FloatArray
@@ -13,6 +16,15 @@ from bayesbl.signal.parameters import SYMBOLS
 
 _RELATIVE_SPREAD = 2e-3
 """Values that vary less than this are drawn as differences from a round number near them."""
+
+
+def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """A logarithmic axis with ``steps`` of each decade written out, never as powers of ten."""
+    name = "x" if isinstance(axis, XAxis) else "y"
+    axis.axes.set(**{f"{name}scale": "log"})
+    axis.set_major_locator(FixedLocator([m * 10.0**k for k in range(-6, 7) for m in steps]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 @dataclass(frozen=True, slots=True)

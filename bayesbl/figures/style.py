@@ -26,12 +26,12 @@ NEUTRAL = "#404040"
 
 _RC: Mapping[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
-    "font.size": 7.0,
+    "font.size": 7.0,  # the least that journals take at printed size
     "axes.titlesize": 7.0,
     "axes.labelsize": 7.0,
-    "xtick.labelsize": 6.0,
-    "ytick.labelsize": 6.0,
-    "legend.fontsize": 6.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 7.0,
     "mathtext.default": "regular",
     "axes.titley": 1.0,  # a place found anew at each drawing takes a tenth of the time
     "axes.linewidth": 0.6,
@@ -112,7 +112,8 @@ def legend_above(panel: Axes) -> None:
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
         ncols=4,
-        columnspacing=0.8,
+        columnspacing=0.7,
+        handlelength=1.4,
         handletextpad=0.4,
         borderaxespad=0.2,
     )

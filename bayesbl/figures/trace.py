@@ -39,7 +39,7 @@ def trace(snapshot: Snapshot) -> Figure:
         draws = snapshot.values("posterior", name)
         scale = scale_of(name, draws)
         _draw(left, right, scale.shown(draws))
-        left.set_ylabel(scale.label("\n"), fontsize=6.0)
+        left.set_ylabel(scale.label("\n"), fontsize=7.0)
         left.yaxis.set_label_coords(-0.15, 0.5)
         if index >= len(names) - 2:
             left.set_xlabel("Draw, ensembles one after the other")

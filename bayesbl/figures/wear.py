@@ -121,13 +121,15 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
             marker=style.marker,
             markerfacecolor=colour if used[index] and not part.withheld else "white",
             linestyle="none",
-            capsize=2.0,
+            markersize=3.0,
+            capsize=2.5,
             zorder=3.0,
         )
         panel.annotate(
             f"{part.name}: withheld" if part.withheld else part.name,
             (day, found["low"]), xytext=(4.0, -4.0), textcoords="offset points",
-            ha="left", va="top", fontsize=6.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6}, zorder=2.5,
+            ha="left", va="top", fontsize=7.0,
         )  # fmt: skip
     if np.any(used == 0.0):
         first = every[np.flatnonzero(used)[0]]
@@ -157,7 +159,7 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
         panel.plot([day], [share], color=NEUTRAL, marker="o")
         panel.annotate(
             f"by {asked}: {100.0 * share:.0f} %", (day, share), xytext=(-4.0, 4.0),
-            textcoords="offset points", ha="right", fontsize=6.0,
+            textcoords="offset points", ha="right", fontsize=7.0,
         )  # fmt: skip
     panel.set_ylim(0.0, 1.03)
     panel.set_ylabel("Probability")

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayesbl.config.fields import PUBLISHED
-from bayesbl.report import diagnosed, words
-from bayesbl.report.words import Summary
-
-SURE = 0.95
-"""Probability from which the advice takes something as shown, and below 1 minus which as not so."""
+from bayesbl.report import diagnosed, words, worn
+from bayesbl.report.words import SURE, Summary
+from bayesbl.results.folder import AUGMENTED_BENCH
 
 Tone = Literal["fine", "watch", "act", "withheld", "note"]
 
@@ -57,8 +55,23 @@ def _of_snapshots(summary: Summary) -> Advice:
                 "then decide as you would without this measurement.",
             ),
         )
-    head = _by_limit(summary, last) or _without_limit(summary)
+    head = _by_forecast(summary, last) or _by_limit(summary, last) or _without_limit(summary)
     return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
+
+
+def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
+    """Until when no repair is due, where the limit is ahead and the time to it is told."""
+    above = last.get("probability_above_limit")
+    if above is None or above > 1.0 - SURE or not worn.is_told(summary):
+        return None
+    wear, told = summary["wear"], tuple(worn.sentences(summary["wear"]))
+    if wear["probability_wear"] < SURE:
+        return Advice("fine", "No repair is due, and no wear is shown.", told)
+    if wear["limit_not_before"] is None:
+        return Advice("fine", "No repair is due for years.", told)
+    passed = wear["probability_limit_before"]
+    tone: Tone = "fine" if passed is None or passed <= 1.0 - SURE else "watch"
+    return Advice(tone, f"Plan the repair for {wear['limit_not_before']} or before.", told)
 
 
 def _by_limit(summary: Summary, last: Summary) -> Advice | None:
@@ -76,6 +89,12 @@ def _by_limit(summary: Summary, last: Summary) -> Advice | None:
 
 def _without_limit(summary: Summary) -> Advice:
     ask = "Give the gap at which it is to be repaired (--limit-rad) to be told whether it is due."
+    if worn.is_told(summary):
+        wear = summary["wear"]
+        if wear["probability_wear"] >= SURE:
+            sentences = tuple(worn.sentences(wear))
+            return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
+        return Advice("fine", "No wear is shown: measure again later.", (ask,))
     change = summary.get("change_rad")
     if change is None:
         return Advice("note", "Compare this gap with what the joint may have.", (ask,))
@@ -86,8 +105,17 @@ def _without_limit(summary: Summary) -> Advice:
 
 
 def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
-    change = summary.get("change_rad")
-    if change is not None and change["low"] > 0.0 and last.get("limit_rad") is not None:
+    change, wear = summary.get("change_rad"), summary.get("wear")
+    if wear is not None and wear["reason"]:
+        yield wear["reason"]
+    if wear is not None and len(wear["snapshots"]) == 2:
+        yield "Two snapshots cannot tell whether the wear is steady: take a third."
+    if (
+        wear is None
+        and change is not None
+        and change["low"] > 0.0
+        and last.get("limit_rad") is not None
+    ):
         further = 1e3 * (last["delta_rad"]["median"] + change["median"])
         yield f"As much growth again would bring the gap to about {further:.2g} mrad."
     if summary.get("curve") == PUBLISHED and last.get("route") != "direct":
@@ -99,6 +127,8 @@ def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
 
 def _of_diagnosis(summary: Summary) -> Advice:
     match summary["verdict"]:
+        case "named" if diagnosed.has_augmented_bench(summary):
+            return Advice("act", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "named":
             names = ", ".join(diagnosed.in_words(effect["name"]) for effect in summary["effects"])
             return Advice(
@@ -107,11 +137,11 @@ def _of_diagnosis(summary: Summary) -> Advice:
                 (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
             )
         case "parameter_error":
-            return Advice(
-                "act",
-                "Correct the bench before you rely on it.",
-                tuple(diagnosed.parameter_errors(summary)),
-            )
+            wrong = tuple(diagnosed.parameter_errors(summary))
+            if diagnosed.has_augmented_bench(summary):
+                title = f"Go on with {AUGMENTED_BENCH}."
+                return Advice("act", title, (*wrong, *_go_on(summary)))
+            return Advice("act", "Correct the bench before you rely on it.", wrong)
         case "unexplained":
             return Advice(
                 "watch",
@@ -124,6 +154,22 @@ def _of_diagnosis(summary: Summary) -> Advice:
                 "The bench may be used as it is.",
                 ("These recordings show nothing that it lacks.",),
             )
+
+
+def _go_on(summary: Summary) -> Iterator[str]:
+    """What to do with the bench that the diagnosis wrote."""
+    yield (
+        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was named, a bench file as "
+        "any other."
+    )
+    if any(effect["indistinguishable_from"] for effect in summary["effects"]):
+        yield "Not all of it can be told apart by these recordings."
+        yield from diagnosed.suggestion(summary)
+    yield (
+        f'For a gap curve, name it in the configuration of a sweep (bench = "{AUGMENTED_BENCH}"); '
+        "to measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
+        f"{AUGMENTED_BENCH}"
+    )
 
 
 def _of_study(summary: Summary) -> Advice:

@@ -42,6 +42,14 @@ def headline(summary: Summary) -> str:
             return "Nothing is missing: what is left does not repeat, or does not generalise."
 
 
+def has_augmented_bench(summary: Summary) -> bool:
+    """Whether the result's folder holds the bench with what was named: forward diagnoses write it.
+
+    They compare several channels, so that the gap as a whole has no unit.
+    """
+    return summary["gap"]["unit"] is None and summary["verdict"] in ("named", "parameter_error")
+
+
 def in_words(name: str) -> str:
     """``motor Coulomb friction``."""
     return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

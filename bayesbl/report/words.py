@@ -17,6 +17,9 @@ Summary = Mapping[str, Any]
 RAREST = 1e-3
 """Probabilities closer than this to 0 or 1 are beyond what some thousand draws can tell."""
 
+SURE = 0.95
+"""Probability from which something is taken as shown, and below 1 minus which as not so."""
+
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
 
 BOUND_EXPLAINED = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import date
 from typing import TYPE_CHECKING
 
 from bayesbl.report import words
@@ -32,6 +33,39 @@ def print_wear(summary: Summary, console: Console) -> None:
     print_table(_table(wear), console)
     for sentence in notes(wear):
         say(console, sentence, "dim")
+
+
+def is_told(summary: Summary) -> bool:
+    """Whether a summary tells how fast the gap grows."""
+    wear = summary.get("wear")
+    return wear is not None and not wear["reason"]
+
+
+def headline(summary: Summary) -> str:
+    """How large the gap is now and how fast it grows: the answer of dated snapshots."""
+    wear, last = summary["wear"], summary["snapshots"][-1]["delta_rad"]
+    now = "" if last is None else f"is {in_mrad(last)} mrad now and "
+    if wear["probability_wear"] < words.SURE:
+        return (
+            f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "
+            f"{words.probability(wear['probability_wear'])})."
+        )
+    rate = wear["rate_rad_per_year"]
+    places = words.decimals(rate, 1e3)
+    return (
+        f"The gap {now}grows by {in_mrad(rate)} mrad a year "
+        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})."
+    )
+
+
+def in_mrad(interval: Summary) -> str:
+    """The median in mrad, with as many digits as its interval bears."""
+    return words.number(1e3 * interval["median"], words.decimals(interval, 1e3))
+
+
+def month(value: str | None) -> str:
+    """``Nov 2026`` of a date of ISO: a forecast is never known to the day."""
+    return day(value) if value is None else date.fromisoformat(value).strftime("%b %Y")
 
 
 def repaired(wear: Summary) -> str:
@@ -107,7 +141,7 @@ def _table(wear: Summary) -> Table:
         low, middle, high = (_cell(scale * found[k]) for k in ("low", "median", "high"))
         add_row(table, name, middle, f"{low} to {high}", unit)
     if wear["limit_date"] is not None:
-        low, middle, high = (_day(wear["limit_date"][k]) for k in ("low", "median", "high"))
+        low, middle, high = (day(wear["limit_date"][k]) for k in ("low", "median", "high"))
         add_row(table, "date of the limit", middle, f"{low} to {high}", "")
     return table
 
@@ -120,5 +154,6 @@ def _cell(value: float) -> str:
     return words.significant(value) if value < 100.0 else f"{value:.0f}"
 
 
-def _day(value: str | None) -> str:
+def day(value: str | None) -> str:
+    """A date of ISO, or that it is too far to be told."""
     return "far ahead" if value is None else value

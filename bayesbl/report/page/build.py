@@ -15,7 +15,7 @@ from typing import Any
 import xarray as xr
 
 from bayesbl.errors import UserError
-from bayesbl.report import diagnosed, words
+from bayesbl.report import diagnosed, words, worn
 from bayesbl.report.advice import advice
 from bayesbl.report.assumptions import assumptions
 from bayesbl.report.captions import caption, reading_order
@@ -150,6 +150,8 @@ def _headline(summary: Summary) -> str:
             return diagnosed.headline(summary)
         case "study":
             return study_headline(summary)
+        case _ if worn.is_told(summary):
+            return worn.headline(summary)
         case _:
             return words.headline(summary)
 
@@ -158,6 +160,9 @@ def _cards(summary: Summary) -> Iterator[Card]:
     if summary["kind"] == "diagnose":
         yield from _gap_cards(summary)
     if summary["kind"] not in ("fit", "compare"):
+        return
+    if worn.is_told(summary):
+        yield from _wear_cards(summary)
         return
     labelled = [
         (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"])
@@ -177,6 +182,23 @@ def _card(label: str, found: Mapping[str, Any] | None, places: int) -> Card:
     sign = "+" if label == "Change" and found["median"] > 0.0 else ""
     told = f"{100.0 * found['level']:g} %: {words.bounds(found, 1e3, places)}"
     return Card(label, sign + value, "mrad", told)
+
+
+def _wear_cards(summary: Summary) -> Iterator[Card]:
+    """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
+    wear, last = summary["wear"], summary["snapshots"][-1]
+    change = summary["change_rad"]
+    places = words.common_decimals([last["delta_rad"], change])
+    yield _card("Gap δ now", last["delta_rad"], places)
+    if len(wear["snapshots"]) == len(summary["snapshots"]):
+        yield _card("Change", change, places)  # across a repair it would say nothing of wear
+    rate = wear["rate_rad_per_year"]
+    note = f"{100.0 * rate['level']:g} %: {words.bounds(rate, 1e3)}"
+    yield Card("Wear", worn.in_mrad(rate), "mrad a year", note)
+    if wear["limit_date"] is not None:
+        low, middle, high = (worn.month(wear["limit_date"][k]) for k in ("low", "median", "high"))
+        note = f"{100.0 * rate['level']:g} %: {low} to {high}"
+        yield Card("Limit reached", middle, "", note)
 
 
 def _gap_cards(summary: Summary) -> Iterator[Card]:

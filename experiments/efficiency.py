@@ -1,0 +1,145 @@
+"""How much of what a recording holds about δ does each route use?
+
+The same recordings of the virtual bench, each with a start angle of its own, are answered by the
+amplitude of the ringing through the swept curve and by direct simulation, from speed and current
+and from the speed alone. Beside the posterior standard deviation of ln δ stand the Cramér-Rao
+bounds (bench known, start angle free) of speed and current, and of the speed alone, which is all
+that the amplitude route looks at. The direct posterior is the surrogate's, that of A normal around
+the optimum with the covariance that emcee samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+
+from bayesbl.config.bench import load_bench
+from bayesbl.gap.branch import likeliest_branch
+from bayesbl.gap.change import MeasuredRinging, gaps
+from bayesbl.gap.curve import GapCurve
+from bayesbl.inference.alignment import fit_aligned
+from bayesbl.inference.direct import sample_direct
+from bayesbl.inference.estimator import Estimator
+from bayesbl.inference.posterior import SamplerSettings
+from bayesbl.inference.simulated import GAP, gap_unknown, observed, start_angle_unknown
+from bayesbl.physics.bench import Bench
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.results.curve_file import read_curve
+
+FAST = SamplerSettings(ensembles=2, max_steps=1000)
+RANGE_RAD = (5e-5, 1e-2)
+"""Of the direct route's prior, log-uniform: wider than any answer."""
+
+WAYS = ("direct", "direct_speed", "amplitude")
+
+
+class Row(BaseModel):
+    """A row: one gap on one bench that is known exactly, and the curve swept on it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    bench: Path
+    curve: Path
+    cases: PositiveInt
+    gap_rad: float = Field(gt=0.0)
+    rotations: float = 5.0
+    sampling_hz: float = 1000.0
+
+
+COLUMNS = {
+    "bound": ("1", "Cramér-Rao bound on the sd of ln δ, speed and current"),
+    "bound_speed": ("1", "the same of the speed alone"),
+    "direct_sd": ("1", "posterior sd of ln δ, direct route, speed and current"),
+    "direct_error": ("1", "its median of ln δ less the truth"),
+    "direct_speed_sd": ("1", "posterior sd of ln δ, direct route, speed alone"),
+    "direct_speed_error": ("1", "its median of ln δ less the truth"),
+    "amplitude_sd": ("1", "posterior sd of ln δ, amplitude route"),
+    "amplitude_error": ("1", "its median of ln δ less the truth"),
+}
+
+
+def count(row: Row) -> int:
+    """Number of recordings."""
+    return row.cases
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One recording through all routes."""
+    truth_seed, both_seed, speed_seed, fit_seed, gap_seed = seed.spawn(5)
+    generator = np.random.default_rng(truth_seed)
+    bench = _bench(row.bench)
+    recording = bench.simulate(
+        row.gap_rad,
+        rotations=row.rotations,
+        sampling_hz=row.sampling_hz,
+        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
+        seed=generator,
+    )
+    speed_only = replace(recording, channels={MOTOR_SPEED: recording.motor_speed_rpm})
+    bound, both = _direct(bench, recording, both_seed)
+    bound_speed, alone = _direct(bench, speed_only, speed_seed)
+    amplitude = _by_amplitude(_curve(row.curve), speed_only, generator, fit_seed, gap_seed)
+    result = {"bound": bound, "bound_speed": bound_speed}
+    for way, log_gap in zip(WAYS, (both, alone, amplitude), strict=True):
+        result[f"{way}_sd"] = float(log_gap.std())
+        result[f"{way}_error"] = float(np.median(log_gap)) - math.log(row.gap_rad)
+    return result
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Bounds, posterior and actual scatter of each way in percent of δ, medians over the cases."""
+    line: dict[str, float | str] = {"gap_mrad": 1e3 * row.gap_rad}
+    for name in ("bound", "bound_speed"):
+        line[f"{name}_%"] = 100.0 * float(np.median(cases[name].values))
+    for way in WAYS:
+        line[f"{way}_sd_%"] = 100.0 * float(np.median(cases[f"{way}_sd"].values))
+        error = cases[f"{way}_error"].values
+        line[f"{way}_scatter_%"] = 100.0 * float(np.sqrt(np.mean(error**2)))
+    for way, bound in zip(WAYS, ("bound", "bound_speed", "bound_speed"), strict=True):
+        ratio = cases[f"{way}_sd"].values / cases[bound].values
+        line[f"{way}_sd/bound"] = float(np.median(ratio))
+    return line
+
+
+def _direct(
+    bench: Bench, recording: Recording, seed: np.random.SeedSequence
+) -> tuple[float, FloatArray]:
+    """Bound on the sd of ln δ, and draws of ln δ."""
+    unknowns = [gap_unknown(*RANGE_RAD), start_angle_unknown(recording.name)]
+    fit = fit_aligned(bench, [observed(recording, bench)], unknowns)
+    draws = sample_direct(fit, FAST, seed, corrected=False)
+    return float(fit.bound[fit.model.index(GAP)]), np.log(draws.values(GAP)).ravel()
+
+
+def _by_amplitude(
+    curve: GapCurve,
+    recording: Recording,
+    generator: np.random.Generator,
+    fit_seed: np.random.SeedSequence,
+    gap_seed: np.random.SeedSequence,
+) -> FloatArray:
+    """Draws of ln δ."""
+    estimator = Estimator()
+    point = likeliest_branch(curve, estimator, estimator.estimate(recording, fit_seed))
+    centre, covariance = point.ringing
+    draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
+    (found,) = gaps(curve, [MeasuredRinging(draws, centre, covariance)], gap_seed)
+    return np.asarray(np.log(found.delta_rad).ravel())
+
+
+@cache
+def _bench(path: Path) -> Bench:
+    return load_bench(path)
+
+
+@cache
+def _curve(path: Path) -> GapCurve:
+    return read_curve(path)

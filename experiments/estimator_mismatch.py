@@ -1,0 +1,179 @@
+"""What becomes of δ if a recording is not fitted by the estimator that the curve was swept with?
+
+The ringing is not exactly a damped sinusoid, so each way of fitting it has an amplitude of its own.
+Recordings of the virtual bench are fitted by the estimator of the sweep and by others that look as
+good: a shorter window, a longer one, no baseline, and generalised least squares, which whitens the
+noise. All of them are read through the same curve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+from scipy.optimize import least_squares
+
+from bayesbl.config.bench import load_bench
+from bayesbl.config.fields import as_tuple
+from bayesbl.gap.branch import likeliest_branch
+from bayesbl.gap.curve import GapCurve
+from bayesbl.inference.estimator import Estimator, PointEstimate
+from bayesbl.physics.bench import Bench
+from bayesbl.physics.noise import NoiseModel
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.curve_file import read_curve
+from bayesbl.signal.parameters import (
+    AMPLITUDE,
+    DECAY,
+    FREQUENCY,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+    DisturbanceModel,
+)
+from bayesbl.signal.waveform import baseline_columns, pulse_train
+
+MODELS = {
+    "same": DisturbanceModel(),
+    "short_window": DisturbanceModel(fixed={WINDOW_START: 0.0, WINDOW_END: 0.102}),
+    "long_window": DisturbanceModel(fixed={WINDOW_START: 0.0, WINDOW_END: 0.306}),
+    "no_baseline": DisturbanceModel(baseline_harmonics=0),
+}
+"""Estimators by least squares; ``same`` is that of the sweep."""
+
+GENERALISED = "generalised"
+ESTIMATORS = (*MODELS, GENERALISED)
+
+_SEARCHED = (START, DECAY, FREQUENCY, SEPARATION, ROTATION)
+
+
+class Row(BaseModel):
+    """A row: recordings at several gaps in turn, and the curve that all are read through."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    bench: Path
+    curve: Path
+    gaps_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
+    recordings: PositiveInt
+    speed_noise_sd_rpm: float = Field(default=1.5, gt=0.0)
+    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
+    rotations: float = 5.0
+    sampling_hz: float = 1000.0
+
+
+COLUMNS = {
+    "gap_rad": ("rad", "gap simulated"),
+    "log_sd": ("1", "standard deviation of ln δ that the sweep's estimator claims"),
+    **{f"{name}_error": ("1", f"ln of δ over the gap simulated, {name}") for name in ESTIMATORS},
+}
+
+
+def count(row: Row) -> int:
+    """Number of recordings, over all gaps."""
+    return row.recordings * len(row.gaps_rad)
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One recording, fitted by every estimator."""
+    truth_seed, *fit_seeds = seed.spawn(1 + len(MODELS))
+    generator = np.random.default_rng(truth_seed)
+    gap, curve = row.gaps_rad[index % len(row.gaps_rad)], _curve(row.curve)
+    recording = _bench(row).simulate(
+        gap,
+        rotations=row.rotations,
+        sampling_hz=row.sampling_hz,
+        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
+        seed=generator,
+    )
+    amplitude: dict[str, float] = {}
+    result = {"gap_rad": gap}
+    for (name, model), own in zip(MODELS.items(), fit_seeds, strict=True):
+        estimator = Estimator(model=model)
+        point = likeliest_branch(curve, estimator, estimator.estimate(recording, own))
+        amplitude[name] = point.optimum.symbols[AMPLITUDE]
+        if name == "same":
+            amplitude[GENERALISED] = generalised_amplitude(point)
+            result["log_sd"] = _log_sd(curve, point)
+    for name in ESTIMATORS:
+        found = float(curve.gap(np.array([amplitude[name]]))[0])
+        result[f"{name}_error"] = math.log(found / gap) if found > 0.0 else math.nan
+    return result
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Mean error of each estimator at each gap in percent of δ, with its standard error."""
+    gap = cases["gap_rad"].values
+    line: dict[str, float | str] = {
+        "gaps_mrad": _listed(1e3 * g for g in row.gaps_rad),
+        "claimed_sd_%": _listed(
+            100.0 * float(np.mean(cases["log_sd"].values[gap == g])) for g in row.gaps_rad
+        ),
+    }
+    for name in ESTIMATORS:
+        error = 100.0 * cases[f"{name}_error"].values
+        line[f"{name}_%"] = _listed(float(np.mean(error[gap == g])) for g in row.gaps_rad)
+        line[f"{name}_se_%"] = _listed(
+            float(np.std(error[gap == g])) / math.sqrt(row.recordings) for g in row.gaps_rad
+        )
+    return line
+
+
+def generalised_amplitude(point: PointEstimate) -> float:
+    """A by least squares of residuals whitened with the noise that was found, rpm."""
+    coefficients = np.concatenate([[1.0], -np.asarray(point.noise.coefficients)])
+    objective, start = point.objective, point.optimum.symbols
+    time, dt = objective.time_s, objective.period_s
+    length = start[WINDOW_END] - start[WINDOW_START]
+
+    def white(columns: FloatArray) -> FloatArray:
+        return np.apply_along_axis(np.convolve, 0, columns, coefficients, "valid")
+
+    speed = white(objective.speed_rpm[:, None] - objective.offset_rpm)[:, 0]
+    scale = np.array([start[name] for name in _SEARCHED])
+
+    def solved(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
+        first, decay, frequency, apart, period = factor * scale
+        first += start[WINDOW_START]
+        train = pulse_train(time, first, decay, frequency, length, apart, period, dt)
+        baseline = baseline_columns(time, period, objective.model.baseline_harmonics)
+        columns = white(np.column_stack([train, baseline]))
+        linear = np.linalg.lstsq(columns, speed, rcond=None)[0]
+        return speed - columns @ linear, linear
+
+    found = least_squares(lambda f: solved(f)[0], np.ones(len(_SEARCHED)), x_scale=1e-3)
+    return float(solved(found.x)[1][0])
+
+
+def _log_sd(curve: GapCurve, point: PointEstimate) -> float:
+    """Of ln δ by noise and start angle; the curve's own part is far smaller on a known bench."""
+    centre, covariance = point.ringing
+    amplitude = np.array([centre[0]])
+    scatter = float(curve.start_angle_sd(amplitude)[0])
+    return float(curve.log_slope(amplitude)[0]) * math.hypot(math.sqrt(covariance[0, 0]), scatter)
+
+
+def _listed(numbers: Iterable[float]) -> str:
+    return " ".join(f"{x:.5g}" for x in numbers)
+
+
+@cache
+def _curve(path: Path) -> GapCurve:
+    return read_curve(path)
+
+
+@cache
+def _bench(row: Row) -> Bench:
+    bench = load_bench(row.bench)
+    noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients)
+    return bench.with_measurement(replace(bench.measurement, speed_noise=noise))
