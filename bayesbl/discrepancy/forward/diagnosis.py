@@ -20,10 +20,10 @@ from bayesbl.discrepancy.forward.evaluate import (
 from bayesbl.discrepancy.forward.explain import Explanation, with_noise
 from bayesbl.discrepancy.forward.motor_orders import order_peaks
 from bayesbl.discrepancy.forward.naming import (
-    ENOUGH_CLOSED,
     Naming,
     Progress,
     Verdict,
+    enough_closed,
     name_missing,
 )
 from bayesbl.discrepancy.forward.suggest import Suggestion, suggested_recording
@@ -129,7 +129,7 @@ def diagnose_forward(
     if (
         final.candidates
         and remaining
-        and _share_gone(located_before, located_after) < ENOUGH_CLOSED
+        and _share_gone(located_before, located_after) < enough_closed(final)
     ):
         # It helps a little, as a parameter may where a line in time is left: no explanation.
         final = naming.nominal

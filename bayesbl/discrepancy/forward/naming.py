@@ -29,8 +29,12 @@ Progress = Callable[[int, int], None]
 INDISTINGUISHABLE = 5.0
 """Best fits closer than this, in units of noise, are one set (design.md, issue of diagnose)."""
 
-ENOUGH_CLOSED = 0.8
-"""Share of what repeats that an explanation must remove where something still repeats after it."""
+ENOUGH_CLOSED = 0.95
+ENOUGH_CLOSED_BY_PARAMETERS = 0.99
+"""Share of what repeats that an explanation must remove where something still repeats after it.
+
+Several parameters, each a little wrong, imitate much: more is asked of an explanation with them.
+"""
 
 GROSS = 1.05
 """χ² per sample that counts as far off."""
@@ -322,10 +326,17 @@ def _verdict(
 ) -> Verdict:
     if not final.candidates:
         return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
-    if not agrees(list(remaining), false_alarm) and _closed(before, remaining) < ENOUGH_CLOSED:
+    enough = enough_closed(final)
+    if not agrees(list(remaining), false_alarm) and _closed(before, remaining) < enough:
         return "unexplained"
     effects = any(c.kind == "effect" for c in final.candidates)
     return "named" if effects else "parameter_error"
+
+
+def enough_closed(explanation: Explanation) -> float:
+    """Share that must be gone if not all of it is."""
+    effects = all(c.kind == "effect" for c in explanation.candidates)
+    return ENOUGH_CLOSED if effects else ENOUGH_CLOSED_BY_PARAMETERS
 
 
 def _closed(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> float:
