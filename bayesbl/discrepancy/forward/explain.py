@@ -123,6 +123,23 @@ def polished(explanation: Explanation) -> Explanation:
     return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps))
 
 
+def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanation | None:
+    """An explanation less one of its candidates, fitted from where it stands."""
+    model, own = nominal.fit.model, nominal.fit.point.size
+    kept, parts = [], [full.fit.point[:own]]
+    for k, candidate in enumerate(full.candidates):
+        part = full.fit.point[own : own + len(candidate.unknowns)]
+        own += part.size
+        if k != without:
+            model = extended(model, candidate)
+            kept.append(candidate)
+            parts.append(part)
+    try:
+        return Explanation(tuple(kept), fit_simulated(model, np.concatenate(parts)))
+    except BenchError:
+        return None
+
+
 def linear_gain(base: Explanation, candidate: Candidate) -> float:
     """Drop of χ² that the derivatives at the base promise, however far that extrapolates."""
     model = extended(base.fit.model, candidate)

@@ -18,6 +18,7 @@ from bayesbl.discrepancy.forward.explain import (
     linear_gain,
     nominal_explanation,
     polished,
+    reduced,
 )
 from bayesbl.inference.agreement import Disagreement, agrees, disagreements
 from bayesbl.inference.simulated_fit import SimulatedFit
@@ -43,6 +44,9 @@ WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
 
 BEAMS = 3
+MOST_EXCHANGES = 4
+CLEARLY_BETTER = 1.0
+"""Gain of log evidence for which one candidate is exchanged for another."""
 FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
@@ -120,7 +124,7 @@ def name_missing(
         # The gap may have been drawn to another optimum.
         first = search.first_from_afar(nominal, first)
         final = max(search.extended(nominal, first), final, key=lambda e: e.log_evidence)
-    final = search.without_idle(nominal, final, first)
+    final = search.settled(nominal, final, first)
     remaining = disagreements(final.fit)
     verdict = _verdict(nominal, final, before, remaining, false_alarm)
     named = verdict in ("named", "parameter_error")
@@ -152,6 +156,7 @@ class _Search:
         self._progress = progress
         self._made = 0
         self._fits: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
+        self._rests: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
         self._promises: dict[int, tuple[Explanation, FloatArray]] = {}
 
     def first(self, nominal: Explanation) -> list[Explanation]:
@@ -213,6 +218,35 @@ class _Search:
         """Whether nothing repeats any more and no further candidate promises anything."""
         return self.agrees(explanation) and self._best_promise(explanation) < self._threshold(1)
 
+    def settled(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> Explanation:
+        """Leave out and exchange candidates until neither helps.
+
+        What came first was chosen alone, and may only have stood in for what was to follow.
+        """
+        for _ in range(MOST_EXCHANGES):
+            final = self.without_idle(nominal, final, first)
+            better = self._exchanged(nominal, final, first)
+            if better is None:
+                break
+            final = better
+        return final
+
+    def _exchanged(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> Explanation | None:
+        """The most probable explanation with one candidate replaced, if that is a better one."""
+        if len(final.candidates) < 2:
+            return None
+        others = [
+            e
+            for k in range(len(final.candidates))
+            for e in self._alternatives(nominal, final, k, first)
+        ]
+        best = max(others, key=lambda e: e.log_evidence, default=final)
+        return best if best.log_evidence > final.log_evidence + CLEARLY_BETTER else None
+
     def without_idle(
         self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
     ) -> Explanation:
@@ -231,20 +265,27 @@ class _Search:
         """Each effect with the set that it belongs to."""
         found = []
         for k, candidate in enumerate(final.candidates):
-            rest = (
-                nominal if len(final.candidates) == 1 else self._rebuilt(nominal, final, k, first)
-            )
-            if rest is None:
-                continue
-            if rest is nominal:
-                alternatives = [e for e in first if e.candidates[-1] is not candidate]
-            else:
-                tried = [c for c in self._screened(rest) if c is not candidate]
-                alternatives = self._contenders([self._fit(rest, c) for c in tried])
-            gain = rest.fit.chi_square - final.fit.chi_square
-            own = self._rivals(final, candidate, alternatives)
-            found.append(NamedEffect(candidate, gain, own))
+            rest = self._rebuilt(nominal, final, k, first)
+            if rest is not None:
+                gain = rest.fit.chi_square - final.fit.chi_square
+                rivals = self._rivals(
+                    final, candidate, self._alternatives(nominal, final, k, first)
+                )
+                found.append(NamedEffect(candidate, gain, rivals))
         return found
+
+    def _alternatives(
+        self, nominal: Explanation, final: Explanation, k: int, first: Sequence[Explanation]
+    ) -> list[Explanation]:
+        """Explanations with another candidate in place of the ``k``-th."""
+        candidate = final.candidates[k]
+        if len(final.candidates) == 1:
+            return [e for e in first if e.candidates[-1] is not candidate]
+        rest = self._rebuilt(nominal, final, k, first)
+        if rest is None:
+            return []
+        tried = [c for c in self._screened(rest) if c is not candidate]
+        return self._contenders([self._fit(rest, c) for c in tried])
 
     def _rivals(
         self, final: Explanation, candidate: Candidate, alternatives: Sequence[Explanation]
@@ -268,14 +309,16 @@ class _Search:
     ) -> Explanation | None:
         """The explanation without one of its candidates, fitted again."""
         rest = [c for k, c in enumerate(final.candidates) if k != without]
-        if len(rest) == 1:
-            for known in first:
-                if known.candidates[-1] is rest[0]:
-                    return known
-        explanation: Explanation | None = nominal
-        for candidate in rest:
-            explanation = None if explanation is None else self._fit(explanation, candidate)
-        return None if explanation is None else polished(explanation)
+        if not rest:
+            return nominal
+        key = id(final), without
+        if key not in self._rests:
+            found = [reduced(nominal, final, without)]
+            found += [e for e in first if len(rest) == 1 and e.candidates[-1] is rest[0]]
+            known = [e for e in found if e is not None]
+            best = min(known, key=lambda e: e.fit.chi_square, default=None)
+            self._rests[key] = final, best
+        return self._rests[key][1]
 
     def _threshold(self, parameters: int) -> float:
         return gain_threshold(parameters, len(self._candidates), self._false_alarm)
