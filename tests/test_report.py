@@ -65,6 +65,7 @@ def part(low=6.85e-4, high=7.31e-4, reasons=()):
         },
         "limit_rad": 1.2e-3,
         "probability_above_limit": None if reasons else 0.0,
+        "reason": " ".join(reasons) or None,
     }
 
 
@@ -151,6 +152,23 @@ def test_a_withheld_answer_is_told_with_its_reason_and_without_a_number():
     assert f"Withheld: after: {reason}" in text
     assert "after withheld withheld" in text, "the table's row"
     assert "withheld (after)" in text, "the probability above the limit"
+
+
+def test_a_reason_of_several_snapshots_is_told_once_and_a_note_is_no_reason():
+    reason, note = "The curve ends below.", "There is no motor current in the recording."
+    summary = comparison(reasons=[reason])
+    for snapshot in summary["snapshots"]:
+        snapshot |= {"delta_rad": None, "probability_above_limit": None, "reason": reason}
+        snapshot["diagnostics"]["reasons"] = [reason, note]
+    text = flat(printed(summary))
+    assert text.count(reason) == text.count(note) == 1
+    assert f"Withheld: before, after: {reason}" in text
+    assert f"Note: before, after: {note}" in text
+
+
+def test_a_gap_that_shrank_without_dates_asks_for_order_and_repair():
+    assert words.SHRANK in flat(printed(comparison(-2.8e-4, -2.1e-4, 0.0)))
+    assert words.SHRANK not in flat(printed(comparison(-1e-4, 2e-4, 0.5)))
 
 
 def test_an_interval_tells_its_kind():
