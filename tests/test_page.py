@@ -270,6 +270,7 @@ def compared_undated(change, above, limit=1.2e-3):
     ("change", "above", "told"),
     [
         ((1e-4, 3e-4), 0.0, "0.9 mrad, still below the limit of 1.2 mrad"),
+        ((4e-4, 6e-4), 0.0, "1.2 mrad, close to the limit of 1.2 mrad"),
         ((5e-4, 7e-4), 0.0, "1.3 mrad, beyond the limit of 1.2 mrad"),
         ((1e-4, 3e-4), 0.99, None),
         ((-3e-4, -1e-4), 0.0, None),
@@ -433,8 +434,8 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
 def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
     text = re.search(r'<section id="figures">.*?</section>', written, re.S)[0]
     shown, folded = text.split("<details>")
-    assert "The sampler&#39;s ensembles" not in shown
-    assert "The sampler&#39;s ensembles" in folded
+    assert "ensembles, step by step" not in shown
+    assert "ensembles, step by step" in folded
     assert "The measured motor speed" in shown
     numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", text)]
     assert numbers == list(range(1, len(numbers) + 1))

@@ -10,6 +10,9 @@ from bayesbl.report import diagnosed, words, worn
 from bayesbl.report.words import SURE, Summary
 from bayesbl.results.folder import AUGMENTED_BENCH
 
+CLOSE = 0.05
+"""Relative distance from the limit that a guess in two digits does not resolve."""
+
 Tone = Literal["fine", "watch", "act", "withheld", "note"]
 
 
@@ -139,7 +142,10 @@ def _growth_again(last: Summary, change_rad: float) -> Iterator[str]:
     if limit_rad is None or last["probability_above_limit"] >= SURE:
         return
     further_rad = last["delta_rad"]["median"] + change_rad
-    where = "beyond" if further_rad > limit_rad else "still below"
+    if abs(further_rad / limit_rad - 1.0) < CLOSE:
+        where = "close to"
+    else:
+        where = "beyond" if further_rad > limit_rad else "still below"
     yield (
         f"As much growth again would bring the gap to about {1e3 * further_rad:.2g} mrad, {where} "
         f"the limit of {1e3 * limit_rad:g} mrad. Give the recordings their dates (--date) to be "
@@ -188,8 +194,12 @@ def _go_on(summary: Summary) -> Iterator[str]:
         yield "Not all of it can be told apart by these recordings."
         yield from diagnosed.suggestion(summary)
     yield (
-        f'For a gap curve, name it in the configuration of a sweep (bench = "{AUGMENTED_BENCH}"); '
-        "to measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
+        "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
+        f'(bench = "…/{AUGMENTED_BENCH}"), run bayesbl sweep on it, and give its result to a '
+        "comparison: --curve …/result.nc"
+    )
+    yield (
+        "To measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
         f"{AUGMENTED_BENCH}"
     )
 
