@@ -19,12 +19,15 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import published_curve
+from bayesbl.physics.effects import EFFECTS
+from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.report import words
 from bayesbl.report.console import error, print_result, print_summary
 from bayesbl.report.progress import progress
 from bayesbl.report.study import filled, print_study
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
+from bayesbl.units import quantity_and_unit
 from bayesbl.workflows.measure import measure
 
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
@@ -199,6 +202,16 @@ def test_rounding_never_swallows_an_interval(low, width):
     assert shown[0] < shown[1]
     assert shown[1] - shown[0] == pytest.approx(width, rel=0.21)
     assert "-0" not in words.number(-0.1 * 10.0**-places, places)
+
+
+def test_the_unit_read_from_a_name_is_that_of_the_catalogue():
+    stated = [(item.name, item.unit) for effect in EFFECTS for item in effect.parameters]
+    stated += [(item.name, item.unit) for item in BENCH_PARAMETERS]
+    assert len(stated) > 30
+    for name, unit in stated:
+        words_of_it, found = quantity_and_unit(name)
+        assert found == unit, name
+        assert "_" not in words_of_it
 
 
 # The terminal
