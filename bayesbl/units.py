@@ -76,6 +76,33 @@ _DIMENSION_OF_SUFFIX = {
 }
 
 
+_UNIT_OF_ENDING = {
+    "_nm_s_per_rad": "N m s/rad",
+    "_nm_per_rad3": "N m/rad³",
+    "_nm_per_rad": "N m/rad",
+    "_nm_per_a": "N m/A",
+    "_nm_per_s": "N m/s",
+    "_kg_m2": "kg m²",
+    "_rad_per_s": "rad/s",
+    "_per_s": "1/s",
+    "_per_rad": "1/rad",
+    "_rpm": "rpm",
+    "_rad": "rad",
+    "_nm": "N m",
+    "_a": "A",
+    "_s": "s",
+}
+"""The longest ending first: the first that fits is the parameter's."""
+
+
+def quantity_and_unit(parameter: str) -> tuple[str, str]:
+    """A parameter's name in words and its unit: ``friction torque``, ``N m``; or no unit."""
+    for ending, unit in _UNIT_OF_ENDING.items():
+        if parameter.endswith(ending):
+            return parameter.removesuffix(ending).replace("_", " "), unit
+    return parameter.replace("_", " "), ""
+
+
 def dimension_of(channel: str) -> str | None:
     """The dimension of a channel by its unit suffix, ``None`` where it has none we know."""
     for suffix, dimension in _DIMENSION_OF_SUFFIX.items():

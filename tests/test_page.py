@@ -132,7 +132,7 @@ def test_the_answer_stands_before_everything_else(tree):
     summary = summarise(tree)
     places = [
         told.index(plain(words.glued(words.headline(summary)))),
-        told.index("No repair is due"),
+        told.index("no repair is due"),
     ]
     places += [told.index("+0.246"), told.index("Figures" if "Figures" in told else "Numbers")]
     assert max(places[:3]) < places[3]
@@ -223,7 +223,8 @@ def fitted(delta=(6e-4, 8e-4), above=None, limit=None):
     interval = {"median": sum(delta) / 2, "low": delta[0], "high": delta[1], "level": 0.9,
                 "kind": "equal_tailed"} if delta else None  # fmt: skip
     part = {"kind": "fit", "delta_rad": interval, "curve": "results/sweep/result.nc"}
-    part |= {"diagnostics": {"reasons": ["The sampler did not converge."]}}
+    reason = "The sampler did not converge."
+    part |= {"diagnostics": {"reasons": [reason]}, "reason": None if delta else reason}
     return part | ({"limit_rad": limit, "probability_above_limit": above} if limit else {})
 
 
@@ -246,6 +247,50 @@ def test_the_advice_says_whose_curve_it_rests_on():
     own, published = fitted(), fitted() | {"curve": "published"}
     assert not any("paper" in sentence for sentence in advice(own).sentences)
     assert any("paper" in sentence for sentence in advice(published).sentences)
+
+
+def test_no_all_clear_is_given_by_the_curve_of_another_machine():
+    own = fitted(above=0.0, limit=1e-3)
+    published = advice(own | {"curve": "published"})
+    assert advice(own).tone == "fine"
+    assert published.tone == "watch"
+    assert "another machine" in published.title
+    assert advice(own | {"curve": "published", "route": "direct"}).tone == "fine"
+
+
+def compared_undated(change, above, limit=1.2e-3):
+    low, high = change
+    middle = 0.5 * (low + high)
+    part = fitted(above=above, limit=limit) | {"name": "new"}
+    found = {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
+    return {"kind": "compare", "snapshots": [part], "change_rad": found, "curve": "sweep"}
+
+
+@pytest.mark.parametrize(
+    ("change", "above", "told"),
+    [
+        ((1e-4, 3e-4), 0.0, "0.9 mrad, still below the limit of 1.2 mrad"),
+        ((4e-4, 6e-4), 0.0, "1.2 mrad, close to the limit of 1.2 mrad"),
+        ((5e-4, 7e-4), 0.0, "1.3 mrad, beyond the limit of 1.2 mrad"),
+        ((1e-4, 3e-4), 0.99, None),
+        ((-3e-4, -1e-4), 0.0, None),
+    ],
+)
+def test_growth_again_is_held_against_the_limit_while_that_is_ahead(change, above, told):
+    sentences = [s for s in advice(compared_undated(change, above)).sentences if "again would" in s]
+    assert [told in s and "--date" in s for s in sentences] == ([] if told is None else [True])
+
+
+@pytest.mark.parametrize("limit", [1.2e-3, None])
+def test_a_gap_that_shrank_without_dates_is_no_all_clear(limit):
+    given = advice(compared_undated((-3e-4, -1e-4), 0.0, limit))
+    assert given.tone == "watch"
+    assert words.SHRANK in given.sentences
+
+
+@pytest.mark.parametrize("verdict", ["named", "parameter_error"])
+def test_a_diagnosis_that_found_something_is_no_alarm(verdict):
+    assert advice(diagnosed_summary(verdict, None)).tone == "note"
 
 
 @pytest.mark.parametrize("verdict", ["nothing_missing", "parameter_error", "unexplained", "named"])
@@ -349,7 +394,7 @@ def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(
     told = plain(Reader(page(tree, [])).text)
     first = told[: told.index("Numbers")]
     for expected in (worn.in_mrad(wear["rate_rad_per_year"]), "mrad a year", "Change",
-                     "Limit reached", wear["limit_not_before"], "Plan the repair"):  # fmt: skip
+                     "Limit reached", wear["limit_not_before"], "plan the repair"):  # fmt: skip
         assert expected in first, expected
 
 
@@ -384,6 +429,16 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
 
 
 # Figures
+
+
+def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
+    text = re.search(r'<section id="figures">.*?</section>', written, re.S)[0]
+    shown, folded = text.split("<details>")
+    assert "ensembles, step by step" not in shown
+    assert "ensembles, step by step" in folded
+    assert "The measured motor speed" in shown
+    numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", text)]
+    assert numbers == list(range(1, len(numbers) + 1))
 
 
 def test_figures_come_in_one_order_whatever_their_names():

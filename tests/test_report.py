@@ -19,12 +19,15 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import published_curve
+from bayesbl.physics.effects import EFFECTS
+from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.report import words
 from bayesbl.report.console import error, print_result, print_summary
 from bayesbl.report.progress import progress
 from bayesbl.report.study import filled, print_study
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
+from bayesbl.units import quantity_and_unit
 from bayesbl.workflows.measure import measure
 
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
@@ -65,6 +68,7 @@ def part(low=6.85e-4, high=7.31e-4, reasons=()):
         },
         "limit_rad": 1.2e-3,
         "probability_above_limit": None if reasons else 0.0,
+        "reason": " ".join(reasons) or None,
     }
 
 
@@ -153,6 +157,23 @@ def test_a_withheld_answer_is_told_with_its_reason_and_without_a_number():
     assert "withheld (after)" in text, "the probability above the limit"
 
 
+def test_a_reason_of_several_snapshots_is_told_once_and_a_note_is_no_reason():
+    reason, note = "The curve ends below.", "There is no motor current in the recording."
+    summary = comparison(reasons=[reason])
+    for snapshot in summary["snapshots"]:
+        snapshot |= {"delta_rad": None, "probability_above_limit": None, "reason": reason}
+        snapshot["diagnostics"]["reasons"] = [reason, note]
+    text = flat(printed(summary))
+    assert text.count(reason) == text.count(note) == 1
+    assert f"Withheld: before, after: {reason}" in text
+    assert f"Note: before, after: {note}" in text
+
+
+def test_a_gap_that_shrank_without_dates_asks_for_order_and_repair():
+    assert words.SHRANK in flat(printed(comparison(-2.8e-4, -2.1e-4, 0.0)))
+    assert words.SHRANK not in flat(printed(comparison(-1e-4, 2e-4, 0.5)))
+
+
 def test_an_interval_tells_its_kind():
     summary = comparison()
     summary["change_rad"] = between(2.1e-4, 2.8e-4, "hdi")
@@ -181,6 +202,16 @@ def test_rounding_never_swallows_an_interval(low, width):
     assert shown[0] < shown[1]
     assert shown[1] - shown[0] == pytest.approx(width, rel=0.21)
     assert "-0" not in words.number(-0.1 * 10.0**-places, places)
+
+
+def test_the_unit_read_from_a_name_is_that_of_the_catalogue():
+    stated = [(item.name, item.unit) for effect in EFFECTS for item in effect.parameters]
+    stated += [(item.name, item.unit) for item in BENCH_PARAMETERS]
+    assert len(stated) > 30
+    for name, unit in stated:
+        words_of_it, found = quantity_and_unit(name)
+        assert found == unit, name
+        assert "_" not in words_of_it
 
 
 # The terminal

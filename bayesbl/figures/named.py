@@ -14,6 +14,7 @@ from bayesbl.figures.layout import one_panel_each
 from bayesbl.figures.snapshots import GAP, credible_interval
 from bayesbl.figures.style import NEUTRAL, head_panels, look, publication_style
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import quantity_and_unit
 
 _BINS = 25
 _BELIEVED = "#d55e00"
@@ -105,9 +106,4 @@ def _quantity(name: str) -> str:
     if name == GAP:
         return "Gap δ"
     quantity = name.rpartition("__")[2] if "__" in name else name
-    for suffix in ("_nm_s_per_rad", "_nm_per_rad3", "_nm_per_rad", "_nm_per_a", "_kg_m2",
-                   "_rad_per_s", "_nm_per_s", "_nm", "_rad", "_s"):  # fmt: skip
-        if quantity.endswith(suffix):
-            quantity = quantity.removesuffix(suffix)
-            break
-    return quantity.replace("_", " ").capitalize()
+    return quantity_and_unit(quantity)[0].capitalize()

@@ -98,11 +98,13 @@ def _years_ahead(group: xr.Dataset) -> float:
 
 
 def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
-    if "rate_rad_per_year" in group and not group.attrs["reason"]:
-        days = _days(used_dates(group))
+    told = "rate_rad_per_year" in group and not group.attrs["reason"]
+    days = _days(used_dates(group))
+    level = float(tree.attrs["interval_level"])
+    if told:
         years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
         shown = days[-1] + DAYS_PER_YEAR * years
-        low, middle, high = 1e3 * line_band(group, years, float(tree.attrs["interval_level"]))
+        low, middle, high = 1e3 * line_band(group, years, level)
         panel.fill_between(
             shown, low, high, color=BAND, linewidth=0.0, label=f"{interval_name(tree)} of the line"
         )
@@ -125,11 +127,16 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
             capsize=2.5,
             zorder=3.0,
         )
+        above = False  # on the side of the point where the line is not
+        if told and used[index]:
+            at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
+            above = bool(found["low"] > 1e3 * line_band(group, at, level)[1, 0])
         panel.annotate(
             f"{part.name}: withheld" if part.withheld else part.name,
-            (day, found["low"]), xytext=(4.0, -4.0), textcoords="offset points",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6}, zorder=2.5,
-            ha="left", va="top", fontsize=7.0,
+            (day, found["high" if above else "low"]),
+            xytext=(0.0, 4.0) if above else (4.0, -4.0), textcoords="offset points",
+            ha="center" if above else "left", va="bottom" if above else "top", fontsize=7.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6}, zorder=0.5,
         )  # fmt: skip
     if np.any(used == 0.0):
         first = every[np.flatnonzero(used)[0]]

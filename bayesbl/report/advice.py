@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesbl.config.fields import PUBLISHED
 from bayesbl.report import diagnosed, words, worn
 from bayesbl.report.words import SURE, Summary
 from bayesbl.results.folder import AUGMENTED_BENCH
+
+CLOSE = 0.05
+"""Relative distance from the limit that a guess in two digits does not resolve."""
 
 Tone = Literal["fine", "watch", "act", "withheld", "note"]
 
@@ -50,13 +52,26 @@ def _of_snapshots(summary: Summary) -> Advice:
             "withheld",
             "Do not decide from these recordings.",
             (
-                *(sentence for _, sentence in words.reasons(summary)),
+                *(told for label, told in words.reasons(summary) if label == "Withheld"),
                 "Mend that, or record the joint again, longer and at one constant speed; until "
                 "then decide as you would without this measurement.",
             ),
         )
-    head = _by_forecast(summary, last) or _by_limit(summary, last) or _without_limit(summary)
+    head = _by_forecast(summary, last) or _by_limit(summary, last)
+    if head is None:
+        head = _without_limit(summary)
+    elif words.by_other_machine(summary):
+        head = _by_other_machine(head)
+    if words.has_shrunk(summary) and head.tone != "act":
+        title = "Are the files in order, or was the joint repaired?"
+        head = Advice("watch", title, head.sentences)
     return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
+
+
+def _by_other_machine(head: Advice) -> Advice:
+    """An order that rests on a limit and another machine's curve never gives the all-clear."""
+    title = f"By the curve of another machine, {head.title[0].lower()}{head.title[1:]}"
+    return Advice("watch" if head.tone == "fine" else head.tone, title, head.sentences)
 
 
 def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
@@ -110,29 +125,42 @@ def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
         yield wear["reason"]
     if wear is not None and len(wear["snapshots"]) == 2:
         yield "Two snapshots cannot tell whether the wear is steady: take a third."
-    if (
-        wear is None
-        and change is not None
-        and change["low"] > 0.0
-        and last.get("limit_rad") is not None
-    ):
-        further = 1e3 * (last["delta_rad"]["median"] + change["median"])
-        yield f"As much growth again would bring the gap to about {further:.2g} mrad."
-    if summary.get("curve") == PUBLISHED and last.get("route") != "direct":
+    if wear is None and change is not None and change["low"] > 0.0:
+        yield from _growth_again(last, change["median"])
+    if words.has_shrunk(summary):
+        yield words.SHRANK
+    if words.by_other_machine(summary):
         yield (
             "These sizes rest on the gap curve of another machine, the paper's test bench: make a "
             "curve for your joint (bayesbl sweep) before you act on them."
         )
 
 
+def _growth_again(last: Summary, change_rad: float) -> Iterator[str]:
+    """Where as much wear again would end, as long as the limit may be ahead."""
+    limit_rad = last.get("limit_rad")
+    if limit_rad is None or last["probability_above_limit"] >= SURE:
+        return
+    further_rad = last["delta_rad"]["median"] + change_rad
+    if abs(further_rad / limit_rad - 1.0) < CLOSE:
+        where = "close to"
+    else:
+        where = "beyond" if further_rad > limit_rad else "still below"
+    yield (
+        f"As much growth again would bring the gap to about {1e3 * further_rad:.2g} mrad, {where} "
+        f"the limit of {1e3 * limit_rad:g} mrad. Give the recordings their dates (--date) to be "
+        "told when it is reached."
+    )
+
+
 def _of_diagnosis(summary: Summary) -> Advice:
     match summary["verdict"]:
         case "named" if diagnosed.has_augmented_bench(summary):
-            return Advice("act", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+            return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "named":
             names = ", ".join(diagnosed.in_words(effect["name"]) for effect in summary["effects"])
             return Advice(
-                "act",
+                "note",
                 "Complete the bench before you rely on it.",
                 (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
             )
@@ -140,8 +168,8 @@ def _of_diagnosis(summary: Summary) -> Advice:
             wrong = tuple(diagnosed.parameter_errors(summary))
             if diagnosed.has_augmented_bench(summary):
                 title = f"Go on with {AUGMENTED_BENCH}."
-                return Advice("act", title, (*wrong, *_go_on(summary)))
-            return Advice("act", "Correct the bench before you rely on it.", wrong)
+                return Advice("note", title, (*wrong, *_go_on(summary)))
+            return Advice("note", "Correct the bench before you rely on it.", wrong)
         case "unexplained":
             return Advice(
                 "watch",
@@ -166,8 +194,12 @@ def _go_on(summary: Summary) -> Iterator[str]:
         yield "Not all of it can be told apart by these recordings."
         yield from diagnosed.suggestion(summary)
     yield (
-        f'For a gap curve, name it in the configuration of a sweep (bench = "{AUGMENTED_BENCH}"); '
-        "to measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
+        "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
+        f'(bench = "…/{AUGMENTED_BENCH}"), run bayesbl sweep on it, and give its result to a '
+        "comparison: --curve …/result.nc"
+    )
+    yield (
+        "To measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
         f"{AUGMENTED_BENCH}"
     )
 

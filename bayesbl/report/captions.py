@@ -26,6 +26,15 @@ CAPTIONS: Mapping[str, str] = MappingProxyType(
 )
 
 
+FOR_SPECIALISTS = frozenset({"noise", "convergence", "corner", "trace"})
+"""Figures of how an answer came about, which nobody needs who only acts on it."""
+
+
+def is_for_specialists(name: str) -> bool:
+    """Whether a figure file's stem is one of those."""
+    return _prefix(name) in FOR_SPECIALISTS
+
+
 def _prefix(name: str) -> str | None:
     return next((key for key in CAPTIONS if name == key or name.startswith(f"{key}_")), None)
 

@@ -64,6 +64,8 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
     for sentence in (*words.steps(summary), words.above_limit(summary)):
         if sentence:
             say(console, sentence)
+    if words.has_shrunk(summary):
+        say(console, words.SHRANK, "yellow")
     print_table(_snapshot_table(summary), console)
     for name, part in words.snapshots(summary):
         checked = words.sampler_check(part)
@@ -101,7 +103,7 @@ def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None
 
 
 def _print_limits(summary: Summary, console: Console) -> None:
-    """Reasons against the answer, then what the interval leaves out."""
+    """Reasons against the answer and notes on it, then what the interval leaves out."""
     for label, sentence in words.reasons(summary) if _has_snapshots(summary) else ():
         say(console, sentence, "yellow", label=label)
     label = "Note" if summary["kind"] == "diagnose" else "Warning"

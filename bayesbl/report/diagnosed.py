@@ -1,4 +1,8 @@
-"""A diagnosis in words: what is missing, how sure that is, and how far the gap closed."""
+"""A diagnosis in words: what is missing, how sure that is, and what it explains.
+
+The difference between simulation and recording, ``gap`` in ``summary.json``, is called
+disagreement here: the gap is δ to whoever reads this.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,20 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
+from bayesbl.units import quantity_and_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+FAR_BEYOND_NOISE = 10.0
+"""Standard deviations from nothing above which their number tells a reader no more."""
+
 _USES = {"used": "fitted on", "held_out": "held out"}
 
 
 def print_diagnosis(summary: Summary, console: Console) -> None:
-    """Verdict, one sentence per effect and parameter, the gaps, what still repeats."""
+    """Verdict, one sentence per effect and parameter, the disagreement, what still repeats."""
     say(console, headline(summary), "bold")
     for sentence in (*effects(summary), *parameter_errors(summary)):
         say(console, sentence)
@@ -64,12 +72,9 @@ def effects(summary: Summary) -> Iterator[str]:
     """Each named effect with its parameters and what it cannot be told from."""
     for effect in summary["effects"]:
         parameters = ", ".join(
-            f"{name} {_value(interval)}" for name, interval in effect["parameters"].items()
+            _sized(name, interval) for name, interval in effect["parameters"].items()
         )
-        text = (
-            f"{in_words(effect['name'])}: {parameters}; {effect['z']:.0f} standard deviations "
-            "from nothing."
-        )
+        text = f"{in_words(effect['name'])}: {parameters}; {_beyond_noise(effect['z'])}."
         alike = effect["indistinguishable_from"]
         if alike:
             text += f" Not told apart from {', '.join(in_words(name) for name in alike)}."
@@ -79,10 +84,10 @@ def effects(summary: Summary) -> Iterator[str]:
 def parameter_errors(summary: Summary) -> Iterator[str]:
     """Parameters that do not hold what the bench file says."""
     for error in summary["parameter_errors"]:
-        yield (
-            f"{error['name']} is {_value(error['fitted'])}, not {error['believed']:.4g} ± "
-            f"{error['tolerance']:.3g}."
-        )
+        name, unit = quantity_and_unit(error["name"])
+        believed = _with_unit(f"{error['believed']:.4g} ± {error['tolerance']:.3g}", unit)
+        text = f"{in_words(name)} is {_value(error['fitted'], unit)}, not {believed}."
+        yield text[0].upper() + text[1:]
 
 
 def remaining(summary: Summary) -> Iterator[str]:
@@ -113,9 +118,10 @@ def wear(summary: Summary) -> Iterator[str]:
         )
     elif summary["effects"] or summary["parameter_errors"]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
+        size = f"{words.significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
         yield (
             f"The gap is {told}; the bench as believed gives {1e3 * before['median']:.4g} mrad, "
-            f"{words.number(away, 1)} % off."
+            f"{size}."
         )
     else:
         yield f"The gap is {told}."
@@ -146,10 +152,29 @@ def _phrase(line: dict[str, Any]) -> str:
     return unexplained_phrase(Unexplained(**values | {"recordings": tuple(line["recordings"])}))
 
 
-def _value(interval: dict[str, Any]) -> str:
+def _sized(parameter: str, interval: dict[str, Any]) -> str:
+    """``torque 15 N m (14.99 to 15.02)``."""
+    name, unit = quantity_and_unit(parameter)
+    return f"{name} {_value(interval, unit)}"
+
+
+def _value(interval: dict[str, Any], unit: str) -> str:
+    middle = _with_unit(f"{interval['median']:.4g}", unit)
     if interval["low"] is None:
-        return f"{interval['median']:.4g}"
-    return f"{interval['median']:.4g} ({interval['low']:.4g} to {interval['high']:.4g})"
+        return middle
+    around = _with_unit(f"{interval['low']:.4g} to {interval['high']:.4g}", "")
+    return f"{middle} ({around})"
+
+
+def _with_unit(value: str, unit: str) -> str:
+    return f"{value.replace('-', '−')} {unit}".rstrip()
+
+
+def _beyond_noise(deviations: float) -> str:
+    """How clearly an effect stands out."""
+    if deviations > FAR_BEYOND_NOISE:
+        return "far beyond noise"
+    return f"{deviations:.0f} standard deviations from nothing"
 
 
 def _gap_table(summary: Summary) -> Table:
@@ -159,10 +184,10 @@ def _gap_table(summary: Summary) -> Table:
     table = new_table(
         ("Recording", "left"),
         ("Use", "left"),
-        (f"Gap before\n({unit})" if unit else "Gap before", "right"),
+        (f"Disagreement\nbefore ({unit})" if unit else "Disagreement\nbefore", "right"),
         (f"after\n({unit})" if unit else "after", "right"),
-        (f"Noise floor\n({unit})" if unit else "Noise floor", "right"),
-        ("Closed", "right"),
+        (f"Noise\n({unit})" if unit else "Noise", "right"),
+        ("Removed", "right"),
     )
     for recording, channels in summary["gap"]["recordings"].items():
         for channel, uses in channels.items():
@@ -186,4 +211,5 @@ def _add_gap(table: Table, recording: str, use: str, gap: dict[str, Any]) -> Non
 
 
 def _own_unit(gap: dict[str, Any]) -> str:
-    return f" {gap['unit']}" if "unit" in gap else ""
+    unit = gap.get("unit")
+    return "" if unit is None else " × noise" if unit == "noise" else f" {unit}"

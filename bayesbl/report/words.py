@@ -32,9 +32,9 @@ CHECK_EXPLAINED = (
     "what noise would leave of it; the probability is that of as much from noise alone."
 )
 
-GAP_IN_PLAIN_WORDS = (
-    "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point 1 m "
-    "away by 1 mm). The range beneath a number holds the true value with the probability stated."
+SHRANK = (
+    "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
+    "between them?"
 )
 
 DEGREES_EXPLAINED = (
@@ -141,6 +141,12 @@ def grew(value: float) -> str:
     return f"probability that it grew: {probability(value)}"
 
 
+def has_shrunk(summary: Summary) -> bool:
+    """Whether a comparison without dates, which can tell no repair, shows less gap than before."""
+    change = summary.get("change_rad")
+    return change is not None and change["high"] < 0.0 and not summary.get("wear")
+
+
 def steps(summary: Summary) -> list[str]:
     """Each step between neighbours, where there are more than two snapshots."""
     changes = summary.get("changes", [])
@@ -167,6 +173,23 @@ def snapshots(summary: Summary) -> list[tuple[str, Summary]]:
 def is_direct(summary: Summary) -> bool:
     """Whether the answer comes from the simulated bench."""
     return snapshots(summary)[0][1].get("route") == "direct"
+
+
+def by_other_machine(summary: Summary) -> bool:
+    """Whether the answer rests on the gap curve of the paper's test bench."""
+    from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
+
+    return summary.get("curve") == PUBLISHED and not is_direct(summary)
+
+
+def gap_in_plain_words(summary: Summary) -> str:
+    """What δ and the range beneath it are, and on what they stand."""
+    stands = "the bench is as its file says" if is_direct(summary) else "the curve fits your joint"
+    return (
+        "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point "
+        "1 m away by 1 mm). The range beneath a number holds the true value with the probability "
+        f"stated, if {stands}."
+    )
 
 
 def median_of(interval: Summary | None, places: int) -> str:
@@ -211,12 +234,18 @@ def source_in_words(source: str) -> str:
 
 
 def reasons(summary: Summary) -> Iterator[tuple[str, str]]:
-    """(``Withheld`` or ``Note``, sentence) of everything that stands against an answer."""
+    """(``Withheld`` or ``Note``, sentence) of all that is to be known of an answer, each told once.
+
+    Names of the snapshots that it is said of stand before it.
+    """
+    names: dict[tuple[str, str], list[str]] = {}
     for name, part in snapshots(summary):
         found: Sequence[str] = part["diagnostics"]["reasons"]
-        label = "Withheld" if part["delta_rad"] is None else "Note"
         for sentence in found:
-            yield label, f"{name}: {sentence}" if name else sentence
+            label = "Withheld" if sentence in (part["reason"] or "") else "Note"
+            names.setdefault((label, sentence), []).append(name)
+    for (label, sentence), told in names.items():
+        yield label, f"{', '.join(told)}: {sentence}" if any(told) else sentence
 
 
 def significant(value: float, digits: int = 2) -> str:

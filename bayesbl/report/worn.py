@@ -136,7 +136,7 @@ def _table(wear: Summary) -> Table:
     if scatter is not None:
         rows.append(("irregular wear", scatter, 1e3, "mrad/√year"))
     if wear["years_to_limit"] is not None:
-        rows.append(("time to the limit", wear["years_to_limit"], 1.0, "years"))
+        rows.append(("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
     for name, found, scale, unit in rows:
         low, middle, high = (_cell(scale * found[k]) for k in ("low", "median", "high"))
         add_row(table, name, middle, f"{low} to {high}", unit)

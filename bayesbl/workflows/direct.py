@@ -234,7 +234,7 @@ def _amplitude_route(
 def direct_verdict(
     found: DirectMeasurement, recording: Observed, notes: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld.
+    """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
     ``notes``: what was done to the recording.
     """
@@ -244,17 +244,14 @@ def direct_verdict(
     if repeating:
         outcome = "withheld"
         reasons.insert(0, _disagreement_in_words(repeating))
+    reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:
         reasons.append(
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
         )
     reasons += notes
-    return {
-        "outcome": outcome,
-        "reasons": reasons,
-        "reason": " ".join(reasons) if outcome == "withheld" else None,
-    }
+    return {"outcome": outcome, "reasons": reasons, "reason": reason}
 
 
 def _disagreement_in_words(entries: Sequence[Disagreement]) -> str:

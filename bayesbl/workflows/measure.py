@@ -237,23 +237,20 @@ def _tree(
 
 
 def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
-    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld."""
+    """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone."""
     diagnostics = fit.posterior.diagnostics
     disagreement = None if fit.check is None else fit.check.reason
     notes = (*fit.point.notes, *gap.notes)
-    reasons = [*diagnostics.reasons, *notes]
+    against = [reason for reason in (gap.reason, disagreement) if reason]
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"
-    for reason in (disagreement, gap.reason):
-        if reason:
-            outcome = "withheld"
-            reasons.insert(0, reason)
-    return {
-        "outcome": outcome,
-        "reasons": [*reasons, *fit.point.recording.notes],
-        "reason": " ".join(reasons) if outcome == "withheld" else None,
-    }
+    reasons = [*against, *diagnostics.reasons, *notes, *fit.point.recording.notes]
+    if outcome == "withheld":
+        against += diagnostics.reasons
+    elif against:
+        outcome = "withheld"
+    return {"outcome": outcome, "reasons": reasons, "reason": " ".join(against) or None}
 
 
 def overall(outcomes: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from bayesbl.errors import UserError
 from bayesbl.report import diagnosed, words, worn
 from bayesbl.report.advice import advice
 from bayesbl.report.assumptions import assumptions
-from bayesbl.report.captions import caption, reading_order
+from bayesbl.report.captions import caption, is_for_specialists, reading_order
 from bayesbl.report.citations import all_bibtex, citations
 from bayesbl.report.console import print_details, print_result
 from bayesbl.report.page.blocks import Collector
@@ -51,6 +51,8 @@ class Picture:
 
     caption: str
     address: str
+    special: bool = False
+    """Whether it is of use to specialists only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +120,10 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "headline": _headline(summary),
         "advice": advice(summary),
         "cards": list(_cards(summary)),
-        "explained": words.GAP_IN_PLAIN_WORDS if snapshots else "",
+        "explained": words.gap_in_plain_words(summary) if snapshots else "",
         "answer": _answer_picture(summary) if snapshots else next(iter(pictures), None),
-        "pictures": pictures,
+        "pictures": [picture for picture in pictures if not picture.special],
+        "special": [picture for picture in pictures if picture.special],
         "numbers": [block for block in numbers.blocks if block.text != _headline(summary)],
         "details": details.blocks,
         "budget": list(_budget(summary)),
@@ -271,7 +274,14 @@ def _pictures(tree: xr.DataTree, stored: Path, draw: Draw) -> list[Picture]:
                 drawn = draw(tree, Path(folder))
                 files = {path.stem: path for path in drawn if path.suffix == ".png"}
         order = reading_order(files, _snapshot_names(tree))
-        return [Picture(caption(name), _address(files[name].read_bytes(), "png")) for name in order]
+        return [
+            Picture(
+                caption(name),
+                _address(files[name].read_bytes(), "png"),
+                is_for_specialists(name),
+            )
+            for name in order
+        ]
 
 
 def _snapshot_names(tree: xr.DataTree) -> list[str]:
