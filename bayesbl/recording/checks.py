@@ -289,6 +289,22 @@ def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
     _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of", 0.02)
 
 
+def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> str | None:
+    """A question to the user where the mean speed would be the expected one in another unit."""
+    if expected_rpm is None:
+        return None
+    speed = abs(float(recording.motor_speed_rpm.mean()))
+    for unit in accepted_units(MOTOR_SPEED)[1:]:
+        other = speed * conversion_factor(MOTOR_SPEED, unit)
+        if speed > 0.0 and abs(other / abs(expected_rpm) - 1.0) <= 0.03:
+            return (
+                f"Is the unit of the speed right? The mean is {speed:.4g} rpm; if the column is "
+                f"in {unit}, it is {other:.4g} rpm, the speed of the bench "
+                f'({abs(expected_rpm):g} rpm): then state unit = "{unit}" under [columns].'
+            )
+    return None
+
+
 def _require_same_speed(
     recording: Recording, speed: float, other: float, channel: str, verb: str, tolerance: float
 ) -> None:

@@ -22,7 +22,11 @@ from bayesbl.inference.estimator import Estimator, Fit
 from bayesbl.inference.memory import Forgetful
 from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.second_opinion import require_second_sampler
-from bayesbl.recording.checks import ready_for_fit, require_reference_speed
+from bayesbl.recording.checks import (
+    ready_for_fit,
+    require_reference_speed,
+    speed_in_another_unit,
+)
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
@@ -234,7 +238,10 @@ def _tree(
         recording.name: fit_groups(fit, gap, level)
         for recording, fit, gap in zip(recordings, fits, found, strict=True)
     }
-    verdicts = {r.name: verdict(f, g) for r, f, g in zip(recordings, fits, found, strict=True)}
+    verdicts = {
+        r.name: verdict(f, g, speed_in_another_unit(r, curve.reference_speed_rpm))
+        for r, f, g in zip(recordings, fits, found, strict=True)
+    }
     if isinstance(config, CompareConfig):
         whole = stack_snapshots(groups)
         total, steps = changes(
@@ -269,8 +276,11 @@ def _tree(
     return tree
 
 
-def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
-    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld."""
+def verdict(fit: Fit, gap: Gap, question: str | None = None) -> dict[str, Any]:
+    """Outcome of one snapshot with its reasons; ``reason`` is set where δ is withheld.
+
+    ``question``: what to ask the user before anything else where it is.
+    """
     diagnostics = fit.posterior.diagnostics
     disagreement = None if fit.check is None else fit.check.reason
     notes = (*fit.point.notes, *gap.notes)
@@ -282,6 +292,8 @@ def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
         if reason:
             outcome = "withheld"
             reasons.insert(0, reason)
+    if question and outcome == "withheld":
+        reasons.insert(0, question)
     return {
         "outcome": outcome,
         "reasons": [*reasons, *fit.point.recording.notes],
