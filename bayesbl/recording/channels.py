@@ -72,7 +72,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def did_you_mean_file(path: Path) -> str:
-    """``' Did you mean "…"?'`` with the name most like a missing file's in its folder, or nothing."""
+    """``' Did you mean "…"?'`` with the name in its folder most like a missing file's."""
     try:
         return did_you_mean(path.name, sorted(os.listdir(path.parent)))
     except (OSError, ValueError):

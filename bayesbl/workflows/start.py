@@ -81,7 +81,7 @@ output = {_text(f"results/{_name(path.stem)}")}
 [joint]
 # gear_ratio = 120.0    # motor turns per turn of the load
 # limit_rad = 1.2e-3    # repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad);
-#                       # δ is half the total play
+                        # δ is half the total play
 {before if kind == "compare" else ""}
 # Each channel with the column that holds it. These are guesses: names and units decide the answer.
 [columns]
