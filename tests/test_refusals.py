@@ -13,9 +13,11 @@ import pytest
 from recording_files import write_csv
 
 from bayesbl import cli
+from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.gap.curve import published_curve
+from bayesbl.inference.simulated import observed
 from bayesbl.recording import readers
 from bayesbl.recording.channels import MOTOR_SPEED, SUFFIXES
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
@@ -175,6 +177,16 @@ def test_the_unit_is_asked_for_where_another_gives_the_benches_speed(factor, uni
     for other in (1.0, 0.5, 0.2):
         assert speed_in_another_unit(slow(measured, other), reference) is None
     assert speed_in_another_unit(slow(measured, factor), None) is None
+
+
+def test_the_direct_route_asks_for_the_unit_too():
+    bench = load_bench(CONFIGS / "bench.toml")
+    with pytest.raises(RecordingError) as refusal:
+        observed(slow(read_recording(BEFORE), math.pi / 30.0), bench)
+    assert 'unit = "rad/s"' in refusal.value.problem
+    with pytest.raises(RecordingError) as refusal:
+        observed(slow(read_recording(BEFORE), 0.5), bench)
+    assert "unit" not in refusal.value.problem
 
 
 def test_a_withheld_answer_asks_for_the_unit_before_all_else():
