@@ -345,6 +345,17 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
     }
 
 
+def test_no_date_is_advised_from_three_gaps_off_a_line():
+    line = {"is_straight": False, "probability": 1e-4, "snapshot": "s1", "excess_rad": 9e-5}
+    line["standard_deviations"] = 4.2
+    plain, bent = dated(), dated()
+    bent["wear"] |= {"line": line, "scatter_rad_per_root_year": None}
+    assert "Plan the repair for" in advice(plain).title
+    assert advice(bent).tone == "watch"
+    assert "Plan the repair for" not in advice(bent).title
+    assert any("4.2 standard deviations" in sentence for sentence in advice(bent).sentences)
+
+
 @pytest.mark.parametrize(("before", "tone"), [(None, "fine"), (0.01, "fine"), (0.4, "watch")])
 def test_dated_snapshots_are_advised_by_when_the_limit_is_reached(before, tone):
     given = advice(dated(before=before))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from datetime import date, timedelta
 
 import numpy as np
@@ -16,7 +17,14 @@ from bayesbl.config.measurement import CompareConfig
 from bayesbl.figures import wear as wear_figure
 from bayesbl.figures.style import save
 from bayesbl.figures.wear import line_band, reached
-from bayesbl.gap.wear import LONGEST_YEARS, _lines, probability_before, since_repair, wear
+from bayesbl.gap.wear import (
+    LONGEST_YEARS,
+    _lines,
+    probability_before,
+    since_repair,
+    straightness,
+    wear,
+)
 from bayesbl.report.worn import print_wear
 from bayesbl.results.wear import date_after, summarise_wear, years_between
 from bayesbl.workflows.maintenance import wear_of
@@ -117,6 +125,49 @@ def test_line_and_present_gap_are_the_posterior_of_a_linear_system_solved_whole(
         # Five standard errors of 200000 draws: a false alarm in a million.
         assert abs(found.mean() - mean[place]) < 5.0 * spread / np.sqrt(count)
         assert abs(found.std() / spread - 1.0) < 5.0 / np.sqrt(2.0 * count)
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.1])
+@pytest.mark.parametrize("count", [3, 5])
+def test_gaps_on_a_line_are_called_bent_as_rarely_as_said(count, shared):
+    # The probabilities are uniform; false alarm of this test 1 in 1000. A curve that is 10 % off
+    # for all snapshots bends nothing.
+    generator = np.random.default_rng(8)
+    gaps = START + RATE * YEARS[:count]
+    found = [
+        straightness(drawn(gaps, 2e-5, generator, shared=shared), YEARS[:count]) for _ in range(400)
+    ]
+    assert uniform_p([line.probability for line in found]) > 1e-3
+
+
+@pytest.mark.parametrize("count", [3, 5])
+@pytest.mark.parametrize("excess", [9e-5, -9e-5])
+def test_a_gap_off_the_line_is_named_with_its_excess(count, excess):
+    gaps = START + RATE * YEARS[:count]
+    gaps[1] += excess
+    line = straightness(drawn(gaps, 4e-6, np.random.default_rng(9)), YEARS[:count])
+    assert not line.is_straight
+    assert line.snapshot == 1
+    # Both the gap's and the line's own error, with a false alarm of 1 in 10^4.
+    assert abs(line.excess_rad - excess) < 3.9 * abs(line.excess_rad) / line.standard_deviations
+    assert line.standard_deviations > 10.0
+
+
+def test_three_gaps_are_off_by_the_middle_one_from_its_neighbours_line():
+    gaps = drawn([8e-4, 1.1e-3, 1e-3], 1e-5, np.random.default_rng(10), draws=4000)
+    years = np.array([0.0, 0.25, 1.0])
+    line = straightness(gaps, years)
+    bend = gaps[1] - 0.75 * gaps[0] - 0.25 * gaps[2]
+    assert line.excess_rad == pytest.approx(bend.mean(), rel=1e-9)
+    z = abs(bend.mean()) / bend.std(ddof=1)
+    assert line.standard_deviations == pytest.approx(z, rel=1e-6)
+    assert line.probability == pytest.approx(2.0 * stats.norm.sf(z), rel=1e-6)
+
+
+def test_two_snapshots_or_two_days_are_always_straight():
+    assert straightness(drawn([8e-4, 1e-3], 1e-5, np.random.default_rng(1)), YEARS[:2]) is None
+    three = drawn([8e-4, 1e-3, 1.2e-3], 1e-5, np.random.default_rng(1))
+    assert straightness(three, np.array([0.0, 1.0, 1.0])) is None
 
 
 def test_fewer_than_four_snapshots_tell_no_scatter():
@@ -382,11 +433,27 @@ def test_the_answer_is_told_with_what_few_snapshots_cannot_tell(tmp_path):
     assert "repaired before s0" in told(five, 6)
 
 
+@pytest.mark.parametrize("count", [3, 5])
+def test_gaps_off_a_line_are_told_where_the_date_stands(count, tmp_path):
+    days = [0, 200, 400, 600, 800][:count]
+    gaps = [START + 1e-4 * day / 365.25 for day in days]
+    told_straight = compared(tmp_path, gaps, days, limit=LIMIT)[1]
+    assert told_straight["line"]["is_straight"]
+    assert "straight line" not in told(told_straight, count)
+    gaps[1] += 9e-5
+    bent = compared(tmp_path, gaps, days, limit=LIMIT)[1]
+    assert bent["line"]["snapshot"] == "s1"
+    text = told(bent, count)
+    assert re.search(r"\(s1 lies 0\.\d+ mrad above that of the others, \d+\.\d standard", text)
+    assert ("not to be relied on" in text) == (count == 3)
+    assert ("allow for wear that is irregular" in text) == (count == 5)
+
+
 def test_a_passed_limit_and_one_far_ahead_are_told_so(tmp_path):
     _, passed = compared(tmp_path, [1.3e-3, 1.4e-3], [0, 365], limit=LIMIT)
     assert passed["years_to_limit"]["high"] == 0.0
     assert "The gap has passed the limit" in told(passed, 2)
-    _, far = compared(tmp_path, [8e-4, 8e-4 + 1e-9], [0, 365], limit=1.0, sd=1e-10)
+    _, far = compared(tmp_path, [8e-4, 8e-4 + 1e-9], [0, 365], limit=0.05, sd=1e-10)
     assert far["limit_not_before"] is None
     assert "within 1000 years" in told(far, 2)
     assert "far ahead" in told(far, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,10 +28,15 @@ from bayesbl.cli.options import (
     Workers,
 )
 from bayesbl.cli.running import run_config
+from bayesbl.errors import ConfigError, RecordingError
+
+FORMATS = "CSV, TSV, NetCDF, MATLAB or Parquet"
 
 
 def fit_command(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A recording, CSV.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help=f"A recording: {FORMATS}.")
+    ],
     config: BaseConfig = None,
     out: Out = None,
     seed: Seed = None,
@@ -55,10 +61,13 @@ def fit_command(
 
 
 def compare_command(
-    first: Annotated[Path, typer.Argument(metavar="FIRST", help="The oldest recording, CSV.")],
-    later: Annotated[
-        list[Path], typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order.")
+    first: Annotated[
+        Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
     ],
+    later: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
+    ] = None,
     config: BaseConfig = None,
     out: Out = None,
     seed: Seed = None,
@@ -77,6 +86,13 @@ def compare_command(
     check_sampler: CheckSampler = False,
 ) -> None:
     """Measure each gap, the change from first to last, and with dates how fast it grows."""
+    if not later:
+        raise ConfigError(
+            "A comparison needs two recordings or more.",
+            where="SECOND",
+            found=f"{first} alone",
+            expected=f"bayesbl compare {first} SECOND; for one recording: bayesbl fit {first}",
+        )
     options: dict[str, Any] = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"route": route, "bench": bench}
     options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
@@ -95,4 +111,18 @@ def _measure(
 ) -> None:
     from bayesbl.config.loading import config_from_options
 
-    run_config(config_from_options(kind, recordings, config, **options), force, json)
+    loaded = config_from_options(kind, recordings, config, **options)
+    try:
+        run_config(loaded, force, json)
+    except RecordingError as error:
+        if config is not None or error.where != "header":
+            raise
+        files = " ".join(shlex.quote(str(recording)) for recording in recordings)
+        raise RecordingError(
+            error.problem,
+            file=error.file,
+            where=error.where,
+            found=error.found,
+            expected=f"{error.expected}; `bayesbl init {files}` writes a configuration with the "
+            "columns guessed",
+        ) from None

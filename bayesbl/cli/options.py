@@ -21,7 +21,18 @@ def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise typer.BadParameter(f"Found: {text}. Expected: a number.") from None
+        point = ", with a decimal point and no comma" if "," in text else ""
+        raise typer.BadParameter(f"Found: {text}. Expected: a number{point}.") from None
+
+
+def _gap(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise typer.BadParameter(
+            f"Found: {text}. Expected: a number in rad, with a decimal point, e.g. 1.2e-3 for "
+            "1.2 mrad."
+        ) from None
 
 
 def _day(text: str) -> date:
@@ -75,7 +86,11 @@ Force = Annotated[bool, typer.Option("--force", help="Replace a finished result,
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
 Curve = Annotated[
     str | None,
-    typer.Option("--curve", metavar="published|FILE", help="Gap curve. [default: published]"),
+    typer.Option(
+        "--curve",
+        metavar="published|RESULT",
+        help="Gap curve: the result of a sweep, its folder or result.nc. [default: published]",
+    ),
 ]
 BenchFile = Annotated[
     Path | None,
@@ -108,9 +123,10 @@ LimitRad = Annotated[
     float | None,
     typer.Option(
         "--limit-rad",
-        parser=_number,
+        parser=_gap,
         metavar="RAD",
-        help="Gap at which the joint is to be repaired.",
+        help="Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the "
+        "total play.",
     ),
 ]
 Before = Annotated[

@@ -52,6 +52,8 @@ def check_command(config: ConfigPath) -> None:
     plan = check(config)
     for label, text in plan.lines:
         typer.echo(f"{label}: {text}")
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}")
     for problem in plan.problems:
         error(make_console(stderr=True), problem)
     if plan.problems:
@@ -78,8 +80,10 @@ def init_command(
 
     path, guess = start_config(recordings, out, force=force)
     print_guess(guess, path, make_console())
-    problems = check(path).problems
-    for problem in problems:
+    plan = check(path)
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}")
+    for problem in plan.problems:
         error(make_console(stderr=True), problem)
-    if problems:
+    if plan.problems:
         raise typer.Exit(WRONG)

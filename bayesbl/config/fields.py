@@ -10,7 +10,13 @@ from typing import Annotated, NoReturn
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from bayesbl.recording.channels import CHANNELS, TIME, did_you_mean, is_mappable
+from bayesbl.recording.channels import (
+    CHANNELS,
+    TIME,
+    did_you_mean,
+    did_you_mean_file,
+    is_mappable,
+)
 from bayesbl.results.folder import RESULT_FILE
 from bayesbl.signal.parameters import SYMBOLS
 
@@ -44,12 +50,13 @@ def _input_path(value: object, info: ValidationInfo) -> Path:
     if os.path.isdir(path):
         refuse("This is a folder.", found=path, expected="a file")
     if not os.path.exists(path):
-        refuse("There is no such file.", found=path, expected="an existing file")
+        hint = did_you_mean_file(path)
+        refuse(f"There is no such file.{hint}", found=path, expected="an existing file")
     return path
 
 
 def _curve_source(value: object, info: ValidationInfo) -> Path | str:
-    return PUBLISHED if value == PUBLISHED else _input_path(value, info)
+    return PUBLISHED if value == PUBLISHED else _result_file(value, info)
 
 
 def _result_file(value: object, info: ValidationInfo) -> Path:

@@ -33,7 +33,7 @@ from bayesbl.config.problems import (
 )
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
-from bayesbl.recording.channels import did_you_mean
+from bayesbl.recording.channels import SUFFIXES, did_you_mean, did_you_mean_file
 
 OPTIONS: Mapping[str, Location] = MappingProxyType(
     {
@@ -170,11 +170,20 @@ def config_fingerprint(config: RunConfig) -> str:
 
 
 def _read(path: Path) -> _Document:
+    if path.suffix.lower() in SUFFIXES and path.is_file():
+        raise ConfigError(
+            "This is a recording, or no configuration at all.",
+            file=path,
+            found=f"a file ending in {path.suffix}",
+            expected=f"a configuration in TOML; `bayesbl init {path}` writes one for a recording",
+        )
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except (FileNotFoundError, NotADirectoryError):
         raise ConfigError(
-            "There is no such file.", file=path, expected="a configuration in TOML"
+            "There is no such file." + did_you_mean_file(path),
+            file=path,
+            expected="a configuration in TOML",
         ) from None
     except UnicodeDecodeError:
         raise ConfigError(
@@ -202,7 +211,8 @@ def _parse(text: str, file: Path) -> _Tables:
             f"This is not valid TOML: {problem}.",
             file=file,
             where=place[1] if place else None,
-            expected='key = value; text stands in quotes, e.g. file = "before.csv"',
+            expected='key = value; text stands in quotes, e.g. file = "before.csv"; numbers have a '
+            "decimal point, not a comma; dates are written 2026-07-01",
         ) from None
 
 

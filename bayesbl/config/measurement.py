@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import date as Date
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -20,6 +21,9 @@ from bayesbl.config.fields import (
 )
 from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
 
+LARGEST_LIMIT_RAD = 0.05
+"""Nearly 3°: no joint whose gap is measured by its ringing may have so much."""
+
 
 class Joint(Section):
     """``[joint]``: what is known of the joint itself."""
@@ -27,6 +31,21 @@ class Joint(Section):
     gear_ratio: Positive | None = None
     limit_rad: Positive | None = None
     decide_before: Date | None = None
+
+    @field_validator("limit_rad")
+    @classmethod
+    def _a_gap(cls, limit_rad: float | None) -> float | None:
+        if limit_rad is not None and limit_rad > LARGEST_LIMIT_RAD:
+            text = f"{limit_rad:g}"
+            meant = ""
+            if limit_rad <= 1e3 * LARGEST_LIMIT_RAD:
+                meant = f" Did you mean {text}e-3 rad = {text} mrad?"
+            refuse(
+                f"limit_rad = {text} is {1e3 * limit_rad:.6g} mrad "
+                f"({math.degrees(limit_rad):.3g}°).{meant}",
+                expected=f"a gap in rad, at most {LARGEST_LIMIT_RAD:g}",
+            )
+        return limit_rad
 
     @model_validator(mode="after")
     def _date_of_a_limit(self) -> Self:
@@ -213,6 +232,14 @@ class CompareConfig(SnapshotConfig):
     @field_validator("recordings")
     @classmethod
     def _by_date(cls, recordings: tuple[SnapshotRecording, ...]) -> tuple[SnapshotRecording, ...]:
+        undated = [f'"{recording.name}"' for recording in recordings if recording.date is None]
+        if 0 < len(undated) < len(recordings):
+            refuse(
+                "Some recordings have a date and some have none: every one needs its date, or "
+                "none.",
+                found=f"no date for {', '.join(undated)}",
+                expected="date = 2026-03-01 in every [[recordings]], or in none",
+            )
         dates = _dates(recordings)
         if dates is None:
             return recordings

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
+from bayesbl.units import unit_of
 
 Location = tuple[str | int, ...]
 """Keys and list positions from the top of a configuration down to a value."""
@@ -150,6 +151,9 @@ def _problem(
             return Problem(str(item["msg"]), where, shown, context.get("expected"), line)
         case kind:
             expected = _EXPECTED.get(kind) or _PREAMBLE.sub("", str(item["msg"]))
+            unit = unit_of(str(location[-1])) if location else ""
+            if kind == "float_type" and unit:
+                expected = f"a number in {unit}, without quotes"
             return Problem(_sentence(kind), where, _shown(item["input"]), expected, line)
 
 

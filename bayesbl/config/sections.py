@@ -12,7 +12,7 @@ from datetime import date as Date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.config.fields import (
     ChannelName,
@@ -38,7 +38,7 @@ from bayesbl.signal.parameters import (
     WINDOW_END,
     WINDOW_START,
 )
-from bayesbl.units import accepted_units
+from bayesbl.units import accepted_units, spelled
 
 _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATION, ROTATION})
 
@@ -63,7 +63,7 @@ class Column(Section):
     """An entry of ``[columns]``: a column's name in the file, and its unit."""
 
     name: str = Field(min_length=1)
-    unit: str | None = None
+    unit: Annotated[str, AfterValidator(spelled)] | None = None
 
 
 ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]

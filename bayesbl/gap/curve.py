@@ -70,6 +70,8 @@ class GapCurve:
         Frequency and decay along the curve, where a sweep has them.
     warnings
         What every user of this curve must be told.
+    reference_speed_rpm
+        Of the bench it was made on, without sign; ``None`` if not known.
     """
 
     name: str
@@ -81,6 +83,7 @@ class GapCurve:
     fingerprint: str | None = None
     ringing: Ringing | None = None
     warnings: tuple[str, ...] = ()
+    reference_speed_rpm: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.amplitude_range_rpm
@@ -215,6 +218,7 @@ PUBLISHED_SCALE_RAD = 1e-4
 PUBLISHED_COEFFICIENTS = (-0.138809, 0.138764, 0.003122, -0.000009)
 PUBLISHED_LAST_DIGIT = 1e-6
 PUBLISHED_GAP_RANGE_RAD = (1e-4, 4e-3)
+PUBLISHED_REFERENCE_RPM = 2000.0
 
 
 def published_curve(draws: int = 4000, seed: int = 20260301) -> GapCurve:
@@ -243,6 +247,7 @@ def published_curve(draws: int = 4000, seed: int = 20260301) -> GapCurve:
             "joint δ can be off by several percent or more, which the interval does not include; "
             "sweep a bench of your joint for a curve of its own.",
         ),
+        reference_speed_rpm=PUBLISHED_REFERENCE_RPM,
     )
 
 

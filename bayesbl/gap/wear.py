@@ -26,12 +26,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bayesbl.recording.types import FloatArray
 
 FEWEST_FOR_SCATTER = 4
 LEAST_SHARE_GROWING = 0.01
 """Share of draws with r ≥ 0 below which the gap has shrunk, which wear cannot do."""
+
+FEWEST_FOR_LINE = 3
+"""Snapshots from which on a straight line can fail to fit."""
+
+FALSE_ALARM = 0.01
+"""How often gaps that do lie on a line are said not to."""
 
 LONGEST_YEARS = 1000.0
 """Times to the limit are cut here: a rate near 0 makes them as long as one likes."""
@@ -70,6 +77,72 @@ class Wear:
     def probability_wear(self) -> float:
         """Share of draws in which the gap grows, before healing is ruled out."""
         return float(np.mean(self.rate_rad_per_year > 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Straightness:
+    """How well one straight line in time fits the gaps.
+
+    Attributes
+    ----------
+    probability
+        Of residuals as large as these where the gaps do lie on a line.
+    snapshot
+        Number of the snapshot that is farthest off the line through all others, counted in
+        standard deviations; the middle one of three, which are all off by the same.
+    excess_rad
+        Its gap less that of the line through the others.
+    standard_deviations
+        The same over its uncertainty, both gap's and line's.
+    """
+
+    probability: float
+    snapshot: int
+    excess_rad: float
+    standard_deviations: float
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether measuring explains the residuals; wrongly denied with ``FALSE_ALARM``."""
+        return self.probability >= FALSE_ALARM
+
+
+def straightness(delta_rad: FloatArray, years: FloatArray) -> Straightness | None:
+    """χ² of the residuals from the line of generalised least squares through the gaps' means.
+
+    Under the joint covariance of the draws: a factor that all snapshots share bends no line. The
+    snapshot named is off the line through the others by (Q m)_i / Q_ii ± Q_ii^(−1/2), with Q the
+    inverse covariance less what the line takes of it.
+
+    Parameters
+    ----------
+    delta_rad, years
+        As :func:`wear` takes them.
+
+    Returns
+    -------
+    ``None`` for fewer than ``FEWEST_FOR_LINE`` snapshots, or where these have no more than two
+    different dates.
+    """
+    count = len(years)
+    if count < FEWEST_FOR_LINE or np.unique(years).size < FEWEST_FOR_LINE:
+        return None
+    gaps = delta_rad.reshape(count, -1)
+    middle, design = gaps.mean(axis=1), _design((years - years[0]) / (years[-1] - years[0]))
+    covariance = np.cov(gaps)
+    # A floor: gaps that share all but rounding must not be taken for exact.
+    weights = np.linalg.inv(covariance + 1e-9 * np.diag(np.diag(covariance)))
+    line = weights @ design
+    left = weights - line @ np.linalg.solve(design.T @ line, line.T)
+    pull, stiffness = left @ middle, np.diag(left)
+    deviations = pull / np.sqrt(stiffness)
+    farthest = 1 if count == FEWEST_FOR_LINE else int(np.argmax(np.abs(deviations)))
+    return Straightness(
+        float(chi2.sf(middle @ pull, count - 2)),
+        farthest,
+        float(pull[farthest] / stiffness[farthest]),
+        float(abs(deviations[farthest])),
+    )
 
 
 def since_repair(repaired: Sequence[bool]) -> slice:

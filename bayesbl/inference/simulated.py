@@ -23,6 +23,7 @@ from bayesbl.physics.effects import effect_named
 from bayesbl.physics.kernel import CURRENT, SPEED, Slot
 from bayesbl.physics.parameters import rotation_period_s
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
+from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 
 GAP = "gap_rad"
@@ -94,7 +95,12 @@ def observed(
     reference = reference_speed_rpm or math.copysign(nominal, mean)
     if abs(mean / reference - 1.0) > 0.01:
         raise RecordingError(
-            "The recording was made at another speed than the bench runs at.",
+            " ".join(
+                [
+                    "The recording was made at another speed than the bench runs at.",
+                    speed_in_another_unit(recording, reference) or "",
+                ]
+            ).strip(),
             file=recording.name,
             found=f"{mean:.6g} rpm on average",
             expected=f"{reference:g} rpm, or the right reference_speed_rpm",

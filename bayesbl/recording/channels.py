@@ -5,9 +5,11 @@ Free of heavy imports: configurations use it before any number is read.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 from types import MappingProxyType
 
 TIME = "time_s"
@@ -29,6 +31,10 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Channels the package knows by name, with their long names."""
+
+
+SUFFIXES = frozenset({".csv", ".tsv", ".txt", ".nc", ".mat", ".parquet"})
+"""Of the files that can be read as recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +69,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """``' Did you mean "…"?'`` with the nearest known name, or nothing."""
     match = nearest(name, known)
     return "" if match is None else f' Did you mean "{match}"?'
+
+
+def did_you_mean_file(path: Path) -> str:
+    """``' Did you mean "…"?'`` with the name in its folder most like a missing file's."""
+    try:
+        return did_you_mean(path.name, sorted(os.listdir(path.parent)))
+    except (OSError, ValueError):
+        return ""

@@ -10,12 +10,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import (
     CHANNELS,
+    MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
     REFERENCE_SPEED,
@@ -61,12 +63,13 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_uniform_sampling(recording)
     recording = without_rails(recording, MOTOR_SPEED)
     require_varying(recording, MOTOR_SPEED)
+    require_alive(recording, (MOTOR_POSITION,))
     require_plausible_speed_unit(recording)
     require_unclipped(recording, MOTOR_SPEED)
     require_one_speed(recording)
     if gear_ratio is not None:
         require_rotations(recording, rotations_of(recording, gear_ratio))
-    return recording
+    return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
 
 
 def require_channels(recording: Recording, channels: Sequence[str]) -> None:
@@ -156,15 +159,51 @@ def require_rotations(
 def require_varying(recording: Recording, channel: str) -> None:
     """The signal is not constant: it varies by more than a millionth of its size."""
     values = recording.channels[channel]
-    low, high = float(values.min()), float(values.max())
-    if high - low <= CONSTANT_RANGE * max(abs(low), abs(high)):
+    if is_constant(values):
         raise _error(
             recording,
             f"The {CHANNELS.get(channel, channel)} is constant.",
             where=channel,
-            found=f"{values.mean():.6g} in all {values.size} samples",
+            found=_all_alike(recording, channel),
             expected="a signal in which the load's impacts can be seen",
         )
+
+
+def require_alive(recording: Recording, channels: Sequence[str]) -> None:
+    """Of these channels, those that the recording holds change at all."""
+    for channel in channels:
+        if channel in recording.channels and is_constant(recording.channels[channel]):
+            raise _error(
+                recording,
+                f"The {CHANNELS.get(channel, channel)} never changes: a dead sensor, or a value "
+                "that was filled in.",
+                where=f"[columns] {channel}",
+                found=_all_alike(recording, channel),
+                expected="a measured signal; take its line out of [columns] to do without it, or "
+                "rename the file's column where that is itself called so",
+            )
+
+
+def is_constant(values: FloatArray) -> bool:
+    """Whether a signal varies by no more than a millionth of its size."""
+    low, high = float(values.min()), float(values.max())
+    return high - low <= CONSTANT_RANGE * max(abs(low), abs(high))
+
+
+def _all_alike(recording: Recording, channel: str) -> str:
+    values = recording.channels[channel]
+    return f"{values.mean():.6g} in all {values.size} samples"
+
+
+def _of_dead_channels(recording: Recording) -> list[str]:
+    """A sentence for each channel that a fit of the speed does without and that never changes."""
+    return [
+        f"The {CHANNELS[channel]} ({channel}) never changes ({_all_alike(recording, channel)}): a "
+        "dead sensor, or a value that was filled in. It is not used here, and the direct route "
+        "refuses it."
+        for channel, values in recording.channels.items()
+        if channel == MOTOR_CURRENT and is_constant(values)
+    ]
 
 
 def require_one_speed(recording: Recording) -> None:
@@ -248,6 +287,22 @@ def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
     require_channels(recording, [MOTOR_SPEED])
     speed = abs(float(recording.motor_speed_rpm.mean()))
     _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of", 0.02)
+
+
+def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> str | None:
+    """A question to the user where the mean speed would be the expected one in another unit."""
+    if expected_rpm is None:
+        return None
+    speed = abs(float(recording.motor_speed_rpm.mean()))
+    for unit in accepted_units(MOTOR_SPEED)[1:]:
+        other = speed * conversion_factor(MOTOR_SPEED, unit)
+        if speed > 0.0 and abs(other / abs(expected_rpm) - 1.0) <= 0.03:
+            return (
+                f"Is the unit of the speed right? The mean is {speed:.4g} rpm; if the column is "
+                f"in {unit}, it is {other:.4g} rpm, the speed of the bench "
+                f'({abs(expected_rpm):g} rpm): then state unit = "{unit}" under [columns].'
+            )
+    return None
 
 
 def _require_same_speed(

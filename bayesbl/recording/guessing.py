@@ -45,6 +45,9 @@ _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output arm"
 _MOTOR = "motor mot m"
 
+NO_UNIT = "no unit found: check it"
+"""Why a unit is a guess that nothing supports."""
+
 _USUAL_RATES_HZ = (100.0, 1e5)
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _AGREEMENT = 0.02
@@ -186,7 +189,7 @@ def _stated(channel: str, column: _Named) -> GuessedColumn:
         return GuessedColumn(channel, column.name, str(column.unit), "stated in the file", True)
     if column.name == channel:
         return GuessedColumn(channel, column.name, own, "named so in the file", True)
-    return GuessedColumn(channel, column.name, own, "no unit found: check it", False)
+    return GuessedColumn(channel, column.name, own, NO_UNIT, False)
 
 
 def _units(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.csv_table import read_csv
 from bayesbl.recording.gaps import bridge
@@ -195,7 +195,9 @@ def _read_bytes(path: Path) -> bytes:
         data = path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise RecordingError(
-            "There is no such file.", file=path, expected="an existing recording"
+            "There is no such file." + did_you_mean_file(path),
+            file=path,
+            expected="an existing recording",
         ) from None
     except IsADirectoryError:
         raise RecordingError(

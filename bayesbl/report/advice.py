@@ -84,6 +84,8 @@ def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
         return Advice("fine", "No repair is due, and no wear is shown.", told)
     if wear["limit_not_before"] is None:
         return Advice("fine", "No repair is due for years.", told)
+    if worn.not_straight(wear) and wear["scatter_rad_per_root_year"] is None:
+        return Advice("watch", "Measure again before you plan a repair.", told)
     passed = wear["probability_limit_before"]
     tone: Tone = "fine" if passed is None or passed <= 1.0 - SURE else "watch"
     return Advice(tone, f"Plan the repair for {wear['limit_not_before']} or before.", told)
@@ -123,6 +125,9 @@ def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
     change, wear = summary.get("change_rad"), summary.get("wear")
     if wear is not None and wear["reason"]:
         yield wear["reason"]
+    bent = worn.not_straight(wear) if worn.is_told(summary) and wear else None
+    if bent:
+        yield bent
     if wear is not None and len(wear["snapshots"]) == 2:
         yield "Two snapshots cannot tell whether the wear is steady: take a third."
     if wear is None and change is not None and change["low"] > 0.0:

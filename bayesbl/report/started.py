@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayesbl.recording.guessing import NO_UNIT
 from bayesbl.report.output import add_row, new_table, print_table, say
 
 if TYPE_CHECKING:
@@ -26,8 +27,13 @@ def print_guess(guess: Guess, path: Path, console: Console) -> None:
         if not column.sure:
             say(
                 console,
-                f"the unit of {column.name} is not stated ({column.reason}).",
+                f"the unit of {column.name} is not stated"
+                + ("." if column.reason == NO_UNIT else f" ({column.reason})."),
                 "yellow",
                 label="Check",
             )
-    console.print(f"Written to {path}. Correct it there, then: bayesbl run {path}", soft_wrap=True)
+    console.print(
+        f"Written to {path}. Correct it there, fill in gear_ratio and limit_rad (the gap at which "
+        f"the joint is to be repaired, in rad), then: bayesbl run {path}",
+        soft_wrap=True,
+    )

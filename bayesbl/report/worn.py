@@ -28,6 +28,9 @@ def print_wear(summary: Summary, console: Console) -> None:
     if wear["reason"]:
         say(console, wear["reason"], "yellow", label="No rate of wear")
         return
+    bent = not_straight(wear)
+    if bent:
+        say(console, bent, "yellow", label="Warning")
     for sentence in sentences(wear):
         say(console, sentence)
     print_table(_table(wear), console)
@@ -107,6 +110,28 @@ def sentences(wear: Summary) -> Iterator[str]:
             f"Probability that it passes {limit} by {wear['decide_before']}: "
             f"{words.probability(wear['probability_limit_before'])}."
         )
+
+
+def not_straight(wear: Summary) -> str | None:
+    """That the gaps lie on no straight line, and what this means for rate and date."""
+    from bayesbl.gap.wear import FALSE_ALARM
+
+    line = wear.get("line")  # results of earlier versions have none
+    if line is None or line["is_straight"]:
+        return None
+    side = "above" if line["excess_rad"] > 0.0 else "below"
+    told = (
+        f"The gaps do not lie on a straight line ({line['snapshot']} lies "
+        f"{words.significant(1e3 * abs(line['excess_rad']))} mrad {side} that of the others, "
+        f"{line['standard_deviations']:.1f} standard deviations; a test that errs in "
+        f"{100.0 * FALSE_ALARM:g} % of cases)"
+    )
+    if wear["scatter_rad_per_root_year"] is None:
+        return f"{told}: the rate and any date are not to be relied on."
+    return (
+        f"{told}. Rate and date allow for wear that is irregular, but not for wear that speeds up "
+        "or for a recording that is off: look at the gaps before you rely on them."
+    )
 
 
 def notes(wear: Summary) -> Iterator[str]:

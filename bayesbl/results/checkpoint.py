@@ -135,6 +135,7 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
         If another process holds the lock, or no folder can be made there.
     """
     folder = _sibling(output, suffix)
+    made = [parent for parent in folder.parents if not parent.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -144,8 +145,13 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
             found=error.strerror,
             expected="a place that can be written to",
         ) from None
-    with _locked(folder, output):
-        yield folder
+    try:
+        with _locked(folder, output):
+            yield folder
+    finally:
+        with suppress(OSError):
+            for parent in made:
+                parent.rmdir()  # a run that failed leaves no empty folders
 
 
 def _sibling(output: Path, suffix: str) -> Path:
@@ -160,7 +166,7 @@ def _locked(folder: Path, output: Path) -> Iterator[None]:
     import fcntl
 
     while True:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
         try:
             try:

@@ -47,6 +47,7 @@ def curve_to_dataset(curve: GapCurve) -> xr.Dataset:
         "name": curve.name,
         "fingerprint": curve.fingerprint or "",
         "warnings": list(curve.warnings),
+        "reference_speed_rpm": curve.reference_speed_rpm or 0.0,
     }
     return result
 
@@ -82,6 +83,7 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
         fingerprint=stored.attrs.get("fingerprint") or None,
         ringing=ringing,
         warnings=(warnings,) if isinstance(warnings, str) else tuple(warnings),
+        reference_speed_rpm=float(stored.attrs.get("reference_speed_rpm", 0.0)) or None,
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.errors import ResultError
+from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
 from bayesbl.results.folder import RESULT_FILE
 
 FORMAT = "bayesbl_format"
@@ -60,7 +61,23 @@ def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
     path = Path(path)
     file = path / RESULT_FILE if path.is_dir() else path
     if not file.is_file():
-        raise ResultError("There is no such result.", file=file, expected="a result.nc")
+        raise ResultError(
+            "There is no such result." + did_you_mean_file(file),
+            file=file,
+            expected="a result.nc",
+        )
+    if file.suffix.lower() == ".toml":
+        raise ResultError(
+            "This is a configuration, not a result.",
+            file=file,
+            expected=f"the output folder of a run; `bayesbl run {file}` makes it",
+        )
+    if file.suffix.lower() in SUFFIXES - {".nc"}:
+        raise ResultError(
+            "This is a recording, not a result.",
+            file=file,
+            expected=f"the output folder of a run; `bayesbl fit {file}` makes one",
+        )
     try:
         with xr.open_datatree(file, engine="netcdf4") as opened:
             tree: xr.DataTree = opened.load()

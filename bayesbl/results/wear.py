@@ -2,7 +2,8 @@
 
 Group ``wear`` of ``result.nc``: ``date`` of every snapshot and whether it is ``used`` (taken since
 the last repair), and the draws of :class:`bayesbl.gap.wear.Wear`. Attributes: ``reason`` where the
-answer is withheld, ``decide_before`` where that was asked.
+answer is withheld, ``decide_before`` where that was asked, and with three snapshots or more those
+of :class:`bayesbl.gap.wear.Straightness`, ``line_`` before their names.
 
 Keys of ``wear`` in ``summary.json`` (the whole is ``null`` where no snapshot is dated):
 
@@ -10,6 +11,8 @@ Keys of ``wear`` in ``summary.json`` (the whole is ``null`` where no snapshot is
 - ``rate_rad_per_year``: interval, healing ruled out; ``rate_at_most_rad_per_year``: one-sided
 - ``probability_wear``: that the gap grows, before healing is ruled out
 - ``scatter_rad_per_root_year``: interval of irregular wear; ``null`` under four snapshots
+- ``line``: whether the gaps lie on a straight line (``is_straight``, ``probability``), and which
+  ``snapshot`` is farthest off (``excess_rad``, ``standard_deviations``); ``null`` under three
 - ``limit_rad``, ``years_to_limit`` from the last snapshot, ``limit_date``; ``limit_not_before``:
   the date before which the limit is not reached, one-sided
 - ``decide_before``, ``probability_limit_before``
@@ -21,6 +24,7 @@ One-sided statements hold with the probability of the intervals, ``level``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, fields
 from datetime import date as Date
 from datetime import timedelta
 from typing import Any
@@ -28,7 +32,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.gap.wear import FEWEST_FOR_SCATTER, LONGEST_YEARS, Wear, probability_before
+from bayesbl.gap.wear import (
+    FEWEST_FOR_SCATTER,
+    LONGEST_YEARS,
+    Straightness,
+    Wear,
+    probability_before,
+)
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
 
@@ -55,6 +65,7 @@ def wear_group(
     *,
     reason: str,
     decide_before: Date | None,
+    line: Straightness | None = None,
 ) -> xr.Dataset:
     """Group of :data:`GROUP`; ``wear`` is ``None`` where nothing could be computed."""
     chosen = np.zeros(len(dates))
@@ -95,6 +106,8 @@ def wear_group(
     group.attrs = {"reason": reason}
     if decide_before is not None:
         group.attrs["decide_before"] = decide_before.isoformat()
+    if line is not None:
+        group.attrs |= {f"line_{name}": value for name, value in asdict(line).items()}
     return group
 
 
@@ -121,6 +134,7 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | 
         "rate_at_most_rad_per_year": None,
         "probability_wear": None,
         "scatter_rad_per_root_year": None,
+        "line": None,
         "limit_rad": None if limit is None else float(limit),
         "years_to_limit": None,
         "limit_date": None,
@@ -140,6 +154,15 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | 
     if len(dates) >= FEWEST_FOR_SCATTER:
         scatter = group["scatter_rad_per_root_year"].values[grows]
         result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
+    if "line_probability" in group.attrs:
+        line = Straightness(**{f.name: group.attrs[f"line_{f.name}"] for f in fields(Straightness)})
+        result["line"] = {
+            "is_straight": bool(line.is_straight),
+            "probability": float(line.probability),
+            "snapshot": result["snapshots"][int(line.snapshot)],
+            "excess_rad": float(line.excess_rad),
+            "standard_deviations": float(line.standard_deviations),
+        }
     if "years_to_limit" in group:
         years = group["years_to_limit"].values[grows]
         found = interval(years, level, kind)

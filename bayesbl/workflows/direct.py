@@ -39,7 +39,8 @@ from bayesbl.inference.simulated import (
     tolerance_unknowns,
 )
 from bayesbl.physics.bench import Bench
-from bayesbl.recording.types import Recording
+from bayesbl.recording.checks import require_alive
+from bayesbl.recording.types import MOTOR_CURRENT, Recording
 from bayesbl.results.direct_tree import AmplitudeRoute, direct_groups
 from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, stack_snapshots
@@ -52,7 +53,9 @@ from bayesbl.workflows.measure import (
     estimator_of,
     overall,
     read_recordings,
+    require_plausible_limit,
     require_same_estimator,
+    same_files,
 )
 
 FALSE_ALARM = 0.01
@@ -100,6 +103,7 @@ def measure_direct(config: SnapshotConfig, progress: StageProgress | None = None
     """
     bench = bench_of(config)
     estimator, curve = estimator_of(config), curve_of(config)
+    require_plausible_limit(config.joint.limit_rad, config.estimator.gap_rad)
     recordings = read_recordings(config)
     seen = [observed_of(config, bench, recording) for recording in recordings]
     for recording in recordings:
@@ -153,6 +157,7 @@ def bench_of(config: SnapshotConfig) -> Bench:
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
     """A recording as the simulator is compared with it, at the speed that the config gives."""
+    require_alive(recording, (MOTOR_CURRENT,))
     speeds = {entry.name: entry.reference_speed_rpm for entry in config.recordings}
     return observed(recording, bench, speeds[recording.name])
 
@@ -321,7 +326,7 @@ def _tree(
         "interval_kind": config.interval.kind,
         "outcome": overall([v["outcome"] for v in verdicts.values()]),
         "reason": " ".join(dict.fromkeys(v["reason"] for v in verdicts.values() if v["reason"])),
-        "warnings": [],
+        "warnings": same_files(recordings),
         **provenance(dump_config(config), config.run.seed, inputs),
     }
     if config.joint.limit_rad is not None:

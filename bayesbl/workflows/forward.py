@@ -25,7 +25,7 @@ from bayesbl.inference.simulated import (
     start_angle_unknown,
 )
 from bayesbl.physics.bench import Bench
-from bayesbl.recording.checks import require_channels
+from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -132,6 +132,7 @@ def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[
         )
     for recording in recordings:
         require_channels(recording, asked)
+        require_alive(recording, asked)
     return tuple(c for c in CHANNELS if c in asked)
 
 

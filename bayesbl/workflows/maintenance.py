@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.gap.wear import LEAST_SHARE_GROWING, since_repair, wear
+from bayesbl.gap.wear import LEAST_SHARE_GROWING, since_repair, straightness, wear
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.wear import wear_group, years_between
 
@@ -48,4 +48,5 @@ def wear_of(
             "The gap shrank, and wear does not heal. If the joint was repaired, mark the first "
             "recording after it (repaired = true)."
         )
-    return wear_group(dates, used, result, reason=reason, decide_before=before)
+    line = None if reason else straightness(drawn, years)
+    return wear_group(dates, used, result, reason=reason, decide_before=before, line=line)

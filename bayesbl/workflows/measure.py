@@ -15,14 +15,18 @@ from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.loading import dump_config
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
-from bayesbl.errors import CurveError
+from bayesbl.errors import ConfigError, CurveError
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
 from bayesbl.inference.estimator import Estimator, Fit
 from bayesbl.inference.memory import Forgetful
 from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.second_opinion import require_second_sampler
-from bayesbl.recording.checks import ready_for_fit, require_reference_speed
+from bayesbl.recording.checks import (
+    ready_for_fit,
+    require_reference_speed,
+    speed_in_another_unit,
+)
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
@@ -35,6 +39,9 @@ from bayesbl.workflows.fits import FitJob, StageProgress, earlier_of, run_fits
 from bayesbl.workflows.maintenance import wear_of
 
 __all__ = ["StageProgress", "measure"]
+
+LIMIT_BEYOND = 10.0
+"""A limit that lies beyond the gaps that can be measured by more than this factor is a mistake."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +91,7 @@ def measure(
     earlier = {} if start_from is None else read_earlier(start_from)
     if check:
         require_second_sampler()
+    require_plausible_limit(config.joint.limit_rad, curve.gap_range_rad)
     recordings = read_recordings(config)
     for recording in recordings:
         require_same_estimator(curve, estimator, recording)
@@ -172,6 +180,35 @@ def curve_of(config: SnapshotConfig) -> GapCurve:
     return read_curve(config.curve.source)
 
 
+def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float]) -> None:
+    """The limit is not far from all gaps that can be measured: most likely another unit."""
+    low, high = range_rad
+    if limit_rad is None or low / LIMIT_BEYOND <= limit_rad <= LIMIT_BEYOND * high:
+        return
+    raise ConfigError(
+        "The limit is far from every gap that can be measured here.",
+        where="limit_rad",
+        found=f"{limit_rad:g} rad = {1e3 * limit_rad:.4g} mrad",
+        expected=f"a limit near {1e3 * low:.3g} to {1e3 * high:.3g} mrad, given in rad "
+        "(1.2e-3 = 1.2 mrad)",
+    )
+
+
+def same_files(recordings: Sequence[Recording]) -> list[str]:
+    """A sentence for every group of recordings whose files are alike byte for byte."""
+    names: dict[str, list[str]] = {}
+    for recording in recordings:
+        if recording.source is not None:
+            names.setdefault(recording.source.sha256, []).append(recording.name)
+    return [
+        f"{', '.join(alike[:-1])} and {alike[-1]} are one and the same recording: their files are "
+        "alike to the last byte, so no change between them means anything. Was a file copied by "
+        "mistake?"
+        for alike in names.values()
+        if len(alike) > 1
+    ]
+
+
 def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Recording) -> None:
     """The curve means the same A as the fit; raises :class:`CurveError` with the difference."""
     if curve.fingerprint is None:
@@ -201,7 +238,10 @@ def _tree(
         recording.name: fit_groups(fit, gap, level)
         for recording, fit, gap in zip(recordings, fits, found, strict=True)
     }
-    verdicts = {r.name: verdict(f, g) for r, f, g in zip(recordings, fits, found, strict=True)}
+    verdicts = {
+        r.name: verdict(f, g, speed_in_another_unit(r, curve.reference_speed_rpm))
+        for r, f, g in zip(recordings, fits, found, strict=True)
+    }
     if isinstance(config, CompareConfig):
         whole = stack_snapshots(groups)
         total, steps = changes(
@@ -228,7 +268,7 @@ def _tree(
             for name, v in verdicts.items()
             if v["reason"]
         ),
-        "warnings": list(curve.warnings),
+        "warnings": [*same_files(recordings), *curve.warnings],
         **provenance(dump_config(config), config.run.seed, inputs_of(config)),
     }
     if config.joint.limit_rad is not None:
@@ -236,8 +276,11 @@ def _tree(
     return tree
 
 
-def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
-    """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone."""
+def verdict(fit: Fit, gap: Gap, question: str | None = None) -> dict[str, Any]:
+    """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
+
+    ``question``: what to ask the user before anything else where it is.
+    """
     diagnostics = fit.posterior.diagnostics
     disagreement = None if fit.check is None else fit.check.reason
     notes = (*fit.point.notes, *gap.notes)
@@ -250,6 +293,9 @@ def verdict(fit: Fit, gap: Gap) -> dict[str, Any]:
         against += diagnostics.reasons
     elif against:
         outcome = "withheld"
+    if question and outcome == "withheld":
+        against.insert(0, question)
+        reasons.insert(0, question)
     return {"outcome": outcome, "reasons": reasons, "reason": " ".join(against) or None}
 
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.physics.bench import Bench
+    from bayesbl.recording.types import Recording
     from bayesbl.workflows.measure import StageProgress
 
 Draw = Callable[["xr.DataTree", Path], object]
@@ -169,9 +170,10 @@ def write_result(
 
 @dataclass(slots=True)
 class Plan:
-    """What a configuration would do, in pairs of label and text, and what stands against it."""
+    """What a configuration would do, in pairs of label and text, and what speaks against it."""
 
     lines: list[tuple[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     problems: list[UserError] = field(default_factory=list)
 
     def add(self, label: str, text: Callable[[], str]) -> None:
@@ -246,12 +248,20 @@ def _check_simulation(plan: Plan, path: Path) -> None:
         plan.lines.append((f"recording {entry.name}", told))
 
 
+def _limit(limit_rad: float, range_rad: tuple[float, float]) -> str:
+    from bayesbl.workflows.measure import require_plausible_limit
+
+    require_plausible_limit(limit_rad, range_rad)
+    return f"{1e3 * limit_rad:g} mrad"
+
+
 def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     from bayesbl.workflows.measure import (
         curve_of,
         estimator_of,
         recording_of,
         require_same_estimator,
+        same_files,
     )
 
     estimator, curve = estimator_of(config), curve_of(config)
@@ -267,10 +277,12 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
         if bench is not None:
             observed_of(config, bench, recording)
         rate = 1.0 / recording.sampling_period_s
-        told = f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
-        return " ".join([told, *recording.notes])
+        sound.append(recording)
+        plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
+        return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
 
     bench: Bench | None = None
+    sound: list[Recording] = []
     if config.estimator.route == "direct":
         from bayesbl.workflows.direct import bench_of, observed_of
 
@@ -278,3 +290,7 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
         plan.lines.append(("bench", f"{config.estimator.bench}, gap form {bench.gap_form}"))
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
+    plan.warnings += same_files(sound)
+    if config.joint.limit_rad is not None:
+        measurable = config.estimator.gap_rad if bench is not None else curve.gap_range_rad
+        plan.add("limit", partial(_limit, config.joint.limit_rad, measurable))

@@ -52,9 +52,18 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
     kind = "fit" if len(recordings) == 1 else "compare"
     names = _names([file.stem for file in recordings])
+    before = (
+        "# decide_before = 2027-01-01   # asks how probably the gap passes the limit by then; "
+        "needs dates\n"
+    )
+    dated = (
+        "# date = 2026-07-01            # when it was taken; for every recording, or for none\n"
+        "# repaired = true              # if this is the first one after a repair\n"
+    )
     entries = "\n".join(
         f"[[recordings]]\nname = {_text(name)}\nfile = {_text(_relative(file, path))}\n"
         "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
+        + (dated if kind == "compare" else "")
         for name, file in zip(names, recordings, strict=True)
     )
     columns = "\n".join(_column_line(column) for column in guess.columns)
@@ -71,8 +80,9 @@ output = {_text(f"results/{_name(path.stem)}")}
 
 [joint]
 # gear_ratio = 120.0    # motor turns per turn of the load
-# limit_rad = 1.2e-3    # the gap at which the joint is to be repaired
-
+# limit_rad = 1.2e-3    # repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad);
+                        # δ is half the total play
+{before if kind == "compare" else ""}
 # Each channel with the column that holds it. These are guesses: names and units decide the answer.
 [columns]
 {columns}

@@ -7,7 +7,7 @@ import json
 import math
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +95,7 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
         curve_seed,
         swept,
     )
+    curve = replace(curve, reference_speed_rpm=abs(bench.value("reference_speed_rpm")))
     tree = xr.DataTree.from_dict(
         {
             "sweep": _sweep_group(nominal, problem.model),
