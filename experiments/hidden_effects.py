@@ -229,7 +229,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         line[f"cover_90_{stage}"] = _mean(list(np.abs(errors) < LEVEL_SD))
         ratios = np.abs(np.log(cases[f"delta_ratio_{stage}"].values))
         line[f"delta_factor_{stage}"] = float(np.exp(np.nanmedian(ratios)))
-    if np.any(np.isfinite(cases["sampled_sd_ratio"].values)):
+    if "sampled_sd_ratio" in cases:
         line["sampled_shift_most_sd"] = float(np.nanmax(np.abs(cases["sampled_shift_sd"].values)))
         line["sampled_sd_ratio_low"] = float(np.nanmin(cases["sampled_sd_ratio"].values))
         line["sampled_sd_ratio_high"] = float(np.nanmax(cases["sampled_sd_ratio"].values))
