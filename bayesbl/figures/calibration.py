@@ -65,11 +65,11 @@ def draw_calibration(
             _coverage(panel, table, shown, level)
         axes[0].set_yticks(range(rows), [str(line["name"]) for line in table])
         axes[0].legend(loc="upper right", bbox_to_anchor=(-0.05, -0.02), handletextpad=0.2)
-        lower = grid(figure, 1, len(shown), top=above + 0.3, between=(0.0, 0.35))
+        lower = grid(figure, 1, len(shown), left=0.75, top=above + 0.3, between=(0.0, 0.6))
         below = [figure.add_subplot(lower[0, i]) for i in range(len(shown))]
         for name, panel in zip(shown, below, strict=True):
             _ranks(panel, table, cases, name)
-        below[0].set_ylabel("Share of ranks below, less uniform")
+        below[0].set_ylabel("Share of ranks below,\nless uniform")
         titles = [f"{p:.0%} intervals".replace("%", " %") for p in LEVELS]
         head_panels([*axes, *below], [*titles, *(f"Ranks of {WORDS[name]}" for name in shown)])
     return figure
