@@ -106,6 +106,12 @@ def quantity_and_unit(parameter: str) -> tuple[str, str]:
     return parameter.replace("_", " "), ""
 
 
+def in_words(name: str) -> str:
+    """The name of an effect or parameter, its unit left out: ``motor Coulomb friction``."""
+    words, _ = quantity_and_unit(name)
+    return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+
+
 def dimension_of(channel: str) -> str | None:
     """The dimension of a channel by its unit suffix, ``None`` where it has none we know."""
     for suffix, dimension in _DIMENSION_OF_SUFFIX.items():

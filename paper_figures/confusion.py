@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections import Counter
 
@@ -15,16 +14,13 @@ from matplotlib.patches import Rectangle
 from bayesbl.figures.layout import grid
 from bayesbl.figures.style import DOUBLE_COLUMN_IN, new_figure
 from bayesbl.physics.effects import EFFECTS
-from bayesbl.report.diagnosed import in_words
+from bayesbl.units import in_words
 
 TABLES = ("hidden_effects_confusion", "hidden_effects_core_confusion")
 """The whole study where it was run, else its core."""
 
 _VERDICTS = ("nothing_missing", "unexplained")
 _OUTSIDE = "outside: "
-_UNIT = re.compile(r"_(kg_m2|nm(_s)?(_per_\w+)?|per_\w+)$")
-"""At the end of a parameter's name."""
-
 _ROW_IN = 0.172
 _LETTER_IN = 0.05
 """Mean width of a letter of 7 pt."""
@@ -106,7 +102,7 @@ def draw(shown: xr.Dataset) -> Figure:
 
 def _label(name: str) -> str:
     parts = name.removeprefix(_OUTSIDE).split(" + ")
-    told = " + ".join(in_words(_UNIT.sub("", part)) for part in parts)
+    told = " + ".join(in_words(part) for part in parts)
     return f"{told} (no effect)" if name.startswith(_OUTSIDE) else told
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from bayesbl.figures.layout import one_panel_each
 from bayesbl.figures.snapshots import GAP, credible_interval
 from bayesbl.figures.style import NEUTRAL, head_panels, look, publication_style
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import quantity_and_unit
+from bayesbl.units import in_words
 
 _BINS = 25
 _BELIEVED = "#d55e00"
@@ -30,11 +31,11 @@ def named(tree: xr.DataTree) -> Figure:
     answer = json.loads(tree.attrs["diagnosis"])
     shown = [name for name in map(str, posterior) if _is_size(name, answer)]
     figure, axes = one_panel_each(len(shown), height_in=1.9, shared=False)
-    told = [
+    values = [
         _draw(panel, tree, posterior[name], _believed(name, answer), look(index).colour)
         for index, (panel, name) in enumerate(zip(axes, shown, strict=True))
     ]
-    head_panels(axes, [f"{_title(n)}: {t}" for n, t in zip(shown, told, strict=True)])
+    head_panels(axes, values)
     return figure
 
 
@@ -81,29 +82,26 @@ def _draw(
     if believed is not None and edges[0] < factor * believed["median"] < edges[-1]:
         panel.axvline(factor * believed["median"], color=_BELIEVED, linewidth=1.0)
     panel.set_ylim(0.0, 1.1 * counts.max())
-    panel.set_xlabel(f"{_quantity(str(variable.name))} ({unit})" if unit != "1" else
-                     _quantity(str(variable.name)))  # fmt: skip
-    panel.set_ylabel(
-        "Density"
-        if unit == "1"
-        else f"Density (1/({unit}))"
-        if " " in unit
-        else f"Density (1/{unit})"
-    )
+    quantity = _quantity(str(variable.name))
+    panel.set_xlabel(quantity if unit == "1" else f"{quantity} ({unit})")
+    panel.set_ylabel("Density")
+    panel.set_yticks([])
     panel.locator_params(axis="x", nbins=5)
-    values = f"{found['median']:.4g} ({found['low']:.4g} to {found['high']:.4g})"
-    return values if believed is None else f"{values}, before {factor * believed['median']:.4g}"
-
-
-def _title(name: str) -> str:
-    if name == GAP:
-        return "gap"
-    owner = name.partition("__")[0] if "__" in name else name
-    return owner.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+    values = f"{_digits(found['median'])} ({_digits(found['low'])} to {_digits(found['high'])})"
+    return (
+        values if believed is None else f"{values}, before {_digits(factor * believed['median'])}"
+    )
 
 
 def _quantity(name: str) -> str:
+    """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
     if name == GAP:
         return "Gap δ"
-    quantity = name.rpartition("__")[2] if "__" in name else name
-    return quantity_and_unit(quantity)[0].capitalize()
+    told = ": ".join(map(in_words, name.split("__")))
+    return told[0].upper() + told[1:]
+
+
+def _digits(value: float) -> str:
+    """Four significant digits at least, never in powers of ten."""
+    places = 0 if value == 0.0 else max(0, 3 - math.floor(math.log10(abs(value))))
+    return f"{value:.{places}f}".replace("-", "−")

@@ -9,6 +9,7 @@ from typing import Literal
 from bayesbl.report import diagnosed, words, worn
 from bayesbl.report.words import SURE, Summary
 from bayesbl.results.folder import AUGMENTED_BENCH
+from bayesbl.units import in_words
 
 CLOSE = 0.05
 """Relative distance from the limit that a guess in two digits does not resolve."""
@@ -163,7 +164,7 @@ def _of_diagnosis(summary: Summary) -> Advice:
         case "named" if diagnosed.has_augmented_bench(summary):
             return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "named":
-            names = ", ".join(diagnosed.in_words(effect["name"]) for effect in summary["effects"])
+            names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
             return Advice(
                 "note",
                 "Complete the bench before you rely on it.",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
-from bayesbl.units import quantity_and_unit
+from bayesbl.units import in_words, quantity_and_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,11 +58,6 @@ def has_augmented_bench(summary: Summary) -> bool:
     return summary["gap"]["unit"] is None and summary["verdict"] in ("named", "parameter_error")
 
 
-def in_words(name: str) -> str:
-    """``motor Coulomb friction``."""
-    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
-
-
 def use_in_words(use: str) -> str:
     """``held out``."""
     return _USES[use]
@@ -85,7 +80,8 @@ def parameter_errors(summary: Summary) -> Iterator[str]:
     """Parameters that do not hold what the bench file says."""
     for error in summary["parameter_errors"]:
         name, unit = quantity_and_unit(error["name"])
-        believed = _with_unit(f"{error['believed']:.4g} ± {error['tolerance']:.3g}", unit)
+        tolerance = f" ± {_digits(error['tolerance'])}" if error["tolerance"] else ""
+        believed = _with_unit(f"{_digits(error['believed'])}{tolerance}", unit)
         text = f"{in_words(name)} is {_value(error['fitted'], unit)}, not {believed}."
         yield text[0].upper() + text[1:]
 
@@ -108,9 +104,7 @@ def wear(summary: Summary) -> Iterator[str]:
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
     if before is None or after is None:
         return
-    told = (
-        f"{1e3 * after['median']:.4g} mrad ({1e3 * after['low']:.4g} to {1e3 * after['high']:.4g})"
-    )
+    told = words.in_mrad(after)
     if summary["verdict"] == "unexplained":
         yield (
             f"With what is unexplained in it the gap would be {told}: do not rely on it before "
@@ -153,21 +147,25 @@ def _phrase(line: dict[str, Any]) -> str:
 
 
 def _sized(parameter: str, interval: dict[str, Any]) -> str:
-    """``torque 15 N m (14.99 to 15.02)``."""
-    name, unit = quantity_and_unit(parameter)
-    return f"{name} {_value(interval, unit)}"
+    """``torque 15.00 N m (14.99 to 15.02)``; of one recording, ``phase (reverse) 0.71 rad``."""
+    name, space, recording = parameter.partition(" ")
+    quantity, unit = quantity_and_unit(name)
+    return f"{quantity}{space}{recording} {_value(interval, unit)}"
 
 
 def _value(interval: dict[str, Any], unit: str) -> str:
-    middle = _with_unit(f"{interval['median']:.4g}", unit)
     if interval["low"] is None:
-        return middle
-    around = _with_unit(f"{interval['low']:.4g} to {interval['high']:.4g}", "")
-    return f"{middle} ({around})"
+        return _with_unit(_digits(interval["median"]), unit)
+    middle = words.number(interval["median"], words.decimals(interval))
+    return f"{_with_unit(middle, unit)} ({words.bounds(interval)})"
+
+
+def _digits(value: float) -> str:
+    return words.significant(value, 4) if value % 1.0 else words.number(value, 0)
 
 
 def _with_unit(value: str, unit: str) -> str:
-    return f"{value.replace('-', '−')} {unit}".rstrip()
+    return f"{value} {unit}".rstrip()
 
 
 def _beyond_noise(deviations: float) -> str:

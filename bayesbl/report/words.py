@@ -403,7 +403,9 @@ def _of(name: str) -> str:
 
 def glued(sentence: str) -> str:
     """With no-break spaces between a number and its sign or unit."""
-    return re.sub(r"(?<=[<>]) (?=\d)|(?<=\d) (?=%|mrad|rpm|rad)", "\N{NO-BREAK SPACE}", sentence)
+    before_unit = r"(?<=\d) (?=%|mrad|rpm|rad|A\b|N m|kg m)"
+    within = r"(?<=[<>]) (?=\d)|(?<=\d N) (?=m)|(?<=\d kg) (?=m)"
+    return re.sub(f"{before_unit}|{within}", "\N{NO-BREAK SPACE}", sentence)
 
 
 def wrapped(sentence: str, width: int) -> str:
