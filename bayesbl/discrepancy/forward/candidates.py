@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -12,7 +12,7 @@ import numpy as np
 from bayesbl.discrepancy.forward.motor_orders import OrderPeak
 from bayesbl.inference.simulated import Observed, Unknown
 from bayesbl.physics.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.physics.effects import EFFECTS, Effect, EffectParameter
+from bayesbl.physics.effects import EFFECTS, Effect, EffectParameter, effect_named
 from bayesbl.recording.types import FloatArray
 
 Kind = Literal["effect", "parameter"]
@@ -54,8 +54,8 @@ class Candidate:
     neutral
         Coordinates at which nothing is added, shape (k,).
     scanned
-        Index of an unknown and the coordinates that are scanned for it where the nominal fit may be
-        far off, or ``None``.
+        Coordinates of unknowns, by index, whose combinations are tried where the nominal fit may be
+        far off.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Candidate:
     unknowns: tuple[Unknown, ...]
     neutral: FloatArray
     starts: tuple[FloatArray, ...] = ()
-    scanned: tuple[int, FloatArray] | None = None
+    scanned: Mapping[int, FloatArray] = field(default_factory=dict)
     effect: BenchEffect | None = field(default=None)
 
     def bench(self, bench: Bench) -> Bench:
@@ -123,17 +123,18 @@ def _plain(effect: Effect) -> Candidate:
     )
     neutral = np.array([p.neutral for p in effect.parameters])
     starts: tuple[FloatArray, ...] = ()
+    scanned: dict[int, FloatArray] = {}
+    if effect.enters in ("load", "shaft"):
+        main = effect.parameters[0]
+        grid = main.high * np.array(_SCANNED_SHARES)
+        scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
     shape = [i for i, p in enumerate(effect.parameters) if p.shape_only]
     if shape:
         i = shape[0]
-        low, high = effect.parameters[i].low, effect.parameters[i].high
-        middle = [np.geomspace(low, high, 7)[k] for k in (2, 3, 4, 5)]
+        middle = np.geomspace(effect.parameters[i].low, effect.parameters[i].high, 7)[2:6]
         starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
-    main = effect.parameters[0]
-    grid = main.high * np.array(_SCANNED_SHARES)
-    if main.low < 0.0:
-        grid = np.concatenate([-grid[:0:-1], grid])
-    scanned = (0, grid) if effect.enters in ("load", "shaft") else None
+        if scanned:
+            scanned[i] = middle
     return Candidate(
         effect.name, "effect", unknowns, neutral, starts, scanned, _neutral_effect(effect)
     )
@@ -184,6 +185,24 @@ def _neutral_effect(effect: Effect, **given: float) -> BenchEffect:
     return BenchEffect(
         effect.name, {name: EffectParameterValue(value) for name, value in values.items()}
     )
+
+
+def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | None:
+    """A constant torque in each recording; ``None`` if the bench has such an offset already.
+
+    At constant speed all friction of the motor is one, whatever its law: no explanation, but what
+    stands in for one while the rest is sought.
+    """
+    effect = effect_named("motor_torque_offset")
+    if any(present.name == effect.name for present in bench.effects):
+        return None
+    (torque,) = effect.parameters
+    name = f"{effect.name}__{torque.name}"
+    unknowns = tuple(
+        Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings
+    )
+    neutral = np.zeros(len(unknowns))
+    return Candidate(effect.name, "effect", unknowns, neutral, effect=_neutral_effect(effect))
 
 
 def is_periodic(candidate: Candidate) -> bool:

@@ -14,7 +14,7 @@ from bayesbl.errors import BenchError
 from bayesbl.inference.alignment import aligned_starts
 from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.inference.simulated import GAP, SimulatedSignals, Unknown
-from bayesbl.inference.simulated_fit import SimulatedFit, fit_simulated
+from bayesbl.inference.simulated_fit import SimulatedFit, fit_simulated, with_model
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
@@ -104,7 +104,7 @@ def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanati
     elif len(starts) > 1:
         starts = [_nudged(model, start, own) for start in starts]
         starts = sorted(starts, key=lambda s: _chi_square(model, s))[:2]
-    if scan and candidate.scanned is not None:
+    if scan and candidate.scanned:
         starts += _scanned_starts(model, base, candidate)
     best: SimulatedFit | None = None
     for start in starts:
@@ -115,6 +115,26 @@ def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanati
         if best is None or fit.chi_square < best.chi_square:
             best = fit
     return None if best is None else Explanation((*base.candidates, candidate), best)
+
+
+def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
+    """Fit roughly with one candidate more, from the best place in its whole range alone."""
+    model = extended(base.fit.model, candidate)
+    start = _scanned_starts(model, base, candidate)[0]
+    try:
+        fit = fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED)
+    except BenchError:
+        return None
+    return Explanation((*base.candidates, candidate), fit)
+
+
+def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
+    """An explanation with all candidates but the last taken away and nothing fitted again."""
+    last = full.candidates[-1]
+    size = full.fit.point.size
+    kept = np.r_[: nominal.fit.point.size, size - len(last.unknowns) : size]
+    found = replace(full.fit, point=full.fit.point[kept], steps=full.fit.steps[kept])
+    return Explanation((last,), with_model(found, extended(nominal.fit.model, last)))
 
 
 def polished(explanation: Explanation) -> Explanation:
@@ -268,10 +288,8 @@ def _chi_square(model: SimulatedSignals, point: FloatArray) -> float:
 def _scanned_starts(
     model: SimulatedSignals, base: Explanation, candidate: Candidate
 ) -> list[FloatArray]:
-    assert candidate.scanned is not None
     own = len(base.fit.point)
-    place, grid = candidate.scanned
-    grids = {own + place: grid}
+    grids = {own + place: grid for place, grid in candidate.scanned.items()}
     names = [u.name for u in model.unknowns]
     if GAP in names:
         gap = names.index(GAP)
@@ -279,7 +297,7 @@ def _scanned_starts(
     starts = aligned_starts(model, grids)[:2]
     for start in starts:
         for i in range(len(candidate.unknowns)):
-            if i != place:
+            if i not in candidate.scanned:
                 start[own + i] = candidate.neutral[i]
     return starts
 

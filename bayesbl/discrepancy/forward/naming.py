@@ -9,12 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.discrepancy.forward.candidates import Candidate
+from bayesbl.discrepancy.forward.candidates import Candidate, steady_torque
 from bayesbl.discrepancy.forward.explain import (
     Explanation,
     distance,
     explain,
+    from_afar,
     gain_threshold,
+    last_alone,
     linear_gain,
     nominal_explanation,
     polished,
@@ -43,7 +45,9 @@ GROSS = 1.05
 WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
 
+BEAMS_ALONE = 5
 BEAMS = 3
+"""Explanations by one candidate, and by several, that another is added to."""
 MOST_EXCHANGES = 4
 CLEARLY_BETTER = 1.0
 """Gain of log evidence for which one candidate is exchanged for another."""
@@ -51,6 +55,8 @@ FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
 """Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+CHANCE_LOSS = 6.6
+"""χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +130,9 @@ def name_missing(
         # The gap may have been drawn to another optimum.
         first = search.first_from_afar(nominal, first)
         final = max(search.extended(nominal, first), final, key=lambda e: e.log_evidence)
+        if not search.agrees(final):
+            pairs = search.beside_steady_torque(nominal)
+            final = max(search.extended(nominal, pairs), final, key=lambda e: e.log_evidence)
     final = search.settled(nominal, final, first)
     remaining = disagreements(final.fit)
     verdict = _verdict(nominal, final, before, remaining, false_alarm)
@@ -176,27 +185,49 @@ class _Search:
         self, nominal: Explanation, first: Sequence[Explanation]
     ) -> list[Explanation]:
         """The same with starts over the whole ranges, for those that move the gap."""
-        far = [c for c in self._candidates if c.scanned is not None]
+        far = [c for c in self._candidates if c.scanned]
         fits = [explain(nominal, c, scan=True) for c in far]
-        near = [e for e in first if e.candidates[-1].scanned is None]
+        near = [e for e in first if not e.candidates[-1].scanned]
         return self._contenders([*near, *fits])
+
+    def beside_steady_torque(self, nominal: Explanation) -> list[Explanation]:
+        """Pairs of a candidate that moves the gap with another that does not, from afar.
+
+        The first is sought with a constant torque free in every recording, so that friction of the
+        motor, if it is the second, does not draw the gap away.
+        """
+        model = nominal.fit.model
+        steady = steady_torque(model.bench, model.recordings)
+        free = None if steady is None else self._fit(nominal, steady)
+        if free is None or self._max_effects < 2:
+            return []
+        found = [from_afar(free, c) for c in self._candidates if c.scanned]
+        best = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)[:BEAMS]
+        pairs: list[Explanation] = []
+        for explanation in best:
+            pairs += self.next(last_alone(nominal, explanation))
+            if any(self.is_done(pair) for pair in pairs):
+                break
+        return self._contenders(pairs)
 
     def extended(self, nominal: Explanation, first: Sequence[Explanation]) -> Explanation:
         """The most probable explanation by as many candidates as it takes."""
-        beams = [e for e in first if self.is_significant(nominal, e)][:BEAMS]
+        beams = [e for e in first if self.is_significant(nominal, e)]
         final = beams[0] if beams else nominal
-        depth = 1
-        while beams and depth < self._max_effects and not self.is_done(final):
+        if not self.agrees(nominal):
+            # One of two effects alone may fit one recording better and another worse.
+            beams = [e for e in first if self._gains_enough(nominal, e)]
+        beams = beams[:BEAMS_ALONE]
+        while beams and len(final.candidates) < self._max_effects and not self.is_done(final):
             following: list[Explanation] = []
             for beam in beams:
                 following += self.next(beam)
-                if any(self.agrees(e) for e in following):
+                if any(self.is_done(e) for e in following):
                     break
             following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
             if not following or following[0].log_evidence <= final.log_evidence:
                 break
             beams, final = following[:BEAMS], following[0]
-            depth += 1
         return final
 
     def next(self, base: Explanation) -> list[Explanation]:
@@ -210,9 +241,12 @@ class _Search:
 
     def is_significant(self, base: Explanation, more: Explanation) -> bool:
         """Whether χ² falls by more than chance, and in the rotations alike."""
+        enough = self._gains_enough(base, more)
+        return enough and _consistency(base.fit, more.fit) > LEAST_CONSISTENCY
+
+    def _gains_enough(self, base: Explanation, more: Explanation) -> bool:
         gain = base.fit.chi_square - more.fit.chi_square
-        threshold = self._threshold(more.parameters - base.parameters)
-        return gain > threshold and _consistency(base.fit, more.fit) > LEAST_CONSISTENCY
+        return gain > self._threshold(more.parameters - base.parameters)
 
     def is_done(self, explanation: Explanation) -> bool:
         """Whether nothing repeats any more and no further candidate promises anything."""
@@ -369,9 +403,10 @@ def _verdict(
 ) -> Verdict:
     if not final.candidates:
         return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
-    enough = enough_closed(final)
-    if not agrees(list(remaining), false_alarm) and _closed(before, remaining) < enough:
-        return "unexplained"
+    if not agrees(list(remaining), false_alarm):
+        known = _squares(nominal.fit.deviations) - _squares(final.fit.deviations)
+        if _closed(before, remaining, known) < enough_closed(final):
+            return "unexplained"
     effects = any(c.kind == "effect" for c in final.candidates)
     return "named" if effects else "parameter_error"
 
@@ -382,21 +417,42 @@ def enough_closed(explanation: Explanation) -> float:
     return ENOUGH_CLOSED if effects else ENOUGH_CLOSED_BY_PARAMETERS
 
 
-def _closed(before: Sequence[Disagreement], after: Sequence[Disagreement]) -> float:
-    """Share of the power that repeats beyond noise which is gone, over the widest band."""
+def _closed(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
+    """Share of the χ² that repeats beyond noise which is gone, over the widest band.
+
+    ``known`` is what the prior gained besides, as of a known start angle.
+    """
     widest = max(entry.highest_order for entry in before)
-    first = sum(e.ratio - 1.0 for e in before if e.highest_order == widest)
-    last = sum(e.ratio - 1.0 for e in after if e.highest_order == widest)
+    first, last = (
+        sum(2.0 * widest * (e.ratio - 1.0) for e in entries if e.highest_order == widest)
+        for entries in (before, after)
+    )
+    first += max(known, 0.0)
     return 1.0 - last / first if first > 0.0 else 0.0
 
 
 def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
     """Mean gain of χ² per rotation over its standard error.
 
-    What a normal prior gains, as of a known start angle, holds in all rotations alike.
+    An effect may show in one recording more than in another: where no recording loses, the gains
+    scatter about their own recording's mean, else about the mean of all. What a normal prior gains,
+    as of a known start angle, holds in all rotations alike.
     """
+    gains = _gains(base, more)
+    values = np.concatenate(gains)
+    none_loses = all(part.sum() > -CHANCE_LOSS for part in gains)
+    if not none_loses or min(part.size for part in gains) < 2:
+        gains = [values]
+    squares = sum(_squares(part - part.mean()) for part in gains)
+    error = math.sqrt(squares / max(values.size - len(gains), 1) / values.size)
     known = _squares(base.deviations) - _squares(more.deviations)
-    gains: list[float] = []
+    mean = float(values.mean()) + known / values.size
+    return mean / error if error > 0.0 else math.inf
+
+
+def _gains(base: SimulatedFit, more: SimulatedFit) -> list[FloatArray]:
+    """Drop of χ² in each whole rotation, a vector for each recording."""
+    gains = []
     begin = 0
     for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
         n = seen.samples - noise.order
@@ -406,10 +462,8 @@ def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
         change = base.residual[part] ** 2 - more.residual[part] ** 2
         rows = change.reshape(len(seen.signals), n).sum(axis=0)
         whole = n // seen.lag
-        gains += rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1).tolist()
-    values = np.array(gains) + known / len(gains)
-    error = float(values.std(ddof=1)) / math.sqrt(values.size)
-    return float(values.mean()) / error if error > 0.0 else math.inf
+        gains.append(rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1))
+    return gains
 
 
 def _squares(values: FloatArray) -> float:
