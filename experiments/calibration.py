@@ -40,11 +40,8 @@ from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.agreement import disagreements
-from bayesbl.inference.alignment import fit_aligned
 from bayesbl.inference.calibration import rank
 from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE
-from bayesbl.inference.direct import sample_direct
 from bayesbl.inference.estimator import Estimator, PointEstimate
 from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.inference.simulated import GAP, observed
@@ -55,7 +52,7 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import read_curve
 from bayesbl.signal.parameters import AMPLITUDE, DECAY, FREQUENCY
 from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
-from bayesbl.workflows.direct import DirectMeasurement, direct_unknowns
+from bayesbl.workflows.direct import fit_directly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -291,9 +288,8 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    fit = fit_aligned(bench, seen, direct_unknowns(bench, SNAPSHOTS, row.gap_rad))
-    posterior = sample_direct(fit, FAST_DIRECT, seed, corrected=False)
-    found = DirectMeasurement(posterior, tuple(disagreements(fit)))
+    found = fit_directly(bench, seen, row.gap_rad, FAST_DIRECT, seed, corrected=False)
+    posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
     return Answer((before, after), withheld)

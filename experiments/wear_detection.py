@@ -37,10 +37,7 @@ from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.agreement import disagreements
-from bayesbl.inference.alignment import fit_aligned
 from bayesbl.inference.calibration import coverage_band
-from bayesbl.inference.direct import sample_direct
 from bayesbl.inference.estimator import Estimator
 from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.simulated import GAP, observed
@@ -48,7 +45,7 @@ from bayesbl.physics.bench import Bench
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import read_curve
-from bayesbl.workflows.direct import DirectMeasurement, direct_unknowns
+from bayesbl.workflows.direct import fit_directly
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -312,9 +309,8 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    fit = fit_aligned(bench, seen, direct_unknowns(bench, SNAPSHOTS, row.prior_rad))
-    posterior = sample_direct(fit, FAST_DIRECT, seed, corrected=False)
-    found = DirectMeasurement(posterior, tuple(disagreements(fit)))
+    found = fit_directly(bench, seen, row.prior_rad, FAST_DIRECT, seed, corrected=False)
+    posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name) for name in SNAPSHOTS)
     return before, after, withheld

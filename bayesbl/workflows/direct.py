@@ -182,13 +182,18 @@ def fit_directly(
     seed: np.random.SeedSequence,
     workers: int = 1,
     progress: StageProgress | None = None,
+    *,
+    corrected: bool = True,
 ) -> DirectMeasurement:
-    """Optimum, predictive check and posterior of all recordings together."""
+    """Optimum, predictive check and posterior of all recordings together.
+
+    ``corrected`` as :func:`bayesbl.inference.direct.sample_direct` takes it.
+    """
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad)
     fit = fit_aligned(bench, recordings, unknowns, workers)
     name = " and ".join(r.name for r in recordings)
     told = None if progress is None else partial(progress, name)
-    posterior = sample_direct(fit, sampler, seed, told)
+    posterior = sample_direct(fit, sampler, seed, told, corrected=corrected)
     return DirectMeasurement(posterior, tuple(disagreements(fit)))
 
 
