@@ -186,6 +186,33 @@ def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
     assert found.bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
 
 
+def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
+    hidden = {"shaft_hysteresis__torque_nm": 40.0, "shaft_hysteresis__angle_rad": 1e-3}
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 6, hidden, gap_rad=2.7e-3),
+        ("shaft_hysteresis",),
+    )
+    assert abs(found.delta_before.value - math.log(2.7e-3)) > 1.0
+    assert names(found) == ["shaft_hysteresis"]
+    assert near(estimates(found.final, "shaft_hysteresis")["torque_nm"], 40.0)
+    assert near(found.delta_after, math.log(2.7e-3))
+
+
+def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(independent) -> None:
+    hidden = {
+        "motor_coulomb_friction__torque_nm": 0.2,
+        "load_coulomb_friction__torque_nm": FRICTION_NM,
+    }
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 7, hidden, gap_rad=2.7e-3),
+        ("motor_coulomb_friction", "load_coulomb_friction"),
+    )
+    assert sorted(names(found)) == ["load_coulomb_friction", "motor_coulomb_friction"]
+    for name, size in (("motor_coulomb_friction", 0.2), ("load_coulomb_friction", FRICTION_NM)):
+        assert near(estimates(found.final, name)["torque_nm"], size)
+    assert near(found.delta_after, math.log(2.7e-3))
+
+
 def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None:
     found = diagnosed(
         recorded(independent, (2000.0, -1200.0), 4, {"outside__belt_torque_nm": 0.2}),
