@@ -125,14 +125,16 @@ def name_missing(
     nominal = nominal_explanation(nominal_fit)
     before = disagreements(nominal_fit)
     first = search.first(nominal)
-    final = search.extended(nominal, first)
-    if first and _is_gross(first[0]) and not search.agrees(final):
-        # The gap may have been drawn to another optimum.
-        first = search.first_from_afar(nominal, first)
-        final = max(search.extended(nominal, first), final, key=lambda e: e.log_evidence)
+    final = search.extended(nominal, first, most=2)
+    if first and _is_gross(first[0]):
+        # What is missing may have drawn the gap to another optimum.
         if not search.agrees(final):
-            pairs = search.beside_steady_torque(nominal)
-            final = max(search.extended(nominal, pairs), final, key=lambda e: e.log_evidence)
+            final = _better(final, search.extended(nominal, search.beside_steady_torque(nominal)))
+        if not search.agrees(final):
+            first = search.first_from_afar(nominal, first)
+            final = _better(final, search.extended(nominal, first, most=2))
+    if len(final.candidates) == 2 and not search.is_done(final):
+        final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
     remaining = disagreements(final.fit)
     verdict = _verdict(nominal, final, before, remaining, false_alarm)
@@ -210,15 +212,18 @@ class _Search:
                 break
         return self._contenders(pairs)
 
-    def extended(self, nominal: Explanation, first: Sequence[Explanation]) -> Explanation:
-        """The most probable explanation by as many candidates as it takes."""
+    def extended(
+        self, nominal: Explanation, first: Sequence[Explanation], most: int | None = None
+    ) -> Explanation:
+        """The most probable explanation by as many candidates as it takes, at most so many."""
+        most = self._max_effects if most is None else min(most, self._max_effects)
         beams = [e for e in first if self.is_significant(nominal, e)]
         final = beams[0] if beams else nominal
         if not self.agrees(nominal):
             # One of two effects alone may fit one recording better and another worse.
             beams = [e for e in first if self._gains_enough(nominal, e)]
         beams = beams[:BEAMS_ALONE]
-        while beams and len(final.candidates) < self._max_effects and not self.is_done(final):
+        while beams and len(final.candidates) < most and not self.is_done(final):
             following: list[Explanation] = []
             for beam in beams:
                 following += self.next(beam)
@@ -388,6 +393,11 @@ class _Search:
         found = sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
         best = [polished(e) for e in found[:CONTENDERS]]
         return sorted([*best, *found[CONTENDERS:]], key=lambda e: -e.log_evidence)
+
+
+def _better(a: Explanation, b: Explanation) -> Explanation:
+    """The more probable one, the first if neither is."""
+    return max(a, b, key=lambda e: e.log_evidence)
 
 
 def _is_gross(explanation: Explanation) -> bool:
