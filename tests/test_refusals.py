@@ -142,6 +142,8 @@ def test_a_dead_position_is_refused_whatever_the_route(tmp_path):
 def test_dates_on_some_recordings_only_are_refused(tmp_path, capsys):
     path = compare_file(tmp_path, second="date = 2026-03-01")
     refused(["run", path], capsys, "every one needs its date, or none", '"wear_before"')
+    path = compare_file(tmp_path, second="repaired = true")
+    refused(["run", path], capsys, "needs dates", '"wear_after"')
     for dates in ({}, {"first": "date = 2026-02-01", "second": "date = 2026-03-01"}):
         assert cli.status(["check", str(compare_file(tmp_path, **dates))]) == 0
 

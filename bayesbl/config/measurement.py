@@ -242,6 +242,14 @@ class CompareConfig(SnapshotConfig):
             )
         dates = _dates(recordings)
         if dates is None:
+            repaired = [f'"{recording.name}"' for recording in recordings if recording.repaired]
+            if repaired:
+                refuse(
+                    "repaired = true marks the recording from which wear is counted in time, and "
+                    "that needs dates.",
+                    found=f"{', '.join(repaired)}, and no dates",
+                    expected="date = 2026-03-01 in every [[recordings]], or no repaired = true",
+                )
             return recordings
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
