@@ -45,9 +45,10 @@ GROSS = 1.05
 WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
 
-BEAMS_ALONE = 5
 BEAMS = 3
-"""Explanations by one candidate, and by several, that another is added to."""
+"""Explanations that another candidate is added to."""
+BEAMS_ALONE = 5
+"""The same of explanations by one candidate, if none of them agrees."""
 MOST_EXCHANGES = 4
 CLEARLY_BETTER = 1.0
 """Gain of log evidence for which one candidate is exchanged for another."""
@@ -222,7 +223,7 @@ class _Search:
         if not self.agrees(nominal):
             # One of two effects alone may fit one recording better and another worse.
             beams = [e for e in first if self._gains_enough(nominal, e)]
-        beams = beams[:BEAMS_ALONE]
+        beams = beams[: BEAMS if self.agrees(final) else BEAMS_ALONE]
         while beams and len(final.candidates) < most and not self.is_done(final):
             following: list[Explanation] = []
             for beam in beams:
