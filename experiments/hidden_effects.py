@@ -402,7 +402,7 @@ def _own_fit(found: ForwardDiagnosis, hidden: Hidden) -> Explanation | None:
     known = candidates(nominal.fit.model.bench, nominal.fit.model.recordings, [name], peaks)
     for candidate in known:
         if candidate.name == name:
-            return explain(nominal, candidate, scan=False)
+            return explain(nominal, candidate)
     return None
 
 

@@ -86,15 +86,8 @@ def gain_threshold(parameters: int, trials: int, false_alarm: float) -> float:
     return float(chi2.isf(false_alarm / max(trials, 1), max(parameters, 1)))
 
 
-def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanation | None:
-    """Fit roughly with one candidate more; ``None`` if its bench cannot be simulated.
-
-    Parameters
-    ----------
-    scan
-        Try gaps and strengths over their whole range as starts, for a nominal fit that may be far
-        off.
-    """
+def explain(base: Explanation, candidate: Candidate) -> Explanation | None:
+    """Fit roughly with one candidate more; ``None`` if its bench cannot be simulated."""
     model = extended(base.fit.model, candidate)
     own = len(base.fit.point)
     starts = [np.concatenate([base.fit.point, candidate.neutral])]
@@ -104,8 +97,6 @@ def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanati
     elif len(starts) > 1:
         starts = [_nudged(model, start, own) for start in starts]
         starts = sorted(starts, key=lambda s: _chi_square(model, s))[:2]
-    if scan and candidate.scanned:
-        starts += _scanned_starts(model, base, candidate)
     best: SimulatedFit | None = None
     for start in starts:
         try:
@@ -118,11 +109,12 @@ def explain(base: Explanation, candidate: Candidate, *, scan: bool) -> Explanati
 
 
 def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
-    """Fit roughly with one candidate more, from the best place in its whole range alone."""
+    """As :func:`explain`, but from the best place in the candidate's whole range."""
     model = extended(base.fit.model, candidate)
-    start = _scanned_starts(model, base, candidate)[0]
     try:
-        fit = fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED)
+        fit = fit_simulated(
+            model, _scanned_start(model, base, candidate), base.fit.steps, ROUGHLY_CONVERGED
+        )
     except BenchError:
         return None
     return Explanation((*base.candidates, candidate), fit)
@@ -135,6 +127,14 @@ def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
     kept = np.r_[: nominal.fit.point.size, size - len(last.unknowns) : size]
     found = replace(full.fit, point=full.fit.point[kept], steps=full.fit.steps[kept])
     return Explanation((last,), with_model(found, extended(nominal.fit.model, last)))
+
+
+def refitted(explanation: Explanation) -> Explanation:
+    """The same explanation, fitted roughly from where it stands."""
+    fit = explanation.fit
+    return replace(
+        explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, ROUGHLY_CONVERGED)
+    )
 
 
 def polished(explanation: Explanation) -> Explanation:
@@ -285,21 +285,18 @@ def _chi_square(model: SimulatedSignals, point: FloatArray) -> float:
     return value if math.isfinite(value) else math.inf
 
 
-def _scanned_starts(
-    model: SimulatedSignals, base: Explanation, candidate: Candidate
-) -> list[FloatArray]:
+def _scanned_start(model: SimulatedSignals, base: Explanation, candidate: Candidate) -> FloatArray:
     own = len(base.fit.point)
     grids = {own + place: grid for place, grid in candidate.scanned.items()}
     names = [u.name for u in model.unknowns]
     if GAP in names:
         gap = names.index(GAP)
         grids[gap] = np.linspace(model.low[gap], model.high[gap], SCANNED_GAPS)
-    starts = aligned_starts(model, grids)[:2]
-    for start in starts:
-        for i in range(len(candidate.unknowns)):
-            if i not in candidate.scanned:
-                start[own + i] = candidate.neutral[i]
-    return starts
+    start = aligned_starts(model, grids)[0]
+    for i in range(len(candidate.unknowns)):
+        if i not in candidate.scanned:
+            start[own + i] = candidate.neutral[i]
+    return start
 
 
 def _width(unknown: Unknown) -> float:

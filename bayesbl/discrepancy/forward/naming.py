@@ -21,6 +21,7 @@ from bayesbl.discrepancy.forward.explain import (
     nominal_explanation,
     polished,
     reduced,
+    refitted,
 )
 from bayesbl.inference.agreement import Disagreement, agrees, disagreements
 from bayesbl.inference.simulated_fit import SimulatedFit
@@ -126,14 +127,14 @@ def name_missing(
     nominal = nominal_explanation(nominal_fit)
     before = disagreements(nominal_fit)
     first = search.first(nominal)
-    final = search.extended(nominal, first, most=2)
+    far: list[Explanation] = []
     if first and _is_gross(first[0]):
         # What is missing may have drawn the gap to another optimum.
-        if not search.agrees(final):
-            final = _better(final, search.extended(nominal, search.beside_steady_torque(nominal)))
-        if not search.agrees(final):
-            first = search.first_from_afar(nominal, first)
-            final = _better(final, search.extended(nominal, first, most=2))
+        far = search.from_afar(nominal)
+        first = search.first_from_afar(first, far)
+    final = search.extended(nominal, first, most=2)
+    if first and _is_gross(first[0]) and not search.agrees(final):
+        final = _better(final, search.extended(nominal, search.beside(far)))
     if len(final.candidates) == 2 and not search.is_done(final):
         final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
@@ -184,31 +185,30 @@ class _Search:
             tried = tuple(c for c, gain in promised if gain > least)
         return self._contenders([self._fit(nominal, c) for c in tried])
 
-    def first_from_afar(
-        self, nominal: Explanation, first: Sequence[Explanation]
-    ) -> list[Explanation]:
-        """The same with starts over the whole ranges, for those that move the gap."""
-        far = [c for c in self._candidates if c.scanned]
-        fits = [explain(nominal, c, scan=True) for c in far]
-        near = [e for e in first if not e.candidates[-1].scanned]
-        return self._contenders([*near, *fits])
+    def from_afar(self, nominal: Explanation) -> list[Explanation]:
+        """Candidates that move the gap, each sought in its whole range, most probable first.
 
-    def beside_steady_torque(self, nominal: Explanation) -> list[Explanation]:
-        """Pairs of a candidate that moves the gap with another that does not, from afar.
-
-        The first is sought with a constant torque free in every recording, so that friction of the
-        motor, if it is the second, does not draw the gap away.
+        They are sought with a constant torque free in every recording, so that friction of the
+        motor does not draw the gap away, and then stand without it, not fitted again.
         """
         model = nominal.fit.model
         steady = steady_torque(model.bench, model.recordings)
-        free = None if steady is None else self._fit(nominal, steady)
-        if free is None or self._max_effects < 2:
-            return []
+        free = (None if steady is None else self._fit(nominal, steady)) or nominal
         found = [from_afar(free, c) for c in self._candidates if c.scanned]
-        best = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)[:BEAMS]
+        best = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
+        return [last_alone(nominal, e) for e in best]
+
+    def first_from_afar(
+        self, first: Sequence[Explanation], far: Sequence[Explanation]
+    ) -> list[Explanation]:
+        """All candidates one at a time, those from afar fitted from where they stand too."""
+        return _distinct(self._contenders([*first, *map(refitted, far)]))
+
+    def beside(self, far: Sequence[Explanation]) -> list[Explanation]:
+        """Pairs of the best candidates from afar with another."""
         pairs: list[Explanation] = []
-        for explanation in best:
-            pairs += self.next(last_alone(nominal, explanation))
+        for explanation in far[:BEAMS]:
+            pairs += self.next(explanation)
             if any(self.is_done(pair) for pair in pairs):
                 break
         return self._contenders(pairs)
@@ -383,7 +383,7 @@ class _Search:
     def _fit(self, base: Explanation, candidate: Candidate) -> Explanation | None:
         key = id(base), id(candidate)
         if key not in self._fits:
-            self._fits[key] = base, explain(base, candidate, scan=False)
+            self._fits[key] = base, explain(base, candidate)
             self._made += 1
             if self._progress is not None:
                 self._progress(self._made, max(self._made, len(self._candidates)))
