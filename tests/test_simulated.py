@@ -12,10 +12,12 @@ from bayesbl.inference.channel_noise import estimate_channel_noise
 from bayesbl.inference.recent import RecentSimulations
 from bayesbl.inference.simulated import (
     SimulatedSignals,
+    Unknown,
     gap_unknown,
     observed,
     start_angle_unknown,
 )
+from bayesbl.inference.simulated_fit import fit_simulated
 from bayesbl.physics.bench import Bench, BenchEffect, EffectParameterValue, Measurement
 from bayesbl.physics.noise import NoiseModel
 
@@ -60,6 +62,17 @@ def test_a_steady_rotation_repeats_in_a_run_over_all_of_them() -> None:
     accuracy_rpm = 0.003 * once.noise[0].sd[0]
     gap = np.abs(once.signals(POINTS, 0) - whole.signals(POINTS, 0))
     assert gap[:, 0].max() < 2.0 * accuracy_rpm
+
+
+def test_a_phase_that_nothing_tells_keeps_the_prior_of_an_angle() -> None:
+    names = ("torque_nm", "order", "phase_rad")
+    values = {name: EffectParameterValue(v) for name, v in zip(names, (0.0, 6.0, 0.0), strict=True)}
+    asked = model(reference_bench().with_effects(BenchEffect("motor_torque_ripple", values)))
+    unknowns = (*asked.unknowns, Unknown("motor_torque_ripple__phase_rad"))
+    free = SimulatedSignals(asked.bench, asked.recordings, unknowns, asked.noise)
+    fit = fit_simulated(free, np.array([math.log(8e-4), 1.0, 0.0]))
+    assert fit.sd("motor_torque_ripple__phase_rad") == pytest.approx(math.pi / math.sqrt(3.0))
+    assert fit.sd("start_angle_rad", "one") < 0.01
 
 
 def test_what_was_simulated_is_neither_made_nor_changed_again() -> None:

@@ -172,9 +172,13 @@ class Unknown:
 
     @property
     def prior_sd(self) -> float:
-        """Standard deviation of the prior, a flat one's included."""
+        """Standard deviation of the prior, a flat one's included.
+
+        What has no range and no other prior is an angle, flat on a turn.
+        """
         flat = (self.high - self.low) / math.sqrt(12.0)
-        return min(flat, self.sd)
+        known = min(flat, self.sd)
+        return known if math.isfinite(known) else 2.0 * math.pi / math.sqrt(12.0)
 
 
 def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
