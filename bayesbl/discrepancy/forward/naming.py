@@ -57,6 +57,8 @@ FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
 """Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+BEYOND_CHANCE = 2.0
+"""Standard deviations of noise that what is left is lessened by before it speaks against a name."""
 CHANCE_LOSS = 6.6
 """χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
 
@@ -416,7 +418,7 @@ def _verdict(
         return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
     if not agrees(list(remaining), false_alarm):
         known = _squares(nominal.fit.deviations) - _squares(final.fit.deviations)
-        if _closed(before, remaining, known) < enough_closed(final):
+        if _leaves(before, remaining, known) > 1.0 - enough_closed(final):
             return "unexplained"
     effects = any(c.kind == "effect" for c in final.candidates)
     return "named" if effects else "parameter_error"
@@ -428,18 +430,20 @@ def enough_closed(explanation: Explanation) -> float:
     return ENOUGH_CLOSED if effects else ENOUGH_CLOSED_BY_PARAMETERS
 
 
-def _closed(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
-    """Share of the χ² that repeats beyond noise which is gone, over the widest band.
+def _leaves(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
+    """Share of the χ² that repeats beyond noise which surely is left, over the widest band.
 
     ``known`` is what the prior gained besides, as of a known start angle.
     """
     widest = max(entry.highest_order for entry in before)
+    degrees = 2.0 * widest
     first, last = (
-        sum(2.0 * widest * (e.ratio - 1.0) for e in entries if e.highest_order == widest)
+        [degrees * (e.ratio - 1.0) for e in entries if e.highest_order == widest]
         for entries in (before, after)
     )
-    first += max(known, 0.0)
-    return 1.0 - last / first if first > 0.0 else 0.0
+    chance = BEYOND_CHANCE * math.sqrt(2.0 * degrees * len(last))
+    there = sum(first) + max(known, 0.0)
+    return (sum(last) - chance) / there if there > 0.0 else 1.0
 
 
 def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
