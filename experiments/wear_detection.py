@@ -199,14 +199,13 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
     from bayesbl.figures.style import DOUBLE_COLUMN_IN, head_panels, new_figure, publication_style
 
     table = [line for line in table if line.get("smallest_mrad")]  # others have no curve
-    # Tables from before there were two routes do not name theirs.
-    routes = list(dict.fromkeys(str(line.get("route") or "amplitude") for line in table))
+    routes = list(dict.fromkeys(str(line["route"]) for line in table))
     with publication_style():
         drawn = new_figure(DOUBLE_COLUMN_IN, 0.5 + 2.7 * len(routes))
         places = grid(drawn, len(routes), 1, right=2.9, between=(0.75, 0.0))
         panels = [drawn.add_subplot(places[n, 0]) for n in range(len(routes))]
         for route, panel in zip(routes, panels, strict=True):
-            _draw_curves(panel, [line for line in table if (line.get("route") or route) == route])
+            _draw_curves(panel, [line for line in table if line["route"] == route])
         head_panels(panels, [f"By the {route} route" for route in routes])
         panels[-1].set_xlabel("True change of the gap δ (mrad)")
     return drawn
