@@ -431,19 +431,22 @@ def enough_closed(explanation: Explanation) -> float:
 
 
 def _leaves(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
-    """Share of the χ² that repeats beyond noise which surely is left, over the widest band.
+    """Share of the χ² that repeats beyond noise which surely is left, over mean and widest band.
 
     ``known`` is what the prior gained besides, as of a known start angle.
     """
     widest = max(entry.highest_order for entry in before)
-    degrees = 2.0 * widest
     first, last = (
-        [degrees * (e.ratio - 1.0) for e in entries if e.highest_order == widest]
+        sum(_degrees(e) * (e.ratio - 1.0) for e in entries if e.highest_order in (0, widest))
         for entries in (before, after)
     )
-    chance = BEYOND_CHANCE * math.sqrt(2.0 * degrees * len(last))
-    there = sum(first) + max(known, 0.0)
-    return (sum(last) - chance) / there if there > 0.0 else 1.0
+    degrees = sum(_degrees(e) for e in after if e.highest_order in (0, widest))
+    there = first + max(known, 0.0)
+    return (last - BEYOND_CHANCE * math.sqrt(2.0 * degrees)) / there if there > 0.0 else 1.0
+
+
+def _degrees(entry: Disagreement) -> float:
+    return 2.0 * entry.highest_order if entry.highest_order else 1.0
 
 
 def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
