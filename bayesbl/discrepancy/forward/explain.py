@@ -109,15 +109,17 @@ def explain(base: Explanation, candidate: Candidate) -> Explanation | None:
 
 
 def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
-    """As :func:`explain`, but from the best place in the candidate's whole range."""
+    """As :func:`explain`, but from the best places in the candidate's whole range."""
     model = extended(base.fit.model, candidate)
-    try:
-        fit = fit_simulated(
-            model, _scanned_start(model, base, candidate), base.fit.steps, ROUGHLY_CONVERGED
-        )
-    except BenchError:
-        return None
-    return Explanation((*base.candidates, candidate), fit)
+    best: SimulatedFit | None = None
+    for start in _scanned_starts(model, base, candidate):
+        try:
+            fit = fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED)
+        except BenchError:
+            continue
+        if best is None or fit.chi_square < best.chi_square:
+            best = fit
+    return None if best is None else Explanation((*base.candidates, candidate), best)
 
 
 def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
@@ -285,18 +287,21 @@ def _chi_square(model: SimulatedSignals, point: FloatArray) -> float:
     return value if math.isfinite(value) else math.inf
 
 
-def _scanned_start(model: SimulatedSignals, base: Explanation, candidate: Candidate) -> FloatArray:
+def _scanned_starts(
+    model: SimulatedSignals, base: Explanation, candidate: Candidate
+) -> list[FloatArray]:
     own = len(base.fit.point)
     grids = {own + place: grid for place, grid in candidate.scanned.items()}
     names = [u.name for u in model.unknowns]
     if GAP in names:
         gap = names.index(GAP)
         grids[gap] = np.linspace(model.low[gap], model.high[gap], SCANNED_GAPS)
-    start = aligned_starts(model, grids)[0]
-    for i in range(len(candidate.unknowns)):
-        if i not in candidate.scanned:
-            start[own + i] = candidate.neutral[i]
-    return start
+    starts = aligned_starts(model, grids)
+    for start in starts:
+        for i in range(len(candidate.unknowns)):
+            if i not in candidate.scanned:
+                start[own + i] = candidate.neutral[i]
+    return starts
 
 
 def _width(unknown: Unknown) -> float:
