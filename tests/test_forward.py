@@ -18,6 +18,7 @@ from bayesbl.discrepancy.forward.diagnosis import (
     diagnose_forward,
     estimates,
 )
+from bayesbl.discrepancy.forward.motor_orders import order_peaks
 from bayesbl.discrepancy.report import Estimate
 from bayesbl.inference.alignment import fit_aligned
 from bayesbl.inference.direct import sample_direct
@@ -211,6 +212,24 @@ def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(in
     for name, size in (("motor_coulomb_friction", 0.2), ("load_coulomb_friction", FRICTION_NM)):
         assert near(estimates(found.final, name)["torque_nm"], size)
     assert near(found.delta_after, math.log(2.7e-3))
+
+
+def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> None:
+    hidden = {
+        "load_torque_offset__torque_nm": FRICTION_NM,
+        "motor_torque_ripple__torque_nm": 0.05,
+        "motor_torque_ripple__order": 6.0,
+        "motor_torque_ripple__phase_rad": 0.7,
+    }
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 8, hidden),
+        ("load_torque_offset", "motor_torque_ripple"),
+    )
+    assert 6.0 not in [round(p.order) for p in order_peaks(found.naming.nominal.fit)]
+    assert sorted(names(found)) == ["load_torque_offset", "motor_torque_ripple"]
+    ripple = estimates(found.final, "motor_torque_ripple")
+    assert ripple["order"].value == 6.0
+    assert near(ripple["torque_nm"], 0.05)
 
 
 def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None:

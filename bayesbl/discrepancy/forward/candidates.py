@@ -66,6 +66,12 @@ class Candidate:
     scanned: Mapping[int, FloatArray] = field(default_factory=dict)
     effect: BenchEffect | None = field(default=None)
 
+    @property
+    def key(self) -> tuple[str, float | None]:
+        """Name and, of what turns with the motor, the order: what tells candidates apart."""
+        order = None if self.effect is None else self.effect.parameters.get("order")
+        return self.name, None if order is None else order.value
+
     def bench(self, bench: Bench) -> Bench:
         """The bench with this effect at its neutral value."""
         if self.effect is None:
@@ -91,8 +97,8 @@ def candidates(
     effects
         Names from the catalogue, or all of it.
     peaks
-        Motor orders that stand out of what the nominal fit leaves: where the periodic effects
-        start. Without any they are no candidates.
+        Motor orders that stand out of what a fit leaves: where the periodic effects start. Without
+        any they are no candidates.
     declared
         Bench parameters that are unknown anyway, and so no candidates.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from bayesbl.discrepancy.forward.evaluate import (
     whitened_gaps,
 )
 from bayesbl.discrepancy.forward.explain import Explanation, with_noise
-from bayesbl.discrepancy.forward.motor_orders import order_peaks
 from bayesbl.discrepancy.forward.naming import (
     Naming,
     Progress,
@@ -104,11 +104,11 @@ def diagnose_forward(
     nominal = fit_aligned(bench, used, unknowns, settings.workers)
     naming = name_missing(
         nominal,
-        candidates(
+        partial(
+            candidates,
             bench,
             used,
             "all" if settings.effects is None else settings.effects,
-            order_peaks(nominal),
             declared=[u.name for u in unknowns],
             load_angle_known=settings.load_angle_known,
             motor_angle_known=settings.motor_angle_known,

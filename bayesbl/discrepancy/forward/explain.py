@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,28 +98,27 @@ def explain(base: Explanation, candidate: Candidate) -> Explanation | None:
     elif len(starts) > 1:
         starts = [_nudged(model, start, own) for start in starts]
         starts = sorted(starts, key=lambda s: _chi_square(model, s))[:2]
-    best: SimulatedFit | None = None
-    for start in starts:
-        try:
-            fit = fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED)
-        except BenchError:
-            continue
-        if best is None or fit.chi_square < best.chi_square:
-            best = fit
-    return None if best is None else Explanation((*base.candidates, candidate), best)
+    return _best(base, candidate, model, starts)
 
 
 def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
     """As :func:`explain`, but from the best places in the candidate's whole range."""
     model = extended(base.fit.model, candidate)
-    best: SimulatedFit | None = None
-    for start in _scanned_starts(model, base, candidate):
-        try:
-            fit = fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED)
-        except BenchError:
-            continue
-        if best is None or fit.chi_square < best.chi_square:
-            best = fit
+    return _best(base, candidate, model, _scanned_starts(model, base, candidate))
+
+
+def _best(
+    base: Explanation,
+    candidate: Candidate,
+    model: SimulatedSignals,
+    starts: Sequence[FloatArray],
+) -> Explanation | None:
+    """The best of rough fits from several starts; ``None`` if none of them can be simulated."""
+    fits = []
+    for start in starts:
+        with suppress(BenchError):
+            fits.append(fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED))
+    best = min(fits, key=lambda fit: fit.chi_square, default=None)
     return None if best is None else Explanation((*base.candidates, candidate), best)
 
 

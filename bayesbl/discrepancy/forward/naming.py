@@ -23,6 +23,7 @@ from bayesbl.discrepancy.forward.explain import (
     reduced,
     refitted,
 )
+from bayesbl.discrepancy.forward.motor_orders import OrderPeak, order_peaks
 from bayesbl.inference.agreement import Disagreement, agrees, disagreements
 from bayesbl.inference.simulated_fit import SimulatedFit
 from bayesbl.recording.types import FloatArray
@@ -107,7 +108,7 @@ class Naming:
 
 def name_missing(
     nominal_fit: SimulatedFit,
-    candidates: Sequence[Candidate],
+    candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
     *,
     max_effects: int = 3,
     false_alarm: float = 0.01,
@@ -120,12 +121,15 @@ def name_missing(
 
     Parameters
     ----------
+    candidates
+        All that come into question, given the motor orders that stand out. Orders are looked for
+        again in what is left beside the first that are named: they may have stood behind these.
     false_alarm
         Probability of naming anything where nothing is missing, over all candidates.
     progress
         Called with (fits made, fits expected).
     """
-    search = _Search(candidates, false_alarm, max_effects, progress)
+    search = _Search(candidates(order_peaks(nominal_fit)), false_alarm, max_effects, progress)
     nominal = nominal_explanation(nominal_fit)
     before = disagreements(nominal_fit)
     first = search.first(nominal)
@@ -137,6 +141,8 @@ def name_missing(
     final = search.extended(nominal, first, most=2)
     if first and _is_gross(first[0]) and not search.agrees(final):
         final = _better(final, search.extended(nominal, search.beside(far)))
+    if final.candidates and search.takes_in(candidates(order_peaks(final.fit)), final):
+        final = search.continued(final)
     if len(final.candidates) == 2 and not search.is_done(final):
         final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
@@ -173,6 +179,7 @@ class _Search:
         self._fits: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
         self._rests: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
         self._promises: dict[int, tuple[Explanation, FloatArray]] = {}
+        self._polished: dict[int, tuple[Explanation, Explanation]] = {}
 
     def first(self, nominal: Explanation) -> list[Explanation]:
         """All candidates that come into question, one at a time, most probable first.
@@ -238,10 +245,28 @@ class _Search:
             beams, final = following[:BEAMS], following[0]
         return final
 
+    def continued(self, base: Explanation) -> Explanation:
+        """An explanation with the candidates that it still takes, one after the other."""
+        while len(base.candidates) < self._max_effects and not self.is_done(base):
+            more = self.next(base)
+            if not more or more[0].log_evidence <= base.log_evidence:
+                break
+            base = more[0]
+        return base
+
     def next(self, base: Explanation) -> list[Explanation]:
         """The few candidates that the derivatives speak for, added to ``base`` and significant."""
         fits = self._contenders([self._fit(base, c) for c in self._screened(base)])
         return [f for f in fits if self.is_significant(base, f)]
+
+    def takes_in(self, found: Sequence[Candidate], beside: Explanation) -> bool:
+        """Add candidates not known before that can stand beside an explanation; whether any are."""
+        known = {c.key for c in self._candidates}
+        late = [c for c in found if c.key not in known and c.name not in beside.names]
+        self._candidates += tuple(late)
+        if late:
+            self._promises.clear()
+        return bool(late)
 
     def agrees(self, explanation: Explanation) -> bool:
         """Whether nothing repeats any more."""
@@ -394,8 +419,15 @@ class _Search:
     def _contenders(self, fits: Sequence[Explanation | None]) -> list[Explanation]:
         """Most probable first, the first few fitted to the end."""
         found = sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
-        best = [polished(e) for e in found[:CONTENDERS]]
+        best = [self._to_the_end(e) for e in found[:CONTENDERS]]
         return sorted([*best, *found[CONTENDERS:]], key=lambda e: -e.log_evidence)
+
+    def _to_the_end(self, rough: Explanation) -> Explanation:
+        if id(rough) not in self._polished:
+            fine = polished(rough)
+            self._polished[id(rough)] = rough, fine
+            self._polished[id(fine)] = fine, fine
+        return self._polished[id(rough)][1]
 
 
 def _better(a: Explanation, b: Explanation) -> Explanation:
