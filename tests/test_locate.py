@@ -12,12 +12,12 @@ from scipy.signal import lfilter
 
 from bayesbl.discrepancy.attribution import offset_dependence
 from bayesbl.discrepancy.locate import locate
+from bayesbl.discrepancy.sentences import located_sentences, unexplained_phrase
 from bayesbl.discrepancy.spectrum import benjamini_hochberg, comb, noise_floor
 from bayesbl.discrepancy.unexplained import describe_unexplained
 from bayesbl.errors import RecordingError
 from bayesbl.figures.discrepancy import discrepancy
 from bayesbl.inference.simulated import Observed
-from bayesbl.report.located import located_sentences, unexplained_phrase
 from bayesbl.results.located import located_dataset
 
 HZ = 500.0

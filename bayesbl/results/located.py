@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayesbl.discrepancy.attribution import Line
 from bayesbl.discrepancy.left_over import MAP_POINTS
 from bayesbl.discrepancy.locate import ChannelLeft, Located
+from bayesbl.discrepancy.sentences import located_sentences
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.results.tree import dataset
 from bayesbl.units import unit_of
@@ -91,11 +92,11 @@ _LINES: tuple[tuple[str, str, str, Callable[[Line], float]], ...] = (
 
 
 def located_dataset(located: Located) -> xr.Dataset:
-    """Everything but the sentences.
+    """All that is left, and what it is in sentences.
 
     Variables begin with their channel's name. Dimensions: ``recording``, ``load_angle_rad`` (720),
     ``bin`` of the spectra and ``line`` of the significant lines, strongest first; shorter ones are
-    padded with NaN, missing channels filled with it.
+    padded with NaN, missing channels filled with it. Attribute ``sentences``: one after the other.
     """
     recordings = located.recordings
     names = list(dict.fromkeys(c.channel for r in recordings for c in r.channels))
@@ -153,7 +154,11 @@ def located_dataset(located: Located) -> xr.Dataset:
         {k: (d, _widened(d, v, most), u, n) for k, (d, v, u, n) in variables.items()}, coordinates
     )
     made = made.assign(dependences)
-    made.attrs = {"channels": names, "false_discovery_rate": located.false_discovery_rate}
+    made.attrs = {
+        "channels": names,
+        "false_discovery_rate": located.false_discovery_rate,
+        "sentences": located_sentences(located),
+    }
     return made
 
 

@@ -15,8 +15,7 @@ from bayesbl.discrepancy.unexplained import (
     repeats,
 )
 from bayesbl.recording.types import CHANNELS
-from bayesbl.report.words import number
-from bayesbl.units import unit_of
+from bayesbl.units import number, unit_of
 
 MOST_LINES = 3
 
