@@ -72,7 +72,7 @@ def main() -> None:
     # The matrices are small: threads of linear algebra cost more than they bring, and round
     # differently on other numbers of cores.
     for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+        os.environ[f"{library}_NUM_THREADS"] = "1"
     sys.exit(status())
 
 

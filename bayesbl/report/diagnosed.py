@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
-from bayesbl.results.store import texts
 from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
@@ -103,6 +102,8 @@ def remaining(summary: Summary) -> Iterator[str]:
 
 def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
     """What a forward comparison leaves as believed and with what was named: heading, sentences."""
+    from bayesbl.results.store import texts
+
     stages = {"located_before": "What the bench as believed leaves"}
     if tree.attrs.get("augmented_bench"):
         stages["located_after"] = "What is left with what was named"
