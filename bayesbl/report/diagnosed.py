@@ -6,7 +6,6 @@ disagreement here: the gap is δ to whoever reads this.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -102,14 +101,14 @@ def remaining(summary: Summary) -> Iterator[str]:
 
 def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
     """What a forward comparison leaves as believed and with what was named: heading, sentences."""
-    from bayesbl.results.store import texts
+    from bayesbl.report.located import located_sentences
 
     stages = {"located_before": "What the bench as believed leaves"}
     if tree.attrs.get("augmented_bench"):
         stages["located_after"] = "What is left with what was named"
     for group, heading in stages.items():
         if group in tree.children:
-            yield heading, texts(tree[group].attrs.get("sentences"))
+            yield heading, located_sentences(tree[group].to_dataset())
 
 
 def wear(summary: Summary) -> Iterator[str]:
@@ -150,13 +149,10 @@ def suggestion(summary: Summary) -> Iterator[str]:
 
 
 def _phrase(line: dict[str, Any]) -> str:
-    """As it was before JSON, which knows no NaN and no tuples, in words."""
-    # Imported here: they stand on the compiled simulator, which takes a second.
-    from bayesbl.discrepancy.sentences import unexplained_phrase
-    from bayesbl.discrepancy.unexplained import Unexplained
+    # Imported here: it stands on the compiled simulator, which takes a second.
+    from bayesbl.report.located import unexplained, unexplained_phrase
 
-    values = {key: math.nan if value is None else value for key, value in line.items()}
-    return unexplained_phrase(Unexplained(**values | {"recordings": tuple(line["recordings"])}))
+    return unexplained_phrase(unexplained(line))
 
 
 def _sized(parameter: str, interval: dict[str, Any]) -> str:
