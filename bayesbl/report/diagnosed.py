@@ -107,7 +107,8 @@ def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
     if tree.attrs.get("augmented_bench"):
         stages["located_after"] = "What is left with what was named"
     for group, heading in stages.items():
-        if group in tree.children:
+        # Results of versions before this one hold no entries.
+        if group in tree.children and "unexplained" in tree[group].attrs:
             yield heading, located_sentences(tree[group].to_dataset())
 
 
