@@ -40,6 +40,7 @@ from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, 
 from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.forward_diagnosis import forward_tree
 from bayesbl.workflows import forward
+from bayesbl.workflows.diagnose import run_diagnose
 
 FILE = Path(__file__).parents[1] / "experiments" / "independent_bench.py"
 BENCH = reference_bench()
@@ -389,3 +390,18 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
     for word in told:
         assert word in said
     assert not (folder / "out").exists()
+
+
+def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatch) -> None:
+    class AskedError(Exception):
+        pass
+
+    def asked(fit: object, settings: SamplerSettings, *_: object) -> None:
+        raise AskedError(settings.level)
+
+    monkeypatch.setattr(forward, "sample_direct", asked)
+    extra = '[interval]\nlevel = 0.99\n[candidates]\neffects = ["current_loop_lag"]\n'
+    (folder / "config.toml").write_text(CONFIG + extra)
+    config = load_config(folder / "config.toml", kind="diagnose")
+    with pytest.raises(AskedError, match=r"0\.99"):
+        run_diagnose(config)

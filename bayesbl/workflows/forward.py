@@ -76,7 +76,7 @@ def forward_diagnosis(
     augmented = "" if found.bench is None else dump_bench(found.bench)
     seed = np.random.SeedSequence(config.run.seed)
     interval = config.interval
-    posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
+    posterior = sample_direct(found.final.fit, SamplerSettings(level=interval.level), seed)
     tree = forward_tree(found, posterior, bench, augmented, interval.level, interval.kind)
     tree.attrs["warnings"] = [*notes, *tree.attrs["warnings"]]
     return tree
