@@ -315,6 +315,8 @@ def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
     (made,) = recorded(independent, (2000.0,), 9, hidden, rotations=4.1, start_angle_rad=start)
     channels = (MOTOR_SPEED, MOTOR_CURRENT, MOTOR_POSITION)
     table = np.column_stack([made.time_s, *(made.channels[c] for c in channels)])
+    if lost:
+        table[3000, 1] = table[4000, 2] = 65535.0
     table = np.delete(table, [*range(1000, 1000 + lost), *range(5000, 5000 + lost)], axis=0)
     file = tmp_path / "forward.csv"
     header = ",".join(("time_s", *channels))
@@ -324,7 +326,9 @@ def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
     (tmp_path / "config.toml").write_text(CONFIG.replace('method = "forward"', known))
     config = load_config(tmp_path / "config.toml", kind="diagnose")
     recording = read_recording(file, name="forward")
-    used, held_out, *_ = forward.forward_problem(config, bench, [recording])
+    used, held_out, _, notes = forward.forward_problem(config, bench, [recording])
+    assert len(notes) == (3 if lost else 0)
+    assert all("left out of the fit" in note for note in notes)
     # 13,000 residuals scatter by 1.2 %; a half without a phase of its own leaves 5 or more.
     for seen in (*used, *held_out):
         assert explained(seen, bench) == pytest.approx(1.0, abs=0.06)
@@ -390,6 +394,17 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
     for word in told:
         assert word in said
     assert not (folder / "out").exists()
+
+
+def test_peaks_that_a_limit_cut_off_are_refused(folder: Path, capsys) -> None:
+    table = np.loadtxt(folder / "forward.csv", delimiter=",", skiprows=1)
+    table[:, 2] = np.minimum(table[:, 2], 0.9 * table[:, 2].max())
+    header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+    np.savetxt(folder / "forward.csv", table, delimiter=",", header=header, comments="")
+    assert status(["diagnose", str(folder / "config.toml")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "current is cut off" in said
+    assert "forward.csv" in said
 
 
 def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatch) -> None:

@@ -36,7 +36,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.forward_diagnosis import forward_tree
-from bayesbl.workflows.compared import refused
+from bayesbl.workflows.compared import notes_of, refused, sound
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
 DEFAULT_GAP_RAD = (1e-4, 4e-3)
@@ -102,6 +102,7 @@ def forward_problem(
             "none",
         )
     channels = _channels(config, recordings)
+    recordings = [sound(recording, channels, unclipped=channels) for recording in recordings]
     used, held_out = [], []
     for entry, recording in zip(config.recordings, recordings, strict=True):
         seen = observed(recording, bench, entry.reference_speed_rpm)
@@ -119,7 +120,8 @@ def forward_problem(
         else:
             (used if entry.use == "fit" else held_out).append(seen)
     unknowns = _unknowns(config, bench, used, recordings)
-    return used, held_out, unknowns, [] if MOTOR_CURRENT in channels else [SPEED_ALONE]
+    notes = notes_of(recordings) + ([] if MOTOR_CURRENT in channels else [SPEED_ALONE])
+    return used, held_out, unknowns, notes
 
 
 def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[str, ...]:
