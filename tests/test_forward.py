@@ -412,6 +412,32 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
     assert not (folder / "out").exists()
 
 
+def test_too_few_rotations_to_tell_noise_from_what_repeats_are_refused(folder, capsys) -> None:
+    bench, config = folder / "bench.toml", folder / "config.toml"
+    bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 300.0\n", 1))
+    forward = CONFIG[CONFIG.index("[[recordings]]") :]
+    used = forward.replace('"split"', '"fit"')
+    held_out = forward.replace('"split"', '"hold_out"').replace('"forward"', '"again"')
+    config.write_text(CONFIG.replace(forward, used + held_out))
+    assert status(["diagnose", str(config)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    for word in ("forward.csv", "too short to be fitted", "2 load rotations"):
+        assert word in said
+
+
+def test_a_current_held_by_the_drive_that_is_simulated_is_not_refused(folder: Path) -> None:
+    table = np.loadtxt(folder / "forward.csv", delimiter=",", skiprows=1)
+    limit = 0.9 * table[:, 2].max()
+    table[:, 2] = np.minimum(table[:, 2], limit)
+    header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+    np.savetxt(folder / "forward.csv", table, delimiter=",", header=header, comments="")
+    bench = folder / "bench.toml"
+    text = bench.read_text()
+    i = text.index("value", text.index("[parameters.current_limit_a]"))
+    bench.write_text(f"{text[:i]}value = {limit}{text[text.index(chr(10), i) :]}")
+    assert status(["check", str(folder / "config.toml")]) == 0
+
+
 def test_peaks_that_a_limit_cut_off_are_refused(folder: Path, capsys) -> None:
     table = np.loadtxt(folder / "forward.csv", delimiter=",", skiprows=1)
     table[:, 2] = np.minimum(table[:, 2], 0.9 * table[:, 2].max())

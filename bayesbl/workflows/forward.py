@@ -43,6 +43,9 @@ DEFAULT_GAP_RAD = (1e-4, 4e-3)
 KNOWN_ANGLE_SD_RAD = 1e-3
 """How well a load encoder tells the start angle."""
 
+NEAR_LIMIT = 0.95
+"""Share of the drive's current limit from which on a current is held by it, offsets allowed for."""
+
 SPEED_ALONE = (
     "There is no motor current: friction, offsets and the torque constant cannot be told from one "
     "another by the speed alone, as the controller's integral hides them."
@@ -102,7 +105,7 @@ def forward_problem(
             "none",
         )
     channels = _channels(config, recordings)
-    recordings = [sound(recording, channels, unclipped=channels) for recording in recordings]
+    recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in recordings]
     used, held_out = [], []
     for entry, recording in zip(config.recordings, recordings, strict=True):
         seen = observed(recording, bench, entry.reference_speed_rpm)
@@ -112,8 +115,9 @@ def forward_problem(
             signals=seen.signals[: len(channels)],
             motor_angle_rad=_motor_angle(config, recording),
         )
+        if entry.use in ("fit", "split"):
+            _require_rotations(seen, str(entry.file), entry.use == "split")
         if entry.use == "split":
-            _require_two_halves(seen, str(entry.file))
             first, second = halves(seen)
             used.append(first)
             held_out.append(second)
@@ -141,15 +145,27 @@ def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[
     return tuple(c for c in CHANNELS if c in asked)
 
 
-def _require_two_halves(seen: Observed, file: str) -> None:
-    fewest = 2 * seen.lag + HIGHEST_ORDER
-    if seen.samples >= 2 * fewest:
+def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> list[str]:
+    """Channels whose peaks must be whole: all but a current at the limit that the bench has too."""
+    reached = NEAR_LIMIT * bench.value("current_limit_a")
+    return [
+        name
+        for name in channels
+        if name != MOTOR_CURRENT or np.abs(recording.channels[name]).max() < reached
+    ]
+
+
+def _require_rotations(seen: Observed, file: str, split: bool) -> None:
+    """What repeats is told from noise by whole rotations, of each half if it is split."""
+    fewest = (2 * seen.lag + HIGHEST_ORDER) * (2 if split else 1)
+    if seen.samples >= fewest:
         return
+    problem = "split: each half needs" if split else "fitted: it needs"
     raise RecordingError(
-        "The recording is too short to be split: each half needs two load rotations.",
+        f"The recording is too short to be {problem} two load rotations.",
         file=file,
         found=f"{seen.samples / seen.lag:.3g} load rotations",
-        expected=f"at least {2.0 * fewest / seen.lag:.3g}, or another use than split",
+        expected=f"at least {fewest / seen.lag:.3g}, or another use",
     )
 
 
