@@ -104,6 +104,18 @@ def test_the_reference_bench_follows_the_papers_curve_within_5_percent(nominal: 
     assert np.all(np.abs(nominal.amplitude_rpm.mean(axis=1) / expected - 1.0) < 0.05)
 
 
+def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
+    bench, settings = reference_bench(), SweepSettings(5e-4, 2e-3, 6, start_angles=2, rotations=3.0)
+    model = DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})  # free, 18 to 20
+    row = sweep_nominal(bench, model, settings, np.random.default_rng(1))
+    decay = row.symbol("decay_rate_per_s", model.fixed)
+    assert np.all((decay >= 5.0) & (decay <= 12.0))
+    angle = row.start_angle_rad[3, 1]
+    recording = bench.simulate(row.gap_rad[3], rotations=3.0, start_angle_rad=angle)
+    fitted = Estimator(model).estimate(recording, np.random.SeedSequence(1)).optimum
+    assert row.amplitude_rpm[3, 1] == pytest.approx(fitted.symbols["amplitude_rpm"], rel=1e-3)
+
+
 def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: GapCurve) -> None:
     rng = np.random.default_rng(3)
     for gap in np.exp(rng.uniform(np.log(1.5e-4), np.log(3.8e-3), 4)):
@@ -284,6 +296,11 @@ def test_a_gap_beyond_the_sweep_is_withheld_with_a_bound(curve: GapCurve) -> Non
             Estimator(DisturbanceModel(fixed={"window_start_s": 0.0, "window_end_s": 0.15})),
             1000.0,
             "window_end_s",
+        ),
+        (
+            Estimator(DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})),
+            1000.0,
+            "ranges",
         ),
     ],
 )

@@ -16,6 +16,7 @@ from bayesbl.config.loading import config_from_options
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.inference.estimator import Estimator
 from bayesbl.inference.optimum import Optimum, find_optimum
+from bayesbl.inference.posterior import LogPosterior
 from bayesbl.inference.warm import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
@@ -60,8 +61,8 @@ def recording(seed: int = 1, noise: NoiseModel = NOISE, **changes: float) -> Rec
     )
 
 
-def objective_of(measured: Recording) -> Objective:
-    return Objective(DisturbanceModel(), measured.time_s, measured.motor_speed_rpm)
+def objective_of(measured: Recording, **model: Any) -> Objective:
+    return Objective(DisturbanceModel(**model), measured.time_s, measured.motor_speed_rpm)
 
 
 def full(objective: Objective) -> Optimum:
@@ -96,6 +97,30 @@ def test_a_worn_gap_on_the_bench_is_followed() -> None:
         old = full(objectives[0])
         earlier = EarlierOptimum("the old optimum", old.symbols, old.rmse_rpm)
         assert_same(warm_optimum(objectives[1], earlier), full(objectives[1]))
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        {DECAY: (5.0, 8.0)},  # the truth, 12, is out of reach
+        {FREQUENCY: (70.0, 120.0)},  # likewise 62
+        {DECAY: (5.0, 8.0), FREQUENCY: (63.0, 120.0)},
+        {START: (4.1, 5.5)},  # holds t0 + T_w, not t0
+        {SEPARATION: (1.75, 3.0)},  # holds T_w − T as well: the pulses may change places
+    ],
+    ids=lambda ranges: ", ".join(ranges),
+)
+def test_warm_and_full_search_end_in_the_same_optimum_inside_the_ranges(
+    ranges: dict[str, tuple[float, float]],
+) -> None:
+    objective = objective_of(recording(), ranges=ranges)
+    cold = full(objective)
+    warm = warm_optimum(objective, EarlierOptimum("the old one", cold.symbols, cold.rmse_rpm))
+    assert_same(warm, cold)
+    for found in (warm, cold):
+        assert np.isfinite(LogPosterior(objective, found, 1.0)(found.searched[None])[0])
+        for name, (low, high) in ranges.items():
+            assert all(low <= rival.symbols[name] <= high for rival in found.rivals)
 
 
 def test_another_speed_scales_the_rotation_period() -> None:

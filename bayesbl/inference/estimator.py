@@ -138,6 +138,8 @@ class Estimator:
             "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),
             "nominal_speed_rpm": float(f"{speed:.2g}"),
         }
+        if ranges := self.model.lasting_ranges:
+            meaning["ranges"] = ranges
         return json.dumps(meaning, sort_keys=True)
 
     def estimate(

@@ -116,7 +116,8 @@ def _folds(objective: Objective, old: Mapping[str, float]) -> FloatArray:
     drift = 0.25 * ringing * rotation / objective.duration_s
     axes = {name: np.array([old[name]]) for name in objective.searched}
     axes[SEPARATION] = np.array([old[SEPARATION] * rotation / old[ROTATION]])
-    axes[START] = objective.time_s[0] + np.arange(0.0, rotation, ringing / STEPS_PER_RINGING)
+    begin, _ = objective.model.ranges.get(START, (objective.time_s[0], math.inf))
+    axes[START] = begin + np.arange(0.0, rotation, ringing / STEPS_PER_RINGING)
     axes[ROTATION] = rotation + drift * PERIOD_STEPS
     axes[FREQUENCY] = old[FREQUENCY] * FREQUENCY_FACTORS
     low, high = bounds(objective)

@@ -54,7 +54,8 @@ class _Problem:
             "model": [self.model.baseline_harmonics, sorted(self.model.fixed.items())],
             "ranges": sorted(self.model.ranges.items()),
             "settings": asdict(self.settings),
-            "layout": 1,
+            # The first layout's rows are refined outside the ranges, where there are any.
+            "layout": 2 if self.model.ranges else 1,
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
@@ -126,7 +127,8 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
 
 def _model(config: SweepConfig) -> DisturbanceModel:
     section = config.estimator.model
-    return DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
+    model = DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
+    return replace(model, ranges=model.lasting_ranges)
 
 
 def _settings(config: SweepConfig) -> SweepSettings:
