@@ -123,6 +123,18 @@ def test_warm_and_full_search_end_in_the_same_optimum_inside_the_ranges(
             assert all(low <= rival.symbols[name] <= high for rival in found.rivals)
 
 
+def test_the_history_of_a_search_ends_at_its_rmse_whatever_is_left_out() -> None:
+    measured = recording()
+    excluded = np.arange(measured.samples) % 25 == 0
+    objective = Objective(
+        DisturbanceModel(), measured.time_s, measured.motor_speed_rpm, excluded=excluded
+    )
+    for found in (full(objective), warm_optimum(objective, OLD)):
+        residual = (measured.motor_speed_rpm - found.predict(measured.time_s))[~excluded]
+        assert found.rmse_rpm == pytest.approx(math.sqrt(np.mean(residual**2)), rel=1e-9)
+        assert found.history.rmse_rpm.min() == pytest.approx(found.rmse_rpm, rel=1e-9)
+
+
 def test_another_speed_scales_the_rotation_period() -> None:
     slower = recording(**{MEAN: 1960.0, ROTATION: 3.6 * 2000.0 / 1960.0, SEPARATION: 1.735})
     found = warm_optimum(objective_of(slower), OLD)

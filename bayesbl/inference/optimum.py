@@ -176,7 +176,7 @@ def settled(
         symbols=best,
         baseline_rpm=solution.coefficients[0, 1:-1],
         sum_of_squares=float(solution.sum_of_squares[0]),
-        samples=int(objective.used.sum()),
+        samples=objective.samples_used,
         speed_sd_rpm=float(objective.speed_rpm[objective.used].std()),
         history=history,
         rivals=_rivals(objective, points, sse[order]),
@@ -235,7 +235,7 @@ def local_search(
         generator,
         population=POPULATION,
         iterations=400,
-        samples=objective.samples,
+        samples=objective.samples_used,
         run=run,
     )
 
@@ -334,7 +334,7 @@ def _paper_search(
 
     ranges = [objective.model.ranges.get(name, box[name]) for name in names]
     low, high = np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
-    end, history = search_box(sum_of_squares, low, high, generator, objective.samples)
+    end, history = search_box(sum_of_squares, low, high, generator, objective.samples_used)
     return end[None, :d], history, int(history.evaluations[-1])
 
 

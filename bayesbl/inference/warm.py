@@ -85,7 +85,7 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     end = refine(objective, folds[int(np.argmin(sse))])
     ends = np.array([end, *(refine(objective, x) for x in exchanged(objective.model, end))])
     reached = objective.sum_of_squares(ends)
-    rmse = np.sqrt(np.array([np.min(sse), np.min(reached)]) / objective.samples)
+    rmse = np.sqrt(np.array([np.min(sse), np.min(reached)]) / objective.samples_used)
     history = SearchHistory(np.zeros(2), np.array([1.0, float(len(folds))]), rmse)
     if not np.any(np.isfinite(reached)):
         raise NoLongerFits("its pulses fit nowhere")

@@ -125,6 +125,11 @@ class Objective:
         return int(self.time_s.size)
 
     @property
+    def samples_used(self) -> int:
+        """Number of samples that count: n without those excluded."""
+        return int(self.used.sum())
+
+    @property
     def duration_s(self) -> float:
         """n · Δt in s."""
         return self.samples * self.period_s
