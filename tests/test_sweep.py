@@ -16,7 +16,7 @@ from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import GapCurve
-from bayesbl.gap.regression import regress
+from bayesbl.gap.regression import SIZES, regress
 from bayesbl.gap.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.gap.swept_curve import degree_reports, swept_curve
 from bayesbl.inference.covariance import covariance
@@ -26,12 +26,13 @@ from bayesbl.inference.optimum import find_optimum
 from bayesbl.inference.refine import refine
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import Recording
 from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import SYMBOLS, DisturbanceModel
-from bayesbl.workflows.measure import require_same_estimator
+from bayesbl.workflows.measure import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.workflows.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
@@ -311,6 +312,42 @@ def test_a_curve_made_with_another_estimator_is_refused(
     with pytest.raises(CurveError, match=word):
         require_same_estimator(curve, estimator, recording)
     require_same_estimator(curve, Estimator(), reference_bench().simulate(1e-3))
+
+
+@pytest.mark.parametrize("swept_rpm", [1000.0, 1249.98, 1250.02, 1749.98, 1750.02, 2000.0])
+def test_a_curve_is_accepted_within_one_percent_of_its_speed_and_nowhere_else(
+    curve: GapCurve, swept_rpm: float, tmp_path: Path
+) -> None:
+    import xarray as xr
+
+    def at(speed_rpm: float) -> Recording:
+        bench = reference_bench().with_parameters(reference_speed_rpm=speed_rpm)
+        return bench.simulate(1e-3, rotations=2.0, sampling_hz=1000.0)
+
+    fingerprint = Estimator().fingerprint(at(swept_rpm))
+    made = dataclasses.replace(curve, fingerprint=fingerprint, reference_speed_rpm=swept_rpm)
+    tree = xr.DataTree.from_dict({"gap_curve": curve_to_dataset(made)})
+    tree.attrs = {"outcome": "converged", "kind": "sweep"}
+    write_tree(tree, tmp_path / "result.nc")
+    stored = read_curve(tmp_path / "result.nc")
+    for ratio in (0.991, 0.9999, 1.0001, 1.009):
+        require_same_estimator(stored, Estimator(), at(ratio * swept_rpm))
+    for ratio in (0.98, 0.989, 1.011, 1.02):
+        with pytest.raises(CurveError, match="nominal_speed_rpm"):
+            require_same_estimator(stored, Estimator(), at(ratio * swept_rpm))
+
+
+def test_one_percent_of_speed_moves_the_gap_by_less_than_a_curve_may_be_off(
+    nominal: SweepRow, curve: GapCurve
+) -> None:
+    bench = reference_bench()
+    faster = bench.with_parameters(reference_speed_rpm=2000.0 * (1.0 + SPEED_TOLERANCE))
+    for g in (0, 7, 13):
+        options = {"rotations": 5.0, "start_angle_rad": nominal.start_angle_rad[g, 0]}
+        recording = faster.simulate(nominal.gap_rad[g], **options)
+        amplitude = point(recording).optimum.symbols["amplitude_rpm"]
+        gaps_rad = curve.gap(np.array([amplitude, nominal.amplitude_rpm[g, 0]]))
+        assert abs(np.log(gaps_rad[0] / gaps_rad[1])) < SIZES[-1]
 
 
 def test_virtual_draws_reproduce_what_depends_linearly_on_the_parameters() -> None:

@@ -22,9 +22,9 @@ from bayesbl.gap.bench_draws import SweptDraws
 from bayesbl.gap.curve import published_curve
 from bayesbl.gap.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
 from bayesbl.gap.swept_curve import degree_reports, departures, swept_curve
-from bayesbl.inference.estimator import Estimator
+from bayesbl.inference.estimator import Estimator, nominal_speed_rpm
 from bayesbl.physics.bench import Bench
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import GROUP, curve_to_dataset
 from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.store import replacing
@@ -86,7 +86,8 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
         ),
     )
     swept = _sweep_draws(config, problem, nominal, draw_seed, cache, progress)
-    fingerprint = _fingerprint(config, bench)
+    recording = _sampled(config, bench)
+    fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(
         str(config.run.output),
         nominal,
@@ -96,7 +97,7 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
         curve_seed,
         swept,
     )
-    curve = replace(curve, reference_speed_rpm=abs(bench.value("reference_speed_rpm")))
+    curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
     tree = xr.DataTree.from_dict(
         {
             "sweep": _sweep_group(nominal, problem.model),
@@ -144,12 +145,11 @@ def _settings(config: SweepConfig) -> SweepSettings:
     )
 
 
-def _fingerprint(config: SweepConfig, bench: Bench) -> str:
-    """That of a measured recording with the sweep's sampling and the bench's speed."""
-    recording = bench.simulate(
+def _sampled(config: SweepConfig, bench: Bench) -> Recording:
+    """A recording with the sweep's sampling and the bench's speed."""
+    return bench.simulate(
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
-    return Estimator(model=_model(config)).fingerprint(recording)
 
 
 def _sweep_draws(
