@@ -11,7 +11,7 @@ import pytest
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.config.sweep import SweepConfig
-from bayesbl.errors import CurveError, UserError
+from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, gaps
@@ -33,6 +33,7 @@ from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import SYMBOLS, DisturbanceModel
 from bayesbl.workflows.measure import SPEED_TOLERANCE, require_same_estimator
+from bayesbl.workflows.run import check
 from bayesbl.workflows.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
@@ -427,6 +428,15 @@ def test_draws_without_a_tolerance_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bench.toml").write_text(dump_bench(reference_bench()))
     with pytest.raises(UserError, match="nothing to draw"):
         run_sweep(config)
+    assert not (tmp_path / "out").exists()  # refused before anything was simulated
+    (problem,) = check(tmp_path / "sweep.toml").problems
+    assert "nothing to draw" in str(problem)
+
+
+def test_a_degree_that_the_gaps_cannot_carry_is_refused_before_the_sweep(tmp_path: Path) -> None:
+    assert sweep_config(tmp_path, degree=5).sweep.gap_rad.count == 8
+    with pytest.raises(ConfigError, match=r"\[sweep\] degree.*gap_rad\.count of at least 9"):
+        sweep_config(tmp_path, degree=6)
 
 
 def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:

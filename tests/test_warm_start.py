@@ -36,7 +36,7 @@ from bayesbl.signal.parameters import (
     DisturbanceModel,
 )
 from bayesbl.signal.synthetic import synthetic_recording
-from bayesbl.workflows.run import run
+from bayesbl.workflows.run import check, run
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 NOISE = NoiseModel(1.5, (0.6,))
@@ -216,6 +216,19 @@ def test_a_result_without_optimum_is_refused(tmp_path: Path) -> None:
     write_tree(tree, tmp_path / "result.nc")
     with pytest.raises(ResultError, match="no optimum to start from"):
         read_earlier(tmp_path)
+    (tmp_path / "fit.toml").write_text(
+        f"""schema = 1
+kind = "fit"
+[run]
+output = "out"
+[[recordings]]
+file = "{CONFIGS / "recordings" / "wear_before.csv"}"
+[estimator.search]
+start_from = "result.nc"
+"""
+    )
+    (problem,) = check(tmp_path / "fit.toml").problems
+    assert "no optimum to start from" in str(problem)
 
 
 def test_a_result_that_is_not_there_is_refused_by_its_option(tmp_path: Path) -> None:

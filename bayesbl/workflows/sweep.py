@@ -69,6 +69,7 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
         If the bench file cannot be used, a simulation fails, or the curve is not monotone.
     """
     bench = load_bench(config.bench)
+    require_drawable(config, bench)
     problem = _Problem(bench, _model(config), _settings(config))
     cache = config.run.output.parent / CACHE
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
@@ -126,6 +127,18 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
     return tree
 
 
+def require_drawable(config: SweepConfig, bench: Bench) -> None:
+    """The bench has a tolerance where benches are to be drawn within it."""
+    if config.sweep.bench_draws and not bench.tolerances:
+        raise ConfigError(
+            "There is nothing to draw: no parameter of the bench has a tolerance.",
+            file=config.bench,
+            where="[sweep] bench_draws",
+            found=config.sweep.bench_draws,
+            expected="a tolerance or relative_tolerance in the bench file, or bench_draws = 0",
+        )
+
+
 def _model(config: SweepConfig) -> DisturbanceModel:
     section = config.estimator.model
     model = DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
@@ -164,14 +177,6 @@ def _sweep_draws(
     count, tolerances = config.sweep.bench_draws, problem.bench.tolerances
     if count == 0:
         return None
-    if not tolerances:
-        raise ConfigError(
-            "There is nothing to draw: no parameter of the bench has a tolerance.",
-            file=config.bench,
-            where="[sweep] bench_draws",
-            found=count,
-            expected="a tolerance or relative_tolerance in the bench file, or bench_draws = 0",
-        )
     benches = [problem.bench.draw(np.random.default_rng(s)) for s in seed.spawn(count)]
     names = tuple(tolerances)
     shifts = np.array(
