@@ -153,3 +153,11 @@ def spelled(unit: str) -> str:
         return text
     # Only these in any case: "MN m" is not "mN m".
     return _OTHER_SPELLINGS.get(text.lower(), text)
+
+
+def number(value: float, places: int) -> str:
+    """A number with a true minus sign, and no minus in front of zero."""
+    text = f"{value:.{places}f}"
+    if float(text) == 0.0:
+        text = text.removeprefix("-")
+    return text.replace("-", "−")

@@ -312,8 +312,15 @@ gap_rad = 8e-4
     )
     config = str(tmp_path / "simulate.toml")
     assert cli.status(["check", config]) == 0
-    assert cli.status(["simulate", config, "--out", str(tmp_path / "a")]) == 0
-    assert cli.status(["run", config, "--out", str(tmp_path / "b")]) == 0
+    capsys.readouterr()
+    told = []
+    for command, folder in (("simulate", "a"), ("run", "b")):
+        assert cli.status([command, config, "--out", str(tmp_path / folder), "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    assert [Path(file).parent for summary in told for file in summary["files"][:1]] == [
+        tmp_path / "a",
+        tmp_path / "b",
+    ]
     assert content(tmp_path / "a") == content(tmp_path / "b")
     capsys.readouterr()
     refused(["run", config, "--out", tmp_path / "b"], capsys, "forward.csv", "--force")
@@ -351,7 +358,7 @@ def test_a_bug_is_told_with_its_traceback_and_status_1(monkeypatch, capsys):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-def test_ctrl_c_ends_with_130_and_leaves_no_output(tmp_path):
+def test_ctrl_c_ends_with_1_and_leaves_no_output(tmp_path):
     arguments = ["compare", BEFORE, AFTER, "--out", tmp_path / "results" / "out"]
     process = subprocess.Popen(
         [sys.executable, "-m", "bayesbl", *arguments],
@@ -366,7 +373,8 @@ def test_ctrl_c_ends_with_130_and_leaves_no_output(tmp_path):
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == cli.INTERRUPTED
+    assert process.returncode == cli.FAILED
+    assert "Interrupted" in errors
     assert "Traceback" not in errors
     # What is finished so far stays for the next run, hidden.
     left = os.listdir(results) if results.exists() else []

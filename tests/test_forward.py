@@ -33,8 +33,10 @@ from bayesbl.inference.simulated import (
 )
 from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
+from bayesbl.report.diagnosed import located
 from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.forward_diagnosis import forward_tree
+from bayesbl.results.store import read_tree, write_tree
 
 FILE = Path(__file__).parents[1] / "experiments" / "independent_bench.py"
 BENCH = reference_bench()
@@ -129,6 +131,20 @@ def test_intervals_are_those_of_the_draws_that_are_stored(friction: ForwardDiagn
     assert laplace is not None
     assert abs(float(log_gap.mean()) - laplace.value) < 0.2 * laplace.sd
     assert float(log_gap.std()) == pytest.approx(laplace.sd, rel=0.1)
+
+
+def test_a_stored_diagnosis_says_where_what_was_left_repeats(
+    friction: ForwardDiagnosis, tmp_path: Path
+) -> None:
+    posterior = sample_direct(
+        friction.final.fit, SamplerSettings(), np.random.SeedSequence(2), corrected=False
+    )
+    augmented = dump_bench(friction.bench)
+    path = tmp_path / "result.nc"
+    write_tree(forward_tree(friction, posterior, BENCH, augmented, 0.9, "equal_tailed"), path)
+    before, after = (sentences for _, sentences in located(read_tree(path)))
+    assert any(s.startswith("Motor current: ") and "with the load angle" in s for s in before)
+    assert after[0].startswith("Nothing repeats")
 
 
 def test_naming_what_was_missing_rights_the_gap(friction: ForwardDiagnosis) -> None:

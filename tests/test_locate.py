@@ -92,7 +92,7 @@ def test_noise_alone_shows_a_line_no_more_often_than_stated():
 def test_noise_alone_is_called_nothing():
     found = located(*(recording(seed, speed) for seed, speed in ((1, 2e3), (2, -2e3), (3, 1.2e3))))
     assert describe_unexplained(found) == []
-    sentences = located_sentences(found)
+    sentences = located_sentences(located_dataset(found))
     assert len(sentences) == 1
     assert sentences[0].startswith("Nothing repeats")
 
@@ -303,8 +303,8 @@ def test_what_is_left_is_described_once_for_all_recordings(three):
     assert motor.recordings == ("forward", "reverse", "slow")
     assert motor.lowest_order == pytest.approx(3.0, abs=1e-3)
     assert unexplained_phrase(motor).startswith("motor speed: 2.")
-    sentences = located_sentences(three)
-    assert any("'reverse'" in s and "motor angle at order 3" in s for s in sentences)
+    sentences = located_sentences(located_dataset(three))
+    assert any(s.startswith("Motor speed: 2.") and "order 3 of the motor" in s for s in sentences)
 
 
 def test_the_dataset_carries_units_and_survives_a_file(three, tmp_path):

@@ -27,7 +27,7 @@ from bayesbl.report.progress import progress
 from bayesbl.report.study import filled, print_study
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
-from bayesbl.units import quantity_and_unit
+from bayesbl.units import number, quantity_and_unit
 from bayesbl.workflows.measure import measure
 
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
@@ -201,7 +201,7 @@ def test_rounding_never_swallows_an_interval(low, width):
     shown = [float(x) for x in words.bounds(found).replace("−", "-").split(" to ")]
     assert shown[0] < shown[1]
     assert shown[1] - shown[0] == pytest.approx(width, rel=0.21)
-    assert "-0" not in words.number(-0.1 * 10.0**-places, places)
+    assert "-0" not in number(-0.1 * 10.0**-places, places)
 
 
 def test_the_unit_read_from_a_name_is_that_of_the_catalogue():

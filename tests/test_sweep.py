@@ -389,6 +389,26 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
     )
 
 
+def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = sweep_config(tmp_path, draws=0)
+    first = run_sweep(config)
+    (kept,) = (tmp_path / "out" / ".sweep-cache").iterdir()
+    with np.load(kept) as stored:
+        rows = dict(stored)
+    rows["amplitude_rpm"] = rows["amplitude_rpm"] * 2.0
+    np.savez(kept, **rows)
+    stale = run_sweep(config)["sweep"]["amplitude_rpm"].values
+    np.testing.assert_array_equal(stale, 2.0 * first["sweep"]["amplitude_rpm"].values)
+    with monkeypatch.context() as edited:
+        edited.setattr("bayesbl.workflows.sweep.code_sha256", lambda: "another code")
+        other = run_sweep(config)
+    np.testing.assert_array_equal(other["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+    anew = run_sweep(config, fresh=True)
+    np.testing.assert_array_equal(anew["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+
+
 def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]
     folder, config, first = tolerant_sweep
     entry = sorted((folder / "out" / ".sweep-cache").iterdir())[0]

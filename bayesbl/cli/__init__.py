@@ -16,11 +16,14 @@ from bayesbl import __version__
 from bayesbl.cli.bench import diagnose_command, effects_command, simulate_command, sweep_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.start import check_command, init_command, run_command
-from bayesbl.cli.statuses import FAILED, INTERRUPTED, WITHHELD, WRONG
+from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
 from bayesbl.errors import UserError
 
-__all__ = ["FAILED", "INTERRUPTED", "WITHHELD", "WRONG", "app", "main", "status"]
+__all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
+
+INTERRUPTED = 130
+"""How typer ends after Ctrl-C."""
 
 app = typer.Typer(
     help="The backlash gap of a robot joint, and how it changed, from recordings of motor speed.",
@@ -72,7 +75,7 @@ def main() -> None:
     # The matrices are small: threads of linear algebra cost more than they bring, and round
     # differently on other numbers of cores.
     for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+        os.environ[f"{library}_NUM_THREADS"] = "1"
     sys.exit(status())
 
 
@@ -87,6 +90,7 @@ def status(arguments: Sequence[str] | None = None) -> int:
         code = end.code if isinstance(end.code, int) else FAILED
         if code == INTERRUPTED:
             print("Interrupted; nothing was written over.", file=sys.stderr)
+            return FAILED
         return code
     except UserError as problem:
         error(make_console(stderr=True), problem)

@@ -16,9 +16,10 @@ def simulate_command(
     seed: Seed = None,
     workers: Workers = None,
     force: Force = False,
+    json: Json = False,
 ) -> None:
     """Make recordings on a virtual bench."""
-    simulate(config, out, seed, workers, force, False)
+    simulate(config, out, seed, workers, force, json)
 
 
 def sweep_command(

@@ -1,4 +1,4 @@
 """Exit statuses besides 0."""
 
-FAILED, WRONG, WITHHELD, INTERRUPTED = 1, 2, 3, 130
-"""What no user can mend; usage, config or input; no answer; Ctrl-C."""
+FAILED, WRONG, WITHHELD = 1, 2, 3
+"""What no user can mend, or Ctrl-C; usage, config or input; no answer."""

@@ -5,8 +5,6 @@ A configuration is validated whole: everything that is wrong with it is reported
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import re
 import tomllib
@@ -160,13 +158,6 @@ def config_from_options(
 def dump_config(config: RunConfig) -> str:
     """The configuration as TOML, defaults filled in; it loads back to an equal one."""
     return tomli_w.dumps(_plain(config.model_dump(by_alias=True, exclude_none=True)))
-
-
-def config_fingerprint(config: RunConfig) -> str:
-    """SHA-256 of what decides the numbers: everything but who computes and the output folder."""
-    left_out = {"run": {"workers", "scheduler", "output"}}
-    problem = config.model_dump(mode="json", by_alias=True, exclude=left_out)
-    return hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
 
 
 def _read(path: Path) -> _Document:

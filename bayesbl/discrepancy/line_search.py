@@ -168,21 +168,6 @@ def motor_orders_in_comb(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Cleaned:
-    """What does not repeat, taken apart.
-
-    ``columns``: the waves of all lines behind the ramp of drift, shape (n, 1 + 2 l), and their
-    ``coefficients``; ``noise``: what is left, shape (n,).
-    """
-
-    lines: tuple[FoundLine, ...]
-    columns: FloatArray
-    coefficients: FloatArray
-    noise: FloatArray
-    floor: NoiseFloor
-
-
 def orthonormal(columns: FloatArray, before: Sequence[FloatArray]) -> list[FloatArray]:
     """Columns freed of one another and of those before, each of length one."""
     found = list(before)

@@ -98,11 +98,6 @@ def describe_unexplained(located: Located) -> list[Unexplained]:
     return entries
 
 
-def anything_left(located: Located) -> bool:
-    """Whether anything is significant at all."""
-    return bool(describe_unexplained(located))
-
-
 def repeats(channel: ChannelLeft, tests: int) -> bool:
     """Whether anything repeats with the load angle: a line of a load order, or a whole band."""
     return channel.main_orders is not None or channel.repeating_probability * tests <= SURE

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.gap.curve import CurveDraws, GapCurve, interpolate_rows
+from bayesbl.inference.weights import effective_size, resampled
 from bayesbl.recording.types import FloatArray
 
 LARGEST_SHARE_OUTSIDE = 0.01
@@ -102,7 +103,7 @@ def gaps(
         matched = prior + np.sum(
             [_log_match(shared, s, a) for s, a in zip(snapshots, amplitudes, strict=True)], axis=0
         )
-        effective = _effective(matched)
+        effective = effective_size(matched)
         if effective >= FEWEST_EFFECTIVE:
             weights = matched
         else:
@@ -111,7 +112,8 @@ def gaps(
                 f"(only {effective:.0f} of {total} curve draws explain them), so they were not "
                 "used to narrow the bench. Widen the tolerances or correct the bench.",
             )
-    index = _resampled(weights, chains, count, np.random.default_rng(pick_seed))
+    own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
+    index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
     chosen = shared.take(index)
     result = []
     for snapshot, candidates in zip(snapshots, amplitudes, strict=True):
@@ -167,33 +169,6 @@ def _log_match(
     return np.asarray(
         -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(conditional), difference)
     )
-
-
-def _resampled(
-    log_weights: FloatArray, chains: int, count: int, generator: np.random.Generator
-) -> NDArray[np.int64]:
-    """Systematic resampling of ``count`` candidates within each chain, shape (chains · count,)."""
-    per_chain = log_weights.size // chains
-    picked = []
-    for chain in range(chains):
-        own = log_weights[chain * per_chain : (chain + 1) * per_chain]
-        ticks = (np.arange(count) + generator.uniform()) / count
-        if not np.any(np.isfinite(own)):
-            index = np.linspace(0, per_chain - 1, count).round().astype(np.int64)
-        else:
-            edges = np.cumsum(np.exp(own - own.max()))
-            index = np.searchsorted(edges / edges[-1], ticks)
-        # Systematic resampling leaves neighbours alike; draws must pair at random.
-        picked.append(chain * per_chain + generator.permutation(index))
-    return np.concatenate(picked)
-
-
-def _effective(log_weights: FloatArray) -> float:
-    """Kish's effective sample size of unnormalised weights."""
-    if not np.any(np.isfinite(log_weights)):
-        return 0.0
-    weights = np.exp(log_weights - log_weights.max())
-    return float(weights.sum() ** 2 / (weights**2).sum())
 
 
 def _log(values: FloatArray) -> FloatArray:

@@ -32,6 +32,7 @@ from bayesbl.inference.posterior import (
 from bayesbl.inference.simulated import GAP, SimulatedSignals
 from bayesbl.inference.simulated_fit import SimulatedFit
 from bayesbl.inference.surrogate import Surrogate, points_needed, regress
+from bayesbl.inference.weights import effective_size, resampled
 from bayesbl.recording.types import FloatArray
 
 DRAWS = 1000
@@ -145,7 +146,8 @@ def sample_direct(
             break
         surrogate, refits = better, refits + 1
     diagnostics = _judge(model, walk, draws, effective, failed)
-    picked = _resampled(log_weights.reshape(draws.shape[:2]), np.random.default_rng(pick_seed))
+    weights = log_weights.reshape(draws.shape[:2])
+    picked = resampled(weights, draws.shape[1], np.random.default_rng(pick_seed))
     return DirectPosterior(
         fit,
         np.take_along_axis(draws, picked[..., None], axis=1),
@@ -155,14 +157,6 @@ def sample_direct(
         refits,
         diagnostics,
     )
-
-
-def effective_size(log_weights: FloatArray) -> float:
-    """Kish's effective sample size of unnormalised weights."""
-    if not np.any(np.isfinite(log_weights)):
-        return 0.0
-    weights = np.exp(log_weights - log_weights.max())
-    return float(weights.sum() ** 2 / (weights**2).sum())
 
 
 def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> FloatArray:
@@ -230,20 +224,6 @@ def _covariance(points: FloatArray) -> FloatArray:
     """Of draws, (m, d) to (d, d); never singular, even where draws lie at a bound."""
     found = np.atleast_2d(np.cov(points.T))
     return np.asarray(found + 1e-12 * np.diag(np.diag(found) + 1e-30))
-
-
-def _resampled(
-    log_weights: FloatArray, generator: np.random.Generator
-) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Systematic resampling within each chain, (chain, draw) indices in random order."""
-    chains, count = log_weights.shape
-    picked = np.tile(np.arange(count), (chains, 1))
-    for chain, own in enumerate(log_weights):
-        if np.any(np.isfinite(own)):
-            edges = np.cumsum(np.exp(own - own.max()))
-            ticks = (np.arange(count) + generator.uniform()) / count
-            picked[chain] = generator.permutation(np.searchsorted(edges / edges[-1], ticks))
-    return picked
 
 
 def _judge(

@@ -20,6 +20,7 @@ import numpy as np
 from bayesbl.errors import RecordingError
 from bayesbl.inference.quantisation import SpeedSteps
 from bayesbl.inference.tails import tails
+from bayesbl.physics.noise import ar_autocorrelation
 from bayesbl.recording.types import FloatArray
 
 NoiseKind = Literal["auto", "white", "ar", "student_t"]
@@ -234,31 +235,7 @@ def autocorrelation(
 ) -> FloatArray:
     """ρ(0) … ρ(lags − 1) of an AR process, or of its change from sample to sample."""
     if not differentiated:
-        return _autocorrelation(coefficients, lags)
-    rho = _autocorrelation(coefficients, lags + 1)
+        return ar_autocorrelation(coefficients, lags)
+    rho = ar_autocorrelation(coefficients, lags + 1)
     change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
     return np.asarray(change / change[0])
-
-
-def _autocorrelation(coefficients: FloatArray, lags: int) -> FloatArray:
-    """By the Yule-Walker equations."""
-    from scipy.signal import lfilter, lfiltic
-
-    p = coefficients.size
-    rho = np.zeros(max(lags, p + 1))
-    rho[0] = 1.0
-    if p:
-        matrix = np.eye(p)
-        rhs = np.zeros(p)
-        for i in range(1, p + 1):
-            for k in range(1, p + 1):
-                if i == k:
-                    rhs[i - 1] += coefficients[k - 1]
-                else:
-                    matrix[i - 1, abs(i - k) - 1] -= coefficients[k - 1]
-        rho[1 : p + 1] = np.linalg.solve(matrix, rhs)
-        if rho.size > p + 1:
-            polynomial = np.r_[1.0, -coefficients]
-            state = lfiltic([1.0], polynomial, rho[p:0:-1])
-            rho[p + 1 :] = lfilter([1.0], polynomial, np.zeros(rho.size - p - 1), zi=state)[0]
-    return rho[:lags]

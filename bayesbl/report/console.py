@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import UserError
 from bayesbl.report import words
-from bayesbl.report.diagnosed import print_diagnosis
+from bayesbl.report.diagnosed import located, print_diagnosis
 from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
 from bayesbl.report.worn import print_wear
+from bayesbl.units import number
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -94,7 +95,11 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
 
 def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
-    """Parameters and diagnostics of every snapshot; nothing for other kinds of result."""
+    """Parameters and diagnostics of every snapshot; what a forward diagnosis found, and where."""
+    for stage, sentences in located(tree):
+        say(console, stage, "bold")
+        for sentence in sentences:
+            say(console, sentence)
     for name, part in words.snapshots(summary) if _has_snapshots(summary) else []:
         if words.is_direct(summary):
             print_direct_details(name, part, console)
@@ -148,7 +153,7 @@ def _snapshot_table(summary: Summary) -> Table:
 def _gap_cells(delta: Mapping[str, Any] | None, places: int) -> tuple[str, str]:
     if delta is None:
         return "withheld", "withheld"
-    return words.number(1e3 * delta["median"], places), words.bounds(delta, 1e3, places)
+    return number(1e3 * delta["median"], places), words.bounds(delta, 1e3, places)
 
 
 def _print_details(name: str, part: Summary, rivals: list[str], console: Console) -> None:
@@ -188,8 +193,8 @@ def _parameter_table(part: Summary) -> Table:
         add_row(
             table,
             symbol.name,
-            words.number(best, places),
-            words.number(found["median"], places),
+            number(best, places),
+            number(found["median"], places),
             words.bounds(found, places=places),
             symbol.unit,
         )

@@ -6,16 +6,16 @@ disagreement here: the gap is δ to whoever reads this.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
-from bayesbl.units import in_words, quantity_and_unit
+from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
+    import xarray as xr
     from rich.console import Console
     from rich.table import Table
 
@@ -99,6 +99,19 @@ def remaining(summary: Summary) -> Iterator[str]:
         )
 
 
+def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
+    """What a forward comparison leaves as believed and with what was named: heading, sentences."""
+    from bayesbl.report.located import located_sentences
+
+    stages = {"located_before": "What the bench as believed leaves"}
+    if tree.attrs.get("augmented_bench"):
+        stages["located_after"] = "What is left with what was named"
+    for group, heading in stages.items():
+        # Results of versions before this one hold no entries.
+        if group in tree.children and "unexplained" in tree[group].attrs:
+            yield heading, located_sentences(tree[group].to_dataset())
+
+
 def wear(summary: Summary) -> Iterator[str]:
     """The gap with the bench as believed and with what was named: what the effect does to it."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
@@ -137,13 +150,10 @@ def suggestion(summary: Summary) -> Iterator[str]:
 
 
 def _phrase(line: dict[str, Any]) -> str:
-    """As it was before JSON, which knows no NaN and no tuples, in words."""
-    # Imported here: they stand on the compiled simulator, which takes a second.
-    from bayesbl.discrepancy.unexplained import Unexplained
-    from bayesbl.report.located import unexplained_phrase
+    # Imported here: it stands on the compiled simulator, which takes a second.
+    from bayesbl.report.located import unexplained, unexplained_phrase
 
-    values = {key: math.nan if value is None else value for key, value in line.items()}
-    return unexplained_phrase(Unexplained(**values | {"recordings": tuple(line["recordings"])}))
+    return unexplained_phrase(unexplained(line))
 
 
 def _sized(parameter: str, interval: dict[str, Any]) -> str:
@@ -156,12 +166,12 @@ def _sized(parameter: str, interval: dict[str, Any]) -> str:
 def _value(interval: dict[str, Any], unit: str) -> str:
     if interval["low"] is None:
         return _with_unit(_digits(interval["median"]), unit)
-    middle = words.number(interval["median"], words.decimals(interval))
+    middle = number(interval["median"], words.decimals(interval))
     return f"{_with_unit(middle, unit)} ({words.bounds(interval)})"
 
 
 def _digits(value: float) -> str:
-    return words.significant(value, 4) if value % 1.0 else words.number(value, 0)
+    return words.significant(value, 4) if value % 1.0 else number(value, 0)
 
 
 def _with_unit(value: str, unit: str) -> str:

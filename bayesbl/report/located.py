@@ -2,37 +2,35 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
-from bayesbl.discrepancy.attribution import Line
-from bayesbl.discrepancy.locate import ChannelLeft, Located, RecordingLeft
-from bayesbl.discrepancy.unexplained import (
-    FEWEST_OUTLIERS,
-    SKEW_EXPLAINS,
-    Unexplained,
-    describe_unexplained,
-    has_skew,
-    repeats,
-)
+from bayesbl.discrepancy.unexplained import Unexplained
 from bayesbl.recording.types import CHANNELS
-from bayesbl.report.words import number
-from bayesbl.units import unit_of
+from bayesbl.units import number, unit_of
 
-MOST_LINES = 3
+if TYPE_CHECKING:
+    import xarray as xr
 
 
-def located_sentences(located: Located) -> list[str]:
-    """What is left, recording by recording, then over all of them."""
-    if not describe_unexplained(located):
-        rate = 100.0 * located.false_discovery_rate
+def located_sentences(left: xr.Dataset) -> list[str]:
+    """What a comparison leaves, over all recordings; of a dataset of results.located."""
+    names = [str(name) for name in left["recording"].values]
+    entries = [unexplained(entry) for entry in json.loads(left.attrs["unexplained"])]
+    if not entries:
+        rate = 100.0 * float(left.attrs["false_discovery_rate"])
         return [
             "Nothing repeats, drifts or lags beyond noise in any channel "
             f"(were that so in truth, {rate:g} % of such data would show a line by chance)."
         ]
-    sentences = []
-    for recording in located.recordings:
-        sentences += _of_recording(recording, located)
-    return sentences + _offset_sentences(located)
+    sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
+    shown = {entry.channel for entry in entries if entry.dependence == "offset"}
+    offsets = [o for o in json.loads(left.attrs["offsets"]) if o["channel"] in shown]
+    if len(names) > 1:
+        sentences += [told for o in offsets if (told := _offset_sentence(o))]
+    return [text[0].upper() + text[1:] for text in sentences]
 
 
 def unexplained_phrase(entry: Unexplained) -> str:
@@ -83,83 +81,30 @@ def _lag(seconds: float) -> str:
     return f"{verb} by {quantity(1e3 * abs(seconds), 'ms')}"
 
 
-def _of_recording(recording: RecordingLeft, located: Located) -> list[str]:
-    tests = sum(len(other.channels) for other in located.recordings)
-    sentences = []
-    for channel in recording.channels:
-        parts = _parts(channel, tests)
-        name = channel_name(channel.channel)
-        noise = quantity(channel.noise_sd, unit_of(channel.channel))
-        if parts:
-            sentences.append(f"In the {name} of '{recording.name}', {'; '.join(parts)}.")
-        else:
-            sentences.append(
-                f"In the {name} of '{recording.name}' only noise of {noise} (RMS) is left."
-            )
-    return sentences
+def unexplained(entry: dict[str, Any]) -> Unexplained:
+    """An entry as it was before JSON, which knows no NaN and no tuples."""
+    values = {key: math.nan if value is None else value for key, value in entry.items()}
+    return Unexplained(**values | {"recordings": tuple(entry["recordings"])})
 
 
-def _parts(channel: ChannelLeft, tests: int) -> list[str]:
-    unit = unit_of(channel.channel)
-    parts = []
-    if repeats(channel, tests):
-        where = channel.main_orders
-        at = f", mostly at {_orders(*where)}" if where else ""
-        size = quantity(channel.repeating_rms, unit)
-        parts.append(f"{size} (RMS) repeat with the load angle{at}")
-    lines = [line for line in channel.lines if line.dependence != "load angle"]
-    parts += [_line(line, unit) for line in lines[:MOST_LINES]]
-    if len(lines) > MOST_LINES:
-        parts.append(f"{len(lines) - MOST_LINES} weaker lines")
-    if channel.offset_significant:
-        parts.append(f"the mean is off by {quantity(channel.offset, unit)}")
-    if abs(channel.drift_per_s) > 5.0 * channel.drift_error_per_s:
-        parts.append(f"it drifts by {quantity(channel.drift_per_s, f'{unit}/s')}")
-    if channel.skew.explained >= SKEW_EXPLAINS and has_skew(channel, tests):
-        share = 100.0 * channel.skew.explained
-        lag = _lag(channel.skew.lag_s)
-        parts.append(f"it {lag}, which explains {share:.0f} % of what is left")
-    if channel.outliers >= FEWEST_OUTLIERS:
-        parts.append(f"{channel.outliers} samples lie where no noise puts them")
-    return parts
+def _where(entry: Unexplained, names: Sequence[str]) -> str:
+    """Which recordings show it, if not all do."""
+    if len(entry.recordings) == len(names):
+        return ""
+    return f" (in {', '.join(repr(name) for name in entry.recordings)})"
 
 
-def _line(line: Line, unit: str) -> str:
-    size = quantity(line.amplitude, unit)
-    if line.dependence == "motor angle":
-        return f"{size} repeat with the motor angle at order {line.motor_order:.4g}"
-    if line.dependence == "time":
-        return f"{size} repeat in time at {line.frequency_hz:.4g} Hz"
-    return (
-        f"{size} repeat at {line.frequency_hz:.4g} Hz or motor order {line.motor_order:.4g}, "
-        "which these recordings cannot tell apart"
-    )
-
-
-def _offset_sentences(located: Located) -> list[str]:
-    """How offsets depend on direction and speed, where there is an offset to speak of."""
-    shown = {
-        channel.channel
-        for recording in located.recordings
-        for channel in recording.channels
-        if channel.offset_significant
-    }
-    sentences = []
-    for offset in located.offsets:
-        if offset.channel not in shown or len(located.recordings) < 2:
-            continue
-        unit = unit_of(offset.channel)
-        parts = [
-            (offset.constant, offset.constant_error, "{} in both directions"),
-            (offset.with_direction, offset.with_direction_error, "{} with the sign of the motion"),
-            (offset.per_1000_rpm, offset.per_1000_rpm_error, "{} for every 1000 rpm"),
-        ]
-        told = [
-            text.format(quantity(value, unit))
-            for value, error, text in parts
-            if not math.isnan(value) and abs(value) > 3.0 * error
-        ]
-        if told:
-            name = channel_name(offset.channel)
-            sentences.append(f"The {name}'s mean is off by {', '.join(told)}.")
-    return sentences
+def _offset_sentence(offset: dict[str, Any]) -> str:
+    """How an offset depends on direction and speed; empty if that is not sure."""
+    unit = unit_of(offset["channel"])
+    told = [
+        text.format(quantity(offset[part], unit))
+        for part, text in (
+            ("constant", "{} in both directions"),
+            ("with_direction", "{} with the sign of the motion"),
+            ("per_1000_rpm", "{} for every 1000 rpm"),
+        )
+        if offset[part] is not None and abs(offset[part]) > 3.0 * offset[f"{part}_error"]
+    ]
+    name = channel_name(offset["channel"])
+    return f"The {name}'s mean is off by {', '.join(told)}." if told else ""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
+from bayesbl.units import number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +49,7 @@ def _degree_table(summary: Summary) -> Table:
             degree,
             words.significant(100.0 * found["rms_departure"]),
             words.significant(100.0 * found["largest_departure"]),
-            words.number(best - found["log_evidence"], 1),
+            number(best - found["log_evidence"], 1),
             "used" if int(degree) == summary["degree"] else "",
         )
     return table

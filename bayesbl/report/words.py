@@ -11,6 +11,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from bayesbl.units import number
+
 Summary = Mapping[str, Any]
 """``summary.json`` as :func:`bayesbl.results.summary.summarise` makes it, or a part of it."""
 
@@ -72,14 +74,6 @@ def decimals(interval: Summary, scale: float = 1.0, units: float = 5.0) -> int:
 def common_decimals(intervals: Iterable[Summary | None]) -> int:
     """Decimals in mrad that show the narrowest of some gaps in rad; 3 if there is none."""
     return max((decimals(found, 1e3) for found in intervals if found is not None), default=3)
-
-
-def number(value: float, places: int) -> str:
-    """A number with a true minus sign, and no minus in front of zero."""
-    text = f"{value:.{places}f}"
-    if float(text) == 0.0:
-        text = text.removeprefix("-")
-    return text.replace("-", "−")
 
 
 def bounds(interval: Summary, scale: float = 1.0, places: int | None = None) -> str:

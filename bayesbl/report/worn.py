@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from bayesbl.report import words
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.words import Summary
+from bayesbl.units import number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,7 +64,7 @@ def headline(summary: Summary) -> str:
 
 def in_mrad(interval: Summary) -> str:
     """The median in mrad, with as many digits as its interval bears."""
-    return words.number(1e3 * interval["median"], words.decimals(interval, 1e3))
+    return number(1e3 * interval["median"], words.decimals(interval, 1e3))
 
 
 def month(value: str | None) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from bayesbl.errors import ResultError
-from bayesbl.results.provenance import code_versions
+from bayesbl.results.provenance import code_sha256, code_versions
 
 PROBLEM_FILE = "problem.json"
 
@@ -40,6 +40,7 @@ def problem_of(config: Mapping[str, Any], inputs: Mapping[str, str]) -> Problem:
         **_flat(config, ""),
         **{f"content of {file}": f"SHA-256 {digest}" for file, digest in inputs.items()},
         **{f"version of {package}": version for package, version in code_versions().items()},
+        "content of the package": f"SHA-256 {code_sha256()}",
     }
 
 

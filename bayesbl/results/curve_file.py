@@ -9,7 +9,7 @@ import xarray as xr
 
 from bayesbl.errors import CurveError, ResultError
 from bayesbl.gap.curve import GapCurve, Ringing
-from bayesbl.results.store import read_tree
+from bayesbl.results.store import read_tree, texts
 from bayesbl.results.tree import dataset
 
 GROUP = "gap_curve"
@@ -68,7 +68,6 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
                 )
             )
         )
-    warnings = stored.attrs.get("warnings", [])
     return GapCurve(
         name=name,
         coefficients=stored["coefficients"].values,
@@ -82,7 +81,7 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
         start_angle_sd_rpm=stored["start_angle_sd_rpm"].values,
         fingerprint=stored.attrs.get("fingerprint") or None,
         ringing=ringing,
-        warnings=(warnings,) if isinstance(warnings, str) else tuple(warnings),
+        warnings=tuple(texts(stored.attrs.get("warnings"))),
         reference_speed_rpm=float(stored.attrs.get("reference_speed_rpm", 0.0)) or None,
     )
 

@@ -17,6 +17,7 @@ import xarray as xr
 
 from bayesbl.discrepancy.report import Diagnosis, Estimate, Gap
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.store import texts
 from bayesbl.results.tree import dataset
 from bayesbl.units import unit_of
 
@@ -47,13 +48,12 @@ def diagnosis_tree(found: Diagnosis, level: float) -> xr.DataTree:
 
 def summarise_diagnosis(tree: xr.DataTree) -> dict[str, Any]:
     """``summary.json`` of a diagnosis."""
-    warnings = tree.attrs.get("warnings", [])
     answer: dict[str, Any] = json.loads(tree.attrs["diagnosis"])
     return {
         "kind": "diagnose",
         "outcome": tree.attrs["outcome"],
         "reason": tree.attrs.get("reason") or None,
-        "warnings": [warnings] if isinstance(warnings, str) else [str(w) for w in warnings],
+        "warnings": texts(tree.attrs.get("warnings")),
         "version": tree.attrs.get("bayesbl_version"),
         "commit": tree.attrs.get("git_commit"),
         "seed": tree.attrs.get("seed"),

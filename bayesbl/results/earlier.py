@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bayesbl.errors import ResultError
 from bayesbl.inference.warm import EarlierOptimum
-from bayesbl.results.store import read_tree
+from bayesbl.results.store import read_tree, texts
 from bayesbl.signal.parameters import SYMBOLS
 
 KINDS = ("fit", "compare")
@@ -35,7 +35,7 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
     if kind == "compare":
         parts = {str(n): optimum.sel(snapshot=n) for n in optimum["snapshot"].values}
     else:
-        (name,) = _texts(tree.attrs["recordings"])
+        (name,) = texts(tree.attrs["recordings"])
         parts, verdicts = {name: optimum}, {name: verdicts["fit"]}
     return {
         name: EarlierOptimum(
@@ -46,8 +46,3 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
         )
         for name, part in parts.items()
     }
-
-
-def _texts(value: object) -> list[str]:
-    """A list of texts, which NetCDF gives back as one text if it held one."""
-    return [value] if isinstance(value, str) else [str(x) for x in value]  # type: ignore[attr-defined]

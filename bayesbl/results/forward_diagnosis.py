@@ -29,7 +29,7 @@ from bayesbl.physics.bench import Bench
 from bayesbl.results.diagnosis import GAP_WORDS, interval_of
 from bayesbl.results.direct_tree import result_name, unit_and_meaning
 from bayesbl.results.intervals import IntervalKind, interval
-from bayesbl.results.located import located_dataset
+from bayesbl.results.located import located_dataset, plain
 from bayesbl.results.tree import dataset
 from bayesbl.units import unit_of
 
@@ -123,7 +123,7 @@ def _answer(found: ForwardDiagnosis, intervals: _Intervals, believed: Bench) -> 
             for effect in named
             if effect.candidate.kind == "parameter"
         ],
-        "remaining": [_plain(dataclasses.asdict(entry)) for entry in found.remaining],
+        "remaining": [plain(entry) for entry in found.remaining],
         "gap": _gap_table(found),
         "delta_rad_before": intervals.of_gap(found.delta_before, None),
         "delta_rad_after": intervals.of_gap(found.delta_after, gap),
@@ -209,14 +209,6 @@ def _gap_table(found: ForwardDiagnosis) -> dict[str, Any]:
 
 def _one_gap(gap: ChannelGap) -> dict[str, float | None]:
     return {name: getattr(gap, name) for name in GAP_WORDS}
-
-
-def _plain(entry: dict[str, Any]) -> dict[str, Any]:
-    """JSON knows no NaN."""
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in entry.items()
-    }
 
 
 def _gaps(found: ForwardDiagnosis) -> xr.Dataset:

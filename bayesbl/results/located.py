@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -11,9 +15,13 @@ from numpy.typing import NDArray
 from bayesbl.discrepancy.attribution import Line
 from bayesbl.discrepancy.left_over import MAP_POINTS
 from bayesbl.discrepancy.locate import ChannelLeft, Located
+from bayesbl.discrepancy.unexplained import describe_unexplained
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.results.tree import dataset
 from bayesbl.units import unit_of
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _NUMBERS: tuple[tuple[str, str, str, Callable[[ChannelLeft], float]], ...] = (
     ("offset", "{unit}", "mean of recording less simulation", lambda c: c.offset),
@@ -91,11 +99,13 @@ _LINES: tuple[tuple[str, str, str, Callable[[Line], float]], ...] = (
 
 
 def located_dataset(located: Located) -> xr.Dataset:
-    """Everything but the sentences.
+    """All that is left.
 
     Variables begin with their channel's name. Dimensions: ``recording``, ``load_angle_rad`` (720),
     ``bin`` of the spectra and ``line`` of the significant lines, strongest first; shorter ones are
-    padded with NaN, missing channels filled with it.
+    padded with NaN, missing channels filled with it. Attributes
+    ``unexplained`` and ``offsets`` hold, as JSON, what is significant over all recordings and how
+    offsets depend on direction and speed.
     """
     recordings = located.recordings
     names = list(dict.fromkeys(c.channel for r in recordings for c in r.channels))
@@ -153,8 +163,25 @@ def located_dataset(located: Located) -> xr.Dataset:
         {k: (d, _widened(d, v, most), u, n) for k, (d, v, u, n) in variables.items()}, coordinates
     )
     made = made.assign(dependences)
-    made.attrs = {"channels": names, "false_discovery_rate": located.false_discovery_rate}
+    made.attrs = {
+        "channels": names,
+        "false_discovery_rate": located.false_discovery_rate,
+        "unexplained": _json(describe_unexplained(located)),
+        "offsets": _json(located.offsets),
+    }
     return made
+
+
+def plain(entry: DataclassInstance) -> dict[str, Any]:
+    """An entry as JSON can hold it, which knows no NaN."""
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in asdict(entry).items()
+    }
+
+
+def _json(entries: Sequence[DataclassInstance]) -> str:
+    return json.dumps([plain(entry) for entry in entries], ensure_ascii=False)
 
 
 def _of_channel(

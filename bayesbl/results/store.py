@@ -105,30 +105,11 @@ def write_json(content: Mapping[str, Any], path: str | Path) -> None:
     write_text(text + "\n", path)
 
 
-def read_json(path: str | Path) -> dict[str, Any]:
-    """Read a JSON object.
-
-    Raises
-    ------
-    ResultError
-        If the file is missing or does not hold an object.
-    """
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ResultError(
-            "The file cannot be read.", file=path, found=error.strerror, expected="a summary.json"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise ResultError(
-            "The file is damaged, or is not JSON.", file=path, found=error, expected="JSON"
-        ) from None
-    if not isinstance(content, dict):
-        raise ResultError(
-            "The file does not hold an object.", file=path, found=type(content).__name__
-        )
-    return content
+def texts(attribute: object) -> list[str]:
+    """A list of texts kept as an attribute: NetCDF gives one back as a text, none as nothing."""
+    if attribute is None or attribute == "":
+        return []
+    return [attribute] if isinstance(attribute, str) else [str(text) for text in attribute]  # type: ignore[attr-defined]
 
 
 def write_text(text: str, path: str | Path) -> None:

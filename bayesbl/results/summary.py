@@ -12,6 +12,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.direct_summary import amplitude_reasons, direct_snapshot
 from bayesbl.results.intervals import interval
+from bayesbl.results.store import texts
 from bayesbl.results.wear import summarise_wear
 from bayesbl.signal.parameters import SYMBOLS
 
@@ -38,7 +39,7 @@ def _head(tree: xr.DataTree) -> dict[str, Any]:
         "kind": tree.attrs["kind"],
         "outcome": tree.attrs["outcome"],
         "reason": tree.attrs.get("reason") or None,
-        "warnings": _texts(tree.attrs.get("warnings")),
+        "warnings": texts(tree.attrs.get("warnings")),
         "curve": tree["curve"].attrs["name"],
         "version": tree.attrs.get("bayesbl_version"),
         "commit": tree.attrs.get("git_commit"),
@@ -218,9 +219,3 @@ def _verdict(tree: xr.DataTree, name: str | None) -> dict[str, Any]:
     verdicts: dict[str, Any] = json.loads(tree["diagnostics"].attrs["verdicts"])
     found: dict[str, Any] = verdicts[name or "fit"]
     return found
-
-
-def _texts(value: Any) -> list[str]:
-    if value is None or (isinstance(value, str) and not value):
-        return []
-    return [value] if isinstance(value, str) else [str(v) for v in value]

@@ -12,7 +12,12 @@ sample after it. One table of powers zʲ therefore serves every pulse:
   table made once per recording.
 
 A, v_t and the baseline are then solved from the normal equations. Work per evaluation does not
-grow with the samples outside the pulse windows.
+grow with the samples outside the pulse windows. Samples that a fit leaves out have the speed zero,
+so every sum with the speed is right already; what they add to the inner products among the columns
+[1, cos, sin, …, pulses] is subtracted, for those inside pulse windows one by one.
+
+Everything that numba compiles together stands in this one file: its cache looks only at the file of
+the outermost function, so a part kept elsewhere could go stale unnoticed.
 """
 
 from __future__ import annotations
@@ -24,8 +29,6 @@ from numba import njit
 from scipy.fft import next_fast_len
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.signal.left_out import pulses_at, subtract
-from bayesbl.signal.normal_equations import solve
 
 # Columns of the parameter matrix that the kernel takes.
 AMPLITUDE, FIRST_IMPACT, DECAY, FREQUENCY, MEAN, WINDOW, SEPARATION, ROTATION = range(8)
@@ -147,6 +150,130 @@ def _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine):  # type
             if extra_at[a, i] == extra_at[b, j]:
                 product += extra[a, i] * extra[b, j]
     return product
+
+
+@njit(cache=True)
+def _pulses_at(  # type: ignore[no-untyped-def]
+    left_out, count, sign, w, n0, begin, end, extra_at, extra, cosine, sine, train
+):
+    """The unit pulse train at the samples ``left_out`` (sorted), into ``train``, shape (m,)."""
+    train[:] = 0.0
+    for a in range(count):
+        i = np.searchsorted(left_out, min(extra_at[a, 0], begin[a]))
+        last = max(extra_at[a, 2], end[a])
+        while i < left_out.size and left_out[i] <= last:
+            sample = left_out[i]
+            if begin[a] <= sample < end[a]:
+                j = sample - n0[a]
+                train[i] += sign[a] * (w[a].real * sine[j] + w[a].imag * cosine[j])
+            for part in range(3):
+                if extra_at[a, part] == sample:
+                    train[i] += sign[a] * extra[a, part]
+            i += 1
+
+
+@njit(cache=True)
+def _subtract(gram, left_out, train, sums, kappa, centre):  # type: ignore[no-untyped-def]
+    """Subtract the left-out samples from the lower triangle of XᵀX.
+
+    Parameters
+    ----------
+    train
+        Of :func:`_pulses_at`, shape (m,).
+    sums
+        Σ e^{iκkt} over the samples left out, t from the middle of the grid, k = 0 … 2·harmonics.
+    kappa
+        Angle of the load per sample, rad.
+    centre
+        Sample number of the middle of the grid.
+    """
+    last = gram.shape[0] - 1
+    harmonics = (last - 1) // 2
+    gram[0, 0] -= sums[0].real
+    for j in range(1, harmonics + 1):
+        gram[2 * j - 1, 0] -= sums[j].real
+        gram[2 * j, 0] = -sums[j].imag
+        for k in range(1, j + 1):
+            less, more = sums[j - k], sums[j + k]
+            gram[2 * j - 1, 2 * k - 1] -= 0.5 * (less.real + more.real)
+            gram[2 * j, 2 * k] -= 0.5 * (less.real - more.real)
+            gram[2 * j, 2 * k - 1] = -0.5 * (more.imag + less.imag)
+            if k < j:
+                gram[2 * j - 1, 2 * k] = -0.5 * (more.imag - less.imag)
+    for i in range(left_out.size):
+        value = train[i]
+        if value != 0.0:
+            gram[last, 0] -= value
+            gram[last, last] -= value * value
+            for k in range(1, harmonics + 1):
+                turned = value * np.exp(1j * kappa * k * (left_out[i] - centre))
+                gram[last, 2 * k - 1] -= turned.real
+                gram[last, 2 * k] -= turned.imag
+
+
+@njit(cache=True)
+def solve(  # type: ignore[no-untyped-def]
+    gram, rhs, y_square, amplitude, mean, solve_amplitude, solve_mean, solution, factor
+):
+    """Solve XᵀX b = Xᵀy for columns ordered [1, cos, sin, …, pulses].
+
+    Parameters
+    ----------
+    gram, rhs
+        XᵀX (lower triangle read) and Xᵀy of all c columns, shapes (c, c) and (c,); ``rhs`` is
+        overwritten.
+    y_square
+        Σ y², rpm².
+    amplitude, mean
+        Values of the last and first coefficient where they are not solved for, rpm.
+    solution, factor
+        Output: coefficients (c,) and lower Cholesky factor (c, c), whose rows and columns of
+        given coefficients are left as they are.
+
+    Returns
+    -------
+    Sum of squares left in rpm² (infinite where the columns are degenerate), and log|XᵀX| of the
+    columns solved for.
+    """
+    c = rhs.size
+    first = 0 if solve_mean else 1
+    last = c if solve_amplitude else c - 1
+    left = y_square
+    if not solve_amplitude:
+        left += amplitude * (amplitude * gram[c - 1, c - 1] - 2.0 * rhs[c - 1])
+        for k in range(c - 1):
+            rhs[k] -= amplitude * gram[c - 1, k]
+        solution[c - 1] = amplitude
+    if not solve_mean:
+        left += mean * (mean * gram[0, 0] - 2.0 * rhs[0])
+        for k in range(1, c):
+            rhs[k] -= mean * gram[k, 0]
+        solution[0] = mean
+
+    log_determinant = 0.0
+    for i in range(first, last):
+        for j in range(first, i + 1):
+            s = gram[i, j]
+            for k in range(first, j):
+                s -= factor[i, k] * factor[j, k]
+            if i > j:
+                factor[i, j] = s / factor[j, j]
+            elif s > 1e-13 * gram[i, i]:
+                factor[i, i] = math.sqrt(s)
+            else:
+                return np.inf, 0.0
+        log_determinant += 2.0 * math.log(factor[i, i])
+        v = rhs[i]
+        for k in range(first, i):
+            v -= factor[i, k] * solution[k]
+        solution[i] = v / factor[i, i]
+        left -= solution[i] ** 2
+    for i in range(last - 1, first - 1, -1):
+        v = solution[i]
+        for k in range(i + 1, last):
+            v -= factor[k, i] * solution[k]
+        solution[i] = v / factor[i, i]
+    return max(left, 0.0), log_determinant
 
 
 @njit(cache=True)
@@ -369,7 +496,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             gram[c - 1, 2 * j - 1], gram[c - 1, 2 * j] = q_harmonic[j].real, q_harmonic[j].imag
         gram[c - 1, 0], gram[c - 1, c - 1], rhs[c - 1] = q_one, q_q, q_y
         if left_out.size > 0:
-            pulses_at(
+            _pulses_at(
                 left_out,
                 count,
                 sign,
@@ -387,7 +514,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             for k in range(1, 2 * harmonics + 1):
                 place = k * kappa / (2.0 * math.pi) * table_length
                 left_out_sums[k] = _interpolate(left_out_table, place)
-            subtract(gram, left_out, left_out_train, left_out_sums, kappa, centre)
+            _subtract(gram, left_out, left_out_train, left_out_sums, kappa, centre)
 
         sse[row], log_determinant[row] = solve(
             gram,

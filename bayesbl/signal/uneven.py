@@ -10,7 +10,9 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from bayesbl.recording.types import FloatArray
 from bayesbl.signal.kernel import (
     AMPLITUDE,
     DECAY,
@@ -20,8 +22,8 @@ from bayesbl.signal.kernel import (
     ROTATION,
     SEPARATION,
     WINDOW,
+    solve,
 )
-from bayesbl.signal.normal_equations import solve
 
 
 @njit(cache=True)
@@ -42,32 +44,29 @@ def _add_pulses(train, t, start, sign, decay, frequency, window, rotation, perio
         start += rotation
 
 
-@njit(cache=True)
-def sums_of_squares(  # type: ignore[no-untyped-def]
-    parameters,
-    time_s,
-    y,
-    y_square,
-    period_s,
-    harmonics,
-    left_out,
-    solve_amplitude,
-    solve_mean,
-    sse,
-    log_determinant,
-    coefficients,
-    factors,
-):
+def sums_of_squares(
+    parameters: FloatArray,
+    time_s: FloatArray,
+    y: FloatArray,
+    y_square: float,
+    period_s: float,
+    harmonics: int,
+    left_out: NDArray[np.intp],
+    solve_amplitude: bool,
+    solve_mean: bool,
+    sse: FloatArray,
+    log_determinant: FloatArray,
+    coefficients: FloatArray,
+    factors: FloatArray,
+) -> None:
     """As :func:`bayesbl.signal.kernel.sums_of_squares`, with time stamps for a grid."""
     n = y.size
     c = 2 + 2 * harmonics
     columns = np.ones((c, n))
-    train = columns[c - 1]
-    gram, rhs, solution = np.zeros((c, c)), np.zeros(c), np.zeros(c)
-    factor = np.zeros((c, c))
-    middle = 0.5 * (time_s[0] + time_s[-1])
-    for row in range(parameters.shape[0]):
-        p = parameters[row]
+    solution, factor = np.zeros(c), np.zeros((c, c))
+    elapsed = time_s - 0.5 * (time_s[0] + time_s[-1])
+    order = np.arange(1, harmonics + 1)[:, None]
+    for row, p in enumerate(parameters):
         sse[row] = np.inf
         log_determinant[row] = 0.0
         if not (
@@ -77,28 +76,26 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             and p[FREQUENCY] > 0.0
         ):
             continue
-        train[:] = 0.0
-        for sign, start in (
-            (1.0, p[FIRST_IMPACT]),
-            (-1.0, p[FIRST_IMPACT] - p[SEPARATION]),
-        ):
+        turned = 2.0 * math.pi / p[ROTATION] * order * elapsed
+        columns[0] = 1.0
+        columns[1:-1:2], columns[2:-1:2] = np.cos(turned), np.sin(turned)
+        columns[-1] = 0.0
+        for sign, start in ((1.0, p[FIRST_IMPACT]), (-1.0, p[FIRST_IMPACT] - p[SEPARATION])):
             _add_pulses(
-                train, time_s, start, sign, p[DECAY], p[FREQUENCY], p[WINDOW], p[ROTATION], period_s
+                columns[-1],
+                time_s,
+                start,
+                sign,
+                p[DECAY],
+                p[FREQUENCY],
+                p[WINDOW],
+                p[ROTATION],
+                period_s,
             )
-        for k in range(1, harmonics + 1):
-            kappa = 2.0 * math.pi * k / p[ROTATION]
-            for i in range(n):
-                columns[2 * k - 1, i] = math.cos(kappa * (time_s[i] - middle))
-                columns[2 * k, i] = math.sin(kappa * (time_s[i] - middle))
-        for i in left_out:
-            columns[:, i] = 0.0
-        for i in range(c):
-            rhs[i] = np.dot(columns[i], y)
-            for j in range(i + 1):
-                gram[i, j] = np.dot(columns[i], columns[j])
+        columns[:, left_out] = 0.0
         sse[row], log_determinant[row] = solve(
-            gram,
-            rhs,
+            columns @ columns.T,
+            columns @ y,
             y_square,
             p[AMPLITUDE],
             p[MEAN],

@@ -101,7 +101,7 @@ def run(
     if isinstance(config, SweepConfig):
         from bayesbl.workflows.sweep import run_sweep
 
-        tree = run_sweep(config, progress)
+        tree = run_sweep(config, progress, fresh=force)
     elif isinstance(config, DiagnoseConfig):
         from bayesbl.workflows.diagnose import run_diagnose
 

@@ -26,7 +26,12 @@ from bayesbl.inference.estimator import Estimator, nominal_speed_rpm
 from bayesbl.physics.bench import Bench
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import GROUP, curve_to_dataset
-from bayesbl.results.provenance import file_sha256, provenance
+from bayesbl.results.provenance import (
+    code_sha256,
+    dependency_versions,
+    file_sha256,
+    provenance,
+)
 from bayesbl.results.store import replacing
 from bayesbl.results.tree import curve_group, dataset
 from bayesbl.signal.parameters import DECAY, FREQUENCY, DisturbanceModel
@@ -54,14 +59,61 @@ class _Problem:
             "model": [self.model.baseline_harmonics, sorted(self.model.fixed.items())],
             "ranges": sorted(self.model.ranges.items()),
             "settings": asdict(self.settings),
-            # The first layout's rows are refined outside the ranges, where there are any.
-            "layout": 2 if self.model.ranges else 1,
+            "code": [code_sha256(), dependency_versions()],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataTree:
-    """Sweep a bench and regress its gap curve; rows already in the cache are taken from there.
+@dataclass(frozen=True, slots=True)
+class _Cache:
+    """Rows of earlier sweeps by their content address.
+
+    Attributes
+    ----------
+    fresh
+        Rows are made anew, and kept, whatever is there.
+    """
+
+    folder: Path
+    fresh: bool
+
+    def row(self, key: str, make: Callable[[], SweepRow]) -> SweepRow:
+        """The row kept under this address, or one that is made and put there whole."""
+        path = self.folder / f"{key}.npz"
+        kept = None if self.fresh else _read_row(path)
+        if kept is not None:
+            return kept
+        row = make()
+        if not np.all(np.isfinite(row.amplitude_rpm)):
+            raise BenchError(
+                "A simulated recording could not be fitted.",
+                found="an amplitude that is not a number",
+                expected="a bench whose gap shows in the motor speed",
+            )
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                gap_rad=row.gap_rad,
+                start_angle_rad=row.start_angle_rad,
+                searched=row.searched,
+                amplitude_rpm=row.amplitude_rpm,
+                rmse_rpm=row.rmse_rpm,
+                names=np.array(row.names),
+            )
+        return row
+
+
+def run_sweep(
+    config: SweepConfig, progress: Progress | None = None, *, fresh: bool = False
+) -> xr.DataTree:
+    """Sweep a bench and regress its gap curve.
+
+    Rows that the same code made of the same problem are taken from the cache.
+
+    Parameters
+    ----------
+    fresh
+        Make all rows anew.
 
     Raises
     ------
@@ -71,12 +123,11 @@ def run_sweep(config: SweepConfig, progress: Progress | None = None) -> xr.DataT
     bench = load_bench(config.bench)
     require_drawable(config, bench)
     problem = _Problem(bench, _model(config), _settings(config))
-    cache = config.run.output.parent / CACHE
+    cache = _Cache(config.run.output.parent / CACHE, fresh)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
-    nominal = _cached(
-        cache,
+    nominal = cache.row(
         problem.key(bench, f"nominal, seed {config.run.seed}"),
         lambda: sweep_nominal(
             bench,
@@ -170,7 +221,7 @@ def _sweep_draws(
     problem: _Problem,
     nominal: SweepRow,
     seed: np.random.SeedSequence,
-    cache: Path,
+    cache: _Cache,
     progress: Progress | None,
 ) -> SweptDraws | None:
     """Sweeps of benches drawn within the tolerances, over processes."""
@@ -191,11 +242,10 @@ def _sweep_draws(
     return SweptDraws(names, shifts, np.array(rows))
 
 
-def _drawn_row(job: tuple[_Problem, SweepRow, Bench, Path, int]) -> SweepRow:
+def _drawn_row(job: tuple[_Problem, SweepRow, Bench, _Cache, int]) -> SweepRow:
     problem, nominal, bench, cache, seed = job
     nominal_key = problem.key(problem.bench, f"nominal, seed {seed}")
-    return _cached(
-        cache,
+    return cache.row(
         problem.key(bench, f"drawn around {nominal_key}"),
         lambda: sweep_like(bench, nominal, problem.model, problem.settings),
     )
@@ -212,40 +262,20 @@ def _mapped(
         yield from pool.map(function, jobs)
 
 
-def _cached(cache: Path, key: str, make: Callable[[], SweepRow]) -> SweepRow:
-    """A row from the cache by its content address, or made and put there whole."""
-    path = cache / f"{key}.npz"
-    if path.is_file():
-        try:
-            with np.load(path) as stored:
-                return SweepRow(
-                    stored["gap_rad"],
-                    stored["start_angle_rad"],
-                    stored["searched"],
-                    stored["amplitude_rpm"],
-                    stored["rmse_rpm"],
-                    tuple(str(n) for n in stored["names"]),
-                )
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-            path.unlink(missing_ok=True)
-    row = make()
-    if not np.all(np.isfinite(row.amplitude_rpm)):
-        raise BenchError(
-            "A simulated recording could not be fitted.",
-            found="an amplitude that is not a number",
-            expected="a bench whose gap shows in the motor speed",
-        )
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(
-            file,
-            gap_rad=row.gap_rad,
-            start_angle_rad=row.start_angle_rad,
-            searched=row.searched,
-            amplitude_rpm=row.amplitude_rpm,
-            rmse_rpm=row.rmse_rpm,
-            names=np.array(row.names),
-        )
-    return row
+def _read_row(path: Path) -> SweepRow | None:
+    """A row as it was kept; ``None`` if there is none, or it is torn."""
+    try:
+        with np.load(path) as stored:
+            return SweepRow(
+                stored["gap_rad"],
+                stored["start_angle_rad"],
+                stored["searched"],
+                stored["amplitude_rpm"],
+                stored["rmse_rpm"],
+                tuple(str(n) for n in stored["names"]),
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
 
 
 def _sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesbl.discrepancy.forward.augment import augmented_bench
 from bayesbl.discrepancy.forward.candidates import candidates
+from bayesbl.discrepancy.forward.criteria import Verdict, enough_closed
 from bayesbl.discrepancy.forward.evaluate import (
     ChannelGap,
     Compared,
@@ -19,13 +20,7 @@ from bayesbl.discrepancy.forward.evaluate import (
     whitened_gaps,
 )
 from bayesbl.discrepancy.forward.explain import Explanation, with_noise
-from bayesbl.discrepancy.forward.naming import (
-    Naming,
-    Progress,
-    Verdict,
-    enough_closed,
-    name_missing,
-)
+from bayesbl.discrepancy.forward.naming import Naming, Progress, name_missing
 from bayesbl.discrepancy.forward.suggest import Suggestion, suggested_recording
 from bayesbl.discrepancy.locate import Located, locate
 from bayesbl.discrepancy.report import Estimate

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from bayesbl.discrepancy.forward.candidates import Candidate, steady_torque
+from bayesbl.discrepancy.forward.criteria import Verdict, consistency, is_gross, verdict_on
 from bayesbl.discrepancy.forward.explain import (
     Explanation,
     distance,
@@ -28,21 +27,10 @@ from bayesbl.inference.agreement import Disagreement, agrees, disagreements
 from bayesbl.inference.simulated_fit import SimulatedFit
 from bayesbl.recording.types import FloatArray
 
-Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 Progress = Callable[[int, int], None]
 
 INDISTINGUISHABLE = 5.0
 """Best fits closer than this, in units of noise, are one set (design.md, issue of diagnose)."""
-
-ENOUGH_CLOSED = 0.95
-ENOUGH_CLOSED_BY_PARAMETERS = 0.99
-"""Share of what repeats that an explanation must remove where something still repeats after it.
-
-Several parameters, each a little wrong, imitate much: more is asked of an explanation with them.
-"""
-
-GROSS = 1.05
-"""χ² per sample that counts as far off."""
 
 WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
@@ -58,10 +46,6 @@ FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
 """Mean over standard error of the gain per rotation: an effect helps in every rotation."""
-BEYOND_CHANCE = 2.0
-"""Standard deviations of noise that what is left is lessened by before it speaks against a name."""
-CHANCE_LOSS = 6.6
-"""χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +118,12 @@ def name_missing(
     before = disagreements(nominal_fit)
     first = search.first(nominal)
     far: list[Explanation] = []
-    if first and _is_gross(first[0]):
+    if first and is_gross(first[0]):
         # What is missing may have drawn the gap to another optimum.
         far = search.from_afar(nominal)
         first = search.first_from_afar(first, far)
     final = search.extended(nominal, first, most=2)
-    if first and _is_gross(first[0]) and not search.agrees(final):
+    if first and is_gross(first[0]) and not search.agrees(final):
         final = _better(final, search.extended(nominal, search.beside(far)))
     if final.candidates and search.takes_in(candidates(order_peaks(final.fit)), final):
         final = search.continued(final)
@@ -147,7 +131,7 @@ def name_missing(
         final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
     remaining = disagreements(final.fit)
-    verdict = _verdict(nominal, final, before, remaining, false_alarm)
+    verdict = verdict_on(nominal, final, before, remaining, false_alarm)
     named = verdict in ("named", "parameter_error")
     effects = tuple(search.named(nominal, final, first)) if named else ()
     return Naming(
@@ -188,7 +172,7 @@ class _Search:
         derivatives tell what it could gain: what promises nothing is not fitted.
         """
         tried = self._candidates
-        if self.agrees(nominal) and not _is_gross(nominal):
+        if self.agrees(nominal) and not is_gross(nominal):
             least = WORTH_FITTING * self._threshold(1)
             promised = zip(tried, self._promised(nominal), strict=True)
             tried = tuple(c for c, gain in promised if gain > least)
@@ -275,7 +259,7 @@ class _Search:
     def is_significant(self, base: Explanation, more: Explanation) -> bool:
         """Whether χ² falls by more than chance, and in the rotations alike."""
         enough = self._gains_enough(base, more)
-        return enough and _consistency(base.fit, more.fit) > LEAST_CONSISTENCY
+        return enough and consistency(base.fit, more.fit) > LEAST_CONSISTENCY
 
     def _gains_enough(self, base: Explanation, more: Explanation) -> bool:
         gain = base.fit.chi_square - more.fit.chi_square
@@ -433,91 +417,6 @@ class _Search:
 def _better(a: Explanation, b: Explanation) -> Explanation:
     """The more probable one, the first if neither is."""
     return max(a, b, key=lambda e: e.log_evidence)
-
-
-def _is_gross(explanation: Explanation) -> bool:
-    return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
-
-
-def _verdict(
-    nominal: Explanation,
-    final: Explanation,
-    before: Sequence[Disagreement],
-    remaining: Sequence[Disagreement],
-    false_alarm: float,
-) -> Verdict:
-    if not final.candidates:
-        return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
-    if not agrees(list(remaining), false_alarm):
-        known = _squares(nominal.fit.deviations) - _squares(final.fit.deviations)
-        if _leaves(before, remaining, known) > 1.0 - enough_closed(final):
-            return "unexplained"
-    effects = any(c.kind == "effect" for c in final.candidates)
-    return "named" if effects else "parameter_error"
-
-
-def enough_closed(explanation: Explanation) -> float:
-    """Share that must be gone if not all of it is."""
-    effects = all(c.kind == "effect" for c in explanation.candidates)
-    return ENOUGH_CLOSED if effects else ENOUGH_CLOSED_BY_PARAMETERS
-
-
-def _leaves(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
-    """Share of the χ² that repeats beyond noise which surely is left, over mean and widest band.
-
-    ``known`` is what the prior gained besides, as of a known start angle.
-    """
-    widest = max(entry.highest_order for entry in before)
-    first, last = (
-        sum(_degrees(e) * (e.ratio - 1.0) for e in entries if e.highest_order in (0, widest))
-        for entries in (before, after)
-    )
-    degrees = sum(_degrees(e) for e in after if e.highest_order in (0, widest))
-    there = first + max(known, 0.0)
-    return (last - BEYOND_CHANCE * math.sqrt(2.0 * degrees)) / there if there > 0.0 else 1.0
-
-
-def _degrees(entry: Disagreement) -> float:
-    return 2.0 * entry.highest_order if entry.highest_order else 1.0
-
-
-def _consistency(base: SimulatedFit, more: SimulatedFit) -> float:
-    """Mean gain of χ² per rotation over its standard error.
-
-    An effect may show in one recording more than in another: where no recording loses, the gains
-    scatter about their own recording's mean, else about the mean of all. What a normal prior gains,
-    as of a known start angle, holds in all rotations alike.
-    """
-    gains = _gains(base, more)
-    values = np.concatenate(gains)
-    none_loses = all(part.sum() > -CHANCE_LOSS for part in gains)
-    if not none_loses or min(part.size for part in gains) < 2:
-        gains = [values]
-    squares = sum(_squares(part - part.mean()) for part in gains)
-    error = math.sqrt(squares / max(values.size - len(gains), 1) / values.size)
-    known = _squares(base.deviations) - _squares(more.deviations)
-    mean = float(values.mean()) + known / values.size
-    return mean / error if error > 0.0 else math.inf
-
-
-def _gains(base: SimulatedFit, more: SimulatedFit) -> list[FloatArray]:
-    """Drop of χ² in each whole rotation, a vector for each recording."""
-    gains = []
-    begin = 0
-    for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
-        n = seen.samples - noise.order
-        size = len(seen.signals) * n
-        part = slice(begin, begin + size)
-        begin += size
-        change = base.residual[part] ** 2 - more.residual[part] ** 2
-        rows = change.reshape(len(seen.signals), n).sum(axis=0)
-        whole = n // seen.lag
-        gains.append(rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1))
-    return gains
-
-
-def _squares(values: FloatArray) -> float:
-    return float(values @ values)
 
 
 def _distinct(explanations: Sequence[Explanation]) -> list[Explanation]:

@@ -27,6 +27,7 @@ from bayesbl.report.words import Summary
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import read_tree, write_text
 from bayesbl.results.summary import summarise
+from bayesbl.units import number
 
 PAGE_FILE = "report.html"
 
@@ -181,7 +182,7 @@ def _cards(summary: Summary) -> Iterator[Card]:
 def _card(label: str, found: Mapping[str, Any] | None, places: int) -> Card:
     if found is None:
         return Card(label, "withheld", "", "")
-    value = words.number(1e3 * found["median"], places)
+    value = number(1e3 * found["median"], places)
     sign = "+" if label == "Change" and found["median"] > 0.0 else ""
     told = f"{100.0 * found['level']:g} %: {words.bounds(found, 1e3, places)}"
     return Card(label, sign + value, "mrad", told)
