@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigid_machine import recording
+from rigid_machine import SAMPLING_HZ, recording
 
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench
@@ -101,6 +101,69 @@ def test_a_diagnosis_leaves_a_whole_result_in_the_words_of_the_contract(
     assert status(["inspect", str(folder / "out")]) == 0
     assert status(["figures", str(folder / "out")]) == 0
     assert status(["run", str(folder / "config.toml")]) == 2  # never written over
+
+
+def spoiled(folder: Path, table: np.ndarray) -> None:
+    header = ",".join(("time_s", MOTOR_POSITION, MOTOR_SPEED, MOTOR_TORQUE))
+    np.savetxt(folder / "b.csv", table, delimiter=",", header=header, comments="")
+
+
+def test_lost_and_stray_samples_count_nowhere(folder: Path) -> None:
+    table = np.loadtxt(folder / "b.csv", delimiter=",", skiprows=1)
+    table[[300, 1500], 3] = 65535.0
+    table[900, 1] = 65535.0
+    lost = np.concatenate([np.arange(600, 620), np.arange(1700, 1720)])
+    spoiled(folder, np.delete(table, lost, axis=0))
+    assert status(["run", str(folder / "config.toml")]) == 0
+    summary = json.loads((folder / "out" / "summary.json").read_text())
+    left_out = [w for w in summary["warnings"] if "left out of the fit" in w]
+    assert len(left_out) == 3
+    assert all(warning.startswith("b: ") for warning in left_out)
+    found = {e["name"]: e["parameters"] for e in summary["effects"]}
+    assert set(found) == {"motor_coulomb_friction", "motor_viscous_friction"}
+    coulomb = found["motor_coulomb_friction"]["torque_nm"]
+    assert coulomb["low"] < 0.5 < coulomb["high"]
+    # The noise is 0.1 N m; a bridge of 80 ms alone would leave 0.2.
+    for gap in summary["gap"]["recordings"]["b"][MOTOR_TORQUE].values():
+        assert gap["after"] == pytest.approx(0.1, rel=0.15)
+
+
+def test_a_recording_with_more_gaps_than_motion_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = np.loadtxt(folder / "b.csv", delimiter=",", skiprows=1)
+    spoiled(folder, np.delete(table, np.arange(40, 2000, 40), axis=0))
+    assert status(["run", str(folder / "config.toml")]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "Too little is left" in told
+    assert "b.csv" in told
+
+
+def test_torque_that_a_limit_cut_off_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = np.loadtxt(folder / "b.csv", delimiter=",", skiprows=1)
+    table[:, 3] = np.minimum(table[:, 3], 0.8 * table[:, 3].max())
+    spoiled(folder, table)
+    assert status(["run", str(folder / "config.toml")]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "torque is cut off" in told
+    assert "b.csv" in told
+
+
+def test_free_motion_may_come_to_rest(folder: Path) -> None:
+    bench = BENCH.replace("gravity_torque_nm = {value = 300.0}", "gravity_torque_nm = {value = 0}")
+    (folder / "bench.toml").write_text(bench)
+    time = np.arange(2000) / SAMPLING_HZ
+    stop_s = 5.0
+    running = np.minimum(time, stop_s)
+    position = np.round(40.0 * running * (1.0 - 0.5 * running / stop_s), 3)
+    for name in "ab":
+        made = Recording(name, time, {MOTOR_POSITION: position})
+        write_csv(made, folder / f"{name}.csv", (MOTOR_POSITION,))
+    text = CONFIG.replace('method = "inverse"', 'method = "free_motion"')
+    (folder / "config.toml").write_text(text)
+    assert status(["check", str(folder / "config.toml")]) == 0
 
 
 def test_effects_that_the_bench_has_are_not_missing(folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from bayesbl.discrepancy.free_motion import FreeMotionComparison, free_motion_ca
 from bayesbl.discrepancy.inverse import InverseComparison
 from bayesbl.discrepancy.motion import Motion, even, motion_of, settled
 from bayesbl.discrepancy.naming import Settings, diagnose
-from bayesbl.discrepancy.report import Diagnosis
+from bayesbl.discrepancy.report import Diagnosis, gaps_of
 from bayesbl.discrepancy.residual_noise import ResidualNoise, sandwich
 from bayesbl.discrepancy.terms import POSITION_TERMS, TORQUE_TERMS, dahl, play, required_torque
 from bayesbl.errors import RecordingError
@@ -399,3 +400,24 @@ def test_a_free_pendulum_with_nothing_hidden_lacks_nothing() -> None:
     found = diagnose(comparison, PENDULUM, Settings(), lambda fit: ())
     assert found.verdict == "nothing_missing"
     assert found.overall["held_out"].after == pytest.approx(1e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["inverse", "free motion"])
+def test_no_answer_depends_on_what_is_excluded(method: str) -> None:
+    answers = []
+    for junk in (0.0, 30.0):
+        if method == "inverse":
+            one = inverse([recording(n, 30 + i, coulomb=0.5) for i, n in enumerate("abc")], bench())
+        else:
+            one = free([swing(s, 0.012, 0.0, i) for i, s in enumerate((0.4, 1.0))])
+        pieces = []
+        for piece in one.pieces:
+            excluded = np.zeros(piece.measured.size, dtype=bool)
+            excluded[300:320] = True
+            measured = np.where(excluded, junk, piece.measured)
+            pieces.append(replace(piece, measured=measured, excluded=excluded))
+        comparison = replace(one, pieces=tuple(pieces))
+        fit = comparison.fit(("motor_coulomb_friction",))
+        found = gaps_of(comparison, comparison.fit(()), fit)
+        answers.append((fit.effects, fit.bench, found[1]))
+    assert answers[0] == answers[1]

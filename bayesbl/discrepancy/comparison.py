@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 
 Use = Literal["used", "held_out"]
 
@@ -25,6 +25,8 @@ class Piece:
         ``used``: effects are fitted on it. ``held_out``: only start, phases and offsets are.
     time_s, measured
         Shape (n,), evenly spaced; the channel's unit.
+    excluded
+        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     """
 
     name: str
@@ -32,6 +34,11 @@ class Piece:
     use: Use
     time_s: FloatArray
     measured: FloatArray
+    excluded: BoolArray | None = None
+
+    def kept(self, values: FloatArray) -> FloatArray:
+        """Values of the samples that count, (n, …) to (k, …)."""
+        return values if self.excluded is None else values[~self.excluded]
 
     @property
     def period_s(self) -> float:
@@ -78,7 +85,7 @@ class Fit:
     predictions
         For every piece, shape (n,), in the unit of its channel.
     columns
-        For every used piece, ∂prediction/∂parameter, shape (n, p).
+        For every used piece, ∂prediction/∂parameter at the samples that count, shape (k, p).
     names
         The p parameters: ``effect.parameter``, a bench parameter, or a nuisance (start, offset,
         phase) with the recording's name behind ``@``.
@@ -113,9 +120,9 @@ class Comparison(Protocol):
 
 
 def residuals(comparison: Comparison, fit: Fit, use: Use) -> list[FloatArray]:
-    """Measured less predicted, for the pieces of one use."""
+    """Measured less predicted at the samples that count, for the pieces of one use."""
     return [
-        piece.measured - prediction
+        piece.kept(piece.measured - prediction)
         for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
         if piece.use == use
     ]

@@ -81,8 +81,7 @@ class FreeMotionComparison:
         def misfit(x: FloatArray) -> FloatArray:
             values = dict(zip(names, x * scale, strict=True))
             parts = [
-                self._predict(i, effects, values, values[f"angle@{i}"], values[f"speed@{i}"])
-                - self.pieces[i].measured
+                self._misfit(i, effects, values, values[f"angle@{i}"], values[f"speed@{i}"])
                 for i in used
             ]
             return np.concatenate(parts)
@@ -98,7 +97,7 @@ class FreeMotionComparison:
         )
         values = dict(zip(names, (found.x * scale).tolist(), strict=True))
         predictions = [self._own_start(i, effects, values) for i in range(len(self.pieces))]
-        sizes = np.cumsum([self.pieces[i].measured.size for i in used])[:-1]
+        sizes = np.cumsum([self.pieces[i].kept(self.pieces[i].measured).size for i in used])[:-1]
         columns = tuple(np.split(found.jac / scale, sizes))
         return Fit(
             {
@@ -170,14 +169,24 @@ class FreeMotionComparison:
         """Prediction of a piece; the start of a held-out one is fitted on it first."""
         if f"angle@{i}" in values:
             return self._predict(i, effects, values, values[f"angle@{i}"], values[f"speed@{i}"])
-        piece = self.pieces[i]
         found = least_squares(
-            lambda x: self._predict(i, effects, values, x[0], x[1]) - piece.measured,
+            lambda x: self._misfit(i, effects, values, x[0], x[1]),
             self.starts[i],
             diff_step=1e-4,
             x_scale=[0.1, 1.0],
         )
         return self._predict(i, effects, values, *found.x)
+
+    def _misfit(
+        self,
+        i: int,
+        effects: tuple[str, ...],
+        values: Mapping[str, float],
+        angle: float,
+        speed: float,
+    ) -> FloatArray:
+        piece = self.pieces[i]
+        return piece.kept(self._predict(i, effects, values, angle, speed) - piece.measured)
 
     def _predict(
         self,

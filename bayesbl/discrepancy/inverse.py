@@ -84,7 +84,7 @@ class InverseComparison:
         predictions = self._predictions(effects, values, used)
         names = [name for name in values if self._is_used(name)]
         columns = tuple(
-            self._columns(i, effects, values, names)
+            piece.kept(self._columns(i, effects, values, names))
             for i, piece in enumerate(self.pieces)
             if piece.use == "used"
         )
@@ -108,8 +108,8 @@ class InverseComparison:
         name = "gear_transmission_error" if self.load else "motor_torque_ripple"
         order = next(p for p in effect_named(name).parameters if p.name == ORDER)
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
-        angles = [self.motions[i].angle for i in used]
-        rests = [self.pieces[i].measured - fit.predictions[i] for i in used]
+        angles = [self.pieces[i].kept(self.motions[i].angle) for i in used]
+        rests = [self.pieces[i].kept(self.pieces[i].measured - fit.predictions[i]) for i in used]
         return scan_orders(angles, rests, self.phases_shared, order.low, order.high)
 
     def _scanned(self, name: str) -> list[str]:
@@ -159,16 +159,23 @@ class InverseComparison:
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
         tables = [dict(self._linear_columns(i, effects, shapes)) for i in used]
         names = list(dict.fromkeys(name for table in tables for name in table))
-        sizes = [self.pieces[i].measured.size for i in used]
+        pieces = [self.pieces[i] for i in used]
         target = np.concatenate(
-            [self.pieces[i].measured - self._base(i, effects, shapes) for i in used]
+            [
+                piece.kept(piece.measured - self._base(i, effects, shapes))
+                for i, piece in zip(used, pieces, strict=True)
+            ]
         )
         if not names:
             return {}, target
         matrix = np.vstack(
             [
-                np.column_stack([table.get(name, np.zeros(size)) for name in names])
-                for table, size in zip(tables, sizes, strict=True)
+                piece.kept(
+                    np.column_stack(
+                        [table.get(name, np.zeros(piece.measured.size)) for name in names]
+                    )
+                )
+                for table, piece in zip(tables, pieces, strict=True)
             ]
         )
         coefficients = _least_squares(matrix, target)
@@ -293,7 +300,8 @@ class InverseComparison:
                         shared[f"{effect}.{self.terms[effect].candidate.amplitude}"] = 0.0
                         shared[f"{effect}.{PHASE}{where}"] = 0.0
                 rest = piece.measured - self._predict(i, effects, shared)
-                found = _least_squares(np.column_stack([column for _, column in own]), rest)
+                columns = np.column_stack([column for _, column in own])
+                found = _least_squares(piece.kept(columns), piece.kept(rest))
                 fitted = dict(zip((name for name, _ in own), found.tolist(), strict=True))
                 for name, value in fitted.items():
                     effect, periodic, where = name.partition(".sine")

@@ -15,10 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_dilation
 from scipy.signal import butter, filtfilt
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray, Recording
+from bayesbl.recording.types import (
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    BoolArray,
+    FloatArray,
+    Recording,
+)
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ComplexArray = NDArray[np.complex128]
@@ -93,7 +100,16 @@ def even(recording: Recording) -> Recording:
         name: CubicSpline(recording.time_s, values)(grid)
         for name, values in recording.channels.items()
     }
-    return replace(recording, time_s=grid, channels=channels)
+    return replace(
+        recording, time_s=grid, channels=channels, excluded=widened(recording.excluded, 1)
+    )
+
+
+def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:
+    """A mask with so many samples more on either side of what it marks, shape (n,)."""
+    if excluded is None or not excluded.any():
+        return None
+    return np.asarray(binary_dilation(excluded, iterations=samples))
 
 
 def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
@@ -142,8 +158,13 @@ def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
 
 def settled(recording: Recording, cutoff_hz: float) -> slice:
     """Samples that the filter's ends do not reach: all but :data:`END_PERIODS` of the cut-off."""
-    ends = math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
+    ends = reach(recording, cutoff_hz)
     return slice(ends, recording.samples - ends)
+
+
+def reach(recording: Recording, cutoff_hz: float) -> int:
+    """Samples over which the filter carries what is wrong with one."""
+    return math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
 
 
 def _error(

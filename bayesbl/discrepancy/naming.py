@@ -169,9 +169,9 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
 
 
 def _used(comparison: Comparison, fit: Fit) -> list[FloatArray]:
-    """Predictions of the used pieces."""
+    """Predictions of the used pieces, at the samples that count."""
     pairs = zip(comparison.pieces, fit.predictions, strict=True)
-    return [prediction for piece, prediction in pairs if piece.use == "used"]
+    return [piece.kept(prediction) for piece, prediction in pairs if piece.use == "used"]
 
 
 def _open(candidates: tuple[Candidate, ...], current: Fit, dropped: set[str]) -> list[Candidate]:

@@ -121,8 +121,8 @@ def gaps_of(
     """Gap of each piece, and of all pieces of each use together."""
     parts = []
     for i, piece in enumerate(comparison.pieces):
-        first = piece.measured - before.predictions[i]
-        last = piece.measured - after.predictions[i]
+        first = piece.kept(piece.measured - before.predictions[i])
+        last = piece.kept(piece.measured - after.predictions[i])
         parts.append((piece, first, last, ResidualNoise.of(last)))
     single = tuple((piece, _gap([(a, b, noise)])) for piece, a, b, noise in parts)
     uses: tuple[Use, ...] = ("used", "held_out")

@@ -54,7 +54,7 @@ def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
     """Noise of each recording from rotation differences of what the fit leaves."""
     model = fit.model
     return [
-        estimate_channel_noise(seen.signals - model.signals(fit.point, i)[0], seen.lag)
+        estimate_channel_noise(seen.left_by(model.signals(fit.point, i)[0]), seen.lag)
         for i, seen in enumerate(model.recordings)
     ]
 

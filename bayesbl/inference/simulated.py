@@ -20,7 +20,7 @@ from bayesbl.inference.channel_noise import ChannelNoise
 from bayesbl.inference.recent import RecentSimulations
 from bayesbl.physics.bench import Bench
 from bayesbl.physics.effects import effect_named
-from bayesbl.physics.kernel import CURRENT, SPEED, Slot
+from bayesbl.physics.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.physics.parameters import rotation_period_s
 from bayesbl.physics.simulation import simulate_channels, simulate_speeds
 from bayesbl.recording.checks import speed_in_another_unit
@@ -31,6 +31,15 @@ START_ANGLE = "start_angle_rad"
 PHASE = "phase_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
+
+ENCODER_ROUNDS = 2
+"""An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
+
+_WITH_MOTOR_ANGLE = (
+    Slot.motor_torque_ripple__torque_nm,
+    Slot.gear_transmission_error__angle_rad,
+    Slot.encoder_eccentricity__angle_rad,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +56,8 @@ class Observed:
         What else is known of this recording, named as :meth:`Bench.vector` takes it.
     excluded
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+    motor_angle_rad
+        Shape (n,): what an absolute encoder of the motor shows; ``None`` where there is none.
     """
 
     name: str
@@ -56,6 +67,7 @@ class Observed:
     rotation_period_s: float
     known: Mapping[str, float] = field(default_factory=dict)
     excluded: BoolArray | None = None
+    motor_angle_rad: FloatArray | None = None
 
     @property
     def samples(self) -> int:
@@ -71,6 +83,16 @@ class Observed:
     def lag(self) -> int:
         """Samples in one load rotation, to the nearest."""
         return round(self.rotation_period_s * self.sampling_hz)
+
+    def left_by(self, simulated: FloatArray) -> FloatArray:
+        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there."""
+        left = self.signals - simulated
+        return left if self.excluded is None else np.where(self.excluded, 0.0, left)
+
+    @property
+    def motor_start_rad(self) -> float | None:
+        """What the motor's encoder shows at the first sample; ``None`` if it is not absolute."""
+        return None if self.motor_angle_rad is None else float(self.motor_angle_rad[0])
 
 
 def observed(
@@ -291,7 +313,7 @@ class SimulatedSignals:
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
         found = self.recent.signals(
             matrix,
-            (len(seen.signals), samples, seen.sampling_hz, accuracy),
+            (len(seen.signals), samples, seen.sampling_hz, accuracy, seen.motor_start_rad),
             partial(_simulated, seen, samples, accuracy, self.workers),
         )
         return found[place.ravel()]
@@ -348,11 +370,31 @@ def _simulated(
     seen: Observed, samples: int, accuracy_rpm: float, workers: int, matrix: FloatArray
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
+    if seen.motor_start_rad is not None:
+        matrix = _begun_at(matrix, seen.motor_start_rad, workers)
     size = samples, seen.sampling_hz
     rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": "nan"}
     if len(seen.signals) == 1:
         return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
     return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
+
+
+def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
+    """The benches (m, SLOTS), each turned until its encoder begins at this angle.
+
+    A bench's own start angle of the motor is that of a relaxed shaft. The encoder shows twist, gap
+    and its own error besides: half a radian of the motor, and another on the other tooth flank.
+    """
+    if not np.any(matrix[:, _WITH_MOTOR_ANGLE]):
+        return matrix
+    matrix = matrix.copy()
+    relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
+    begin = matrix[:, Slot.motor_start_angle_rad]
+    begin[:] = motor_start_rad
+    for _ in range(ENCODER_ROUNDS):
+        first = simulate_channels(matrix, 1, 1.0, workers=workers, failures="nan")[:, POSITION, 0]
+        begin -= np.nan_to_num(begin + first - relaxed - motor_start_rad)
+    return matrix
 
 
 def _continued(begun: FloatArray, samples: int) -> FloatArray:

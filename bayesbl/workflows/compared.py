@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.discrepancy.comparison import Candidate, Comparison, Fit, Piece, Use
 from bayesbl.discrepancy.report import Remaining
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.physics.bench import Bench
+from bayesbl.recording.clipping import require_unclipped, without_rails
 from bayesbl.recording.types import Recording
+
+MOST_EXCLUDED = 0.5
+"""Largest share of a piece that may be left out: what remains should still be a recording."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +41,48 @@ def cuts(config: DiagnoseConfig, recordings: list[Recording]) -> list[tuple[int,
 
 def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
     """A recording, or some samples of it, as it is compared."""
-    return Piece(recording.name, channel, use, recording.time_s, recording.channels[channel])
+    excluded = recording.excluded
+    if excluded is not None and excluded.mean() > MOST_EXCLUDED:
+        raise RecordingError(
+            "Too little is left to compare beside lost and stray samples.",
+            file=recording.source.file if recording.source else recording.name,
+            where=channel,
+            found=f"{100.0 * excluded.mean():.3g} % of the samples left out, with all that "
+            "the filter of the motion carries them to",
+            expected=f"at most {100.0 * MOST_EXCLUDED:g} %; use the part with fewer gaps, or a "
+            "higher [comparison] cutoff_hz, which reaches less far",
+        )
+    values = recording.channels[channel]
+    return Piece(recording.name, channel, use, recording.time_s, values, excluded)
 
 
 def rows_of(recording: Recording, rows: slice) -> Recording:
     """Some samples of a recording."""
     channels = {name: values[rows] for name, values in recording.channels.items()}
-    return replace(recording, time_s=recording.time_s[rows], channels=channels)
+    excluded = None if recording.excluded is None else recording.excluded[rows]
+    return replace(recording, time_s=recording.time_s[rows], channels=channels, excluded=excluded)
+
+
+def sound(
+    recording: Recording, channels: Sequence[str], unclipped: Sequence[str] = ()
+) -> Recording:
+    """The recording with strays of these channels excluded and noted.
+
+    Raises
+    ------
+    RecordingError
+        If there are too many, or the peaks of an ``unclipped`` channel are cut off.
+    """
+    for channel in channels:
+        recording = without_rails(recording, channel)
+    for channel in unclipped:
+        require_unclipped(recording, channel)
+    return recording
+
+
+def notes_of(recordings: Sequence[Recording]) -> list[str]:
+    """What was done to each recording, under its name."""
+    return [f"{recording.name}: {note}" for recording in recordings for note in recording.notes]
 
 
 def wanted(config: DiagnoseConfig, bench: Bench, every: Iterable[Candidate]) -> list[Candidate]:

@@ -10,7 +10,6 @@ import xarray as xr
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import dump_config
-from bayesbl.discrepancy.motion import even
 from bayesbl.discrepancy.naming import Settings, diagnose
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
@@ -58,8 +57,7 @@ def run_diagnose(config: DiagnoseConfig, progress: Progress | None = None) -> xr
 def problem_of(config: DiagnoseConfig) -> Problem:
     """Recordings read and checked, and put beside a rigid bench."""
     bench = load_bench(config.bench)
-    recordings = [even(recording) for recording in _recordings(config)]
-    return rigid_problem(config, bench, recordings)
+    return rigid_problem(config, bench, list(_recordings(config)))
 
 
 def describe_problem(config: DiagnoseConfig) -> str:

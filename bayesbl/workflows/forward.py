@@ -13,7 +13,8 @@ from bayesbl.config.bench import dump_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.discrepancy.forward.diagnosis import ForwardSettings, diagnose_forward, halves
 from bayesbl.discrepancy.forward.naming import Progress
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.inference.channel_noise import HIGHEST_ORDER
 from bayesbl.inference.direct import sample_direct
 from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.simulated import (
@@ -31,10 +32,11 @@ from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
+    FloatArray,
     Recording,
 )
 from bayesbl.results.forward_diagnosis import forward_tree
-from bayesbl.workflows.compared import refused
+from bayesbl.workflows.compared import notes_of, refused, sound
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
 DEFAULT_GAP_RAD = (1e-4, 4e-3)
@@ -73,8 +75,8 @@ def forward_diagnosis(
     found = diagnose_forward(bench, used, held_out, unknowns, settings, progress)
     augmented = "" if found.bench is None else dump_bench(found.bench)
     seed = np.random.SeedSequence(config.run.seed)
-    posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
     interval = config.interval
+    posterior = sample_direct(found.final.fit, SamplerSettings(level=interval.level), seed)
     tree = forward_tree(found, posterior, bench, augmented, interval.level, interval.kind)
     tree.attrs["warnings"] = [*notes, *tree.attrs["warnings"]]
     return tree
@@ -100,6 +102,7 @@ def forward_problem(
             "none",
         )
     channels = _channels(config, recordings)
+    recordings = [sound(recording, channels, unclipped=channels) for recording in recordings]
     used, held_out = [], []
     for entry, recording in zip(config.recordings, recordings, strict=True):
         seen = observed(recording, bench, entry.reference_speed_rpm)
@@ -107,16 +110,18 @@ def forward_problem(
             seen,
             name=entry.name,
             signals=seen.signals[: len(channels)],
-            known=_known(config, recording),
+            motor_angle_rad=_motor_angle(config, recording),
         )
         if entry.use == "split":
+            _require_two_halves(seen, str(entry.file))
             first, second = halves(seen)
             used.append(first)
             held_out.append(second)
         else:
             (used if entry.use == "fit" else held_out).append(seen)
     unknowns = _unknowns(config, bench, used, recordings)
-    return used, held_out, unknowns, [] if MOTOR_CURRENT in channels else [SPEED_ALONE]
+    notes = notes_of(recordings) + ([] if MOTOR_CURRENT in channels else [SPEED_ALONE])
+    return used, held_out, unknowns, notes
 
 
 def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -136,11 +141,23 @@ def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[
     return tuple(c for c in CHANNELS if c in asked)
 
 
-def _known(config: DiagnoseConfig, recording: Recording) -> dict[str, float]:
+def _require_two_halves(seen: Observed, file: str) -> None:
+    fewest = 2 * seen.lag + HIGHEST_ORDER
+    if seen.samples >= 2 * fewest:
+        return
+    raise RecordingError(
+        "The recording is too short to be split: each half needs two load rotations.",
+        file=file,
+        found=f"{seen.samples / seen.lag:.3g} load rotations",
+        expected=f"at least {2.0 * fewest / seen.lag:.3g}, or another use than split",
+    )
+
+
+def _motor_angle(config: DiagnoseConfig, recording: Recording) -> FloatArray | None:
     if not config.comparison.motor_angle_known:
-        return {}
+        return None
     require_channels(recording, (MOTOR_POSITION,))
-    return {"motor_start_angle_rad": float(recording.channels[MOTOR_POSITION][0])}
+    return recording.channels[MOTOR_POSITION]
 
 
 def _unknowns(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.discrepancy.comparison import Piece
 from bayesbl.discrepancy.free_motion import FreeMotionComparison, free_motion_candidates
 from bayesbl.discrepancy.inverse import InverseComparison
-from bayesbl.discrepancy.motion import Motion, motion_of, settled
+from bayesbl.discrepancy.motion import Motion, even, motion_of, reach, settled, widened
 from bayesbl.discrepancy.terms import POSITION_TERMS, TORQUE_TERMS, Term
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.physics.bench import Bench
@@ -26,7 +27,16 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
-from bayesbl.workflows.compared import Problem, cuts, piece_of, refused, rows_of, wanted
+from bayesbl.workflows.compared import (
+    Problem,
+    cuts,
+    notes_of,
+    piece_of,
+    refused,
+    rows_of,
+    sound,
+    wanted,
+)
 
 INVERSE_CHANNELS = (MOTOR_TORQUE, MOTOR_CURRENT, LOAD_POSITION)
 FREE_CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
@@ -38,7 +48,7 @@ ONE_WAY = 0.9
 
 
 def rigid_problem(config: DiagnoseConfig, bench: Bench, recordings: list[Recording]) -> Problem:
-    """The comparison that a configuration asks for, on recordings over an even grid.
+    """The comparison that a configuration asks for, on recordings brought to an even grid.
 
     Raises
     ------
@@ -56,9 +66,20 @@ def rigid_problem(config: DiagnoseConfig, bench: Bench, recordings: list[Recordi
     if config.unknowns.gap_rad is not None:
         raise refused("A rigid bench has no gap.", "[unknowns] gap_rad", None, "no gap_rad")
     channel = _channel(config, recordings)
-    if config.comparison.method == "inverse":
-        return _inverse(config, bench, recordings, channel)
-    return _free_motion(config, bench, recordings, channel)
+    # A joint may rest at the end of its way: only what drives it is asked not to stand still.
+    driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
+    recordings = [even(sound(r, _read(config, r, channel), driving)) for r in recordings]
+    method = _inverse if config.comparison.method == "inverse" else _free_motion
+    problem = method(config, bench, recordings, channel)
+    return replace(problem, notes=(*notes_of(recordings), *problem.notes))
+
+
+def _read(config: DiagnoseConfig, recording: Recording, channel: str) -> tuple[str, ...]:
+    """What is compared, and what the motion of an inverse comparison is taken from."""
+    if config.comparison.method == "free_motion":
+        return (channel,)
+    moved = [c for c in (MOTOR_POSITION, MOTOR_SPEED) if c in recording.channels]
+    return (channel, *moved[:1])
 
 
 def _inverse(
@@ -137,7 +158,9 @@ def _moved(
     cutoff = config.comparison.cutoff_hz
     inside = [settled(recording, cutoff) for recording in recordings]
     whole = [motion_of(r, cutoff).part(rows) for r, rows in zip(recordings, inside, strict=True)]
-    kept = [rows_of(r, rows) for r, rows in zip(recordings, inside, strict=True)]
+    # A bridge is no motion, and the filter spreads it.
+    wary = [replace(r, excluded=widened(r.excluded, reach(r, cutoff))) for r in recordings]
+    kept = [rows_of(r, rows) for r, rows in zip(wary, inside, strict=True)]
     found = cuts(config, kept)
     parts = [rows_of(kept[i], rows) for i, _, rows in found]
     pieces = tuple(

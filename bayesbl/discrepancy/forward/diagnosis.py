@@ -194,7 +194,12 @@ def _located(pairs: Sequence[Compared], explanation: Explanation, stage: str) ->
     used = [pair for pair in pairs if pair.use == "used"]
     angles = [_start_angle(explanation, pair.seen) for pair in used]
     predictions = [pair.before if stage == "before" else pair.after for pair in used]
-    return locate([pair.seen for pair in used], predictions, angles)
+    # What a bridge leaves is nothing that repeats.
+    seen = [
+        replace(pair.seen, signals=made + pair.seen.left_by(made))
+        for pair, made in zip(used, predictions, strict=True)
+    ]
+    return locate(seen, predictions, angles)
 
 
 def _share_gone(before: Located, after: Located) -> float:
@@ -219,12 +224,16 @@ def _start_angle(explanation: Explanation, seen: Observed) -> float:
 
 
 def halves(seen: Observed) -> tuple[Observed, Observed]:
-    """A recording cut in two at a whole sample, the second named after the first."""
+    """A recording cut in two at a whole sample; both halves have its name."""
     middle = seen.samples // 2
-    second = replace(
+    return _rows(seen, slice(None, middle)), _rows(seen, slice(middle, None))
+
+
+def _rows(seen: Observed, rows: slice) -> Observed:
+    excluded, angle = seen.excluded, seen.motor_angle_rad
+    return replace(
         seen,
-        name=seen.name,
-        signals=seen.signals[:, middle:],
-        known={k: v for k, v in seen.known.items() if k != "motor_start_angle_rad"},
+        signals=seen.signals[:, rows],
+        excluded=None if excluded is None else excluded[rows],
+        motor_angle_rad=None if angle is None else angle[rows],
     )
-    return replace(seen, signals=seen.signals[:, :middle]), second

@@ -143,12 +143,12 @@ def _gap(
 ) -> ChannelGap:
     """From recordings, their channel's place and the scale put to it."""
     size = sum(item.seen.samples for item, _, _ in parts)
-    before = sum(_squares(s * (item.seen.signals[k] - item.before[k])) for item, k, s in parts)
-    after = sum(_squares(s * (item.seen.signals[k] - item.after[k])) for item, k, s in parts)
+    before = sum(_squares(s * item.seen.left_by(item.before)[k]) for item, k, s in parts)
+    after = sum(_squares(s * item.seen.left_by(item.after)[k]) for item, k, s in parts)
     floor = sum(item.seen.samples * (s * item.noise.sd[k]) ** 2 for item, k, s in parts)
     before, after, floor = before / size, after / size, floor / size
     independent = sum(
-        item.seen.samples / _inflation(item.seen.signals[k] - item.after[k]) for item, k, _ in parts
+        item.seen.samples / _inflation(item.seen.left_by(item.after)[k]) for item, k, _ in parts
     )
     excess = before - floor
     # Of a mean square of noise, taken twice, and of its product with the misfit.
@@ -175,4 +175,4 @@ def _inflation(rest: FloatArray) -> float:
 
 
 def _noise(seen: Observed, simulated: FloatArray) -> ChannelNoise:
-    return estimate_channel_noise(seen.signals - simulated, seen.lag)
+    return estimate_channel_noise(seen.left_by(simulated), seen.lag)
