@@ -444,6 +444,18 @@ def test_the_fingerprint_follows_what_a_means_and_nothing_else() -> None:
     window = {WINDOW_START: 0.0, WINDOW_END: 0.15}
     assert own != Estimator(DisturbanceModel(fixed=window)).fingerprint(measured)
     assert own != Estimator().fingerprint(recording(WHITE, sampling_hz=500.0))
+    ranged = DisturbanceModel(ranges={DECAY: (5.0, 8.0)})
+    assert own != Estimator(ranged).fingerprint(measured)
+    begin = DisturbanceModel(ranges={START: (4.1, 5.5)})  # another one in every recording
+    assert own == Estimator(begin).fingerprint(measured)
+
+
+def test_fingerprints_in_stored_curves_stay_what_they_are() -> None:
+    assert Estimator().fingerprint(recording(WHITE)) == (
+        '{"baseline_harmonics": 1, "fixed": {"window_end_s": 0.204, "window_start_s": 0.0}, '
+        '"nominal_speed_rpm": 2000.0, "sampling_hz": 1000.0, '
+        '"waveform": "eq. 3, edges resolved to the sampling"}'
+    )
 
 
 # Posterior

@@ -77,3 +77,10 @@ def test_without_the_sampler_the_extra_is_named(
     assert cli.status(["fit", str(RECORDING), *options]) == 2
     assert "pip install 'bayesbl[check]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    config = tmp_path / "fit.toml"
+    config.write_text(
+        f'schema = 1\nkind = "fit"\n[run]\noutput = "out"\n[[recordings]]\nfile = "{RECORDING}"\n'
+        "[posterior]\ncheck_sampler = true\n"
+    )
+    assert cli.status(["check", str(config)]) == 2
+    assert "pip install 'bayesbl[check]'" in capsys.readouterr().err

@@ -11,12 +11,12 @@ import pytest
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.config.sweep import SweepConfig
-from bayesbl.errors import CurveError, UserError
+from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.gap.bench_draws import SweptDraws, virtual_departures
 from bayesbl.gap.branch import likeliest_branch
 from bayesbl.gap.change import MeasuredRinging, gaps
 from bayesbl.gap.curve import GapCurve
-from bayesbl.gap.regression import regress
+from bayesbl.gap.regression import SIZES, regress
 from bayesbl.gap.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.gap.swept_curve import degree_reports, swept_curve
 from bayesbl.inference.covariance import covariance
@@ -26,12 +26,14 @@ from bayesbl.inference.optimum import find_optimum
 from bayesbl.inference.refine import refine
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import Recording
 from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.signal.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import SYMBOLS, DisturbanceModel
-from bayesbl.workflows.measure import require_same_estimator
+from bayesbl.workflows.measure import SPEED_TOLERANCE, require_same_estimator
+from bayesbl.workflows.run import check
 from bayesbl.workflows.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
@@ -102,6 +104,18 @@ def test_the_reference_bench_follows_the_papers_curve_within_5_percent(nominal: 
     grid = np.linspace(5.0, 115.0, 50_000)
     expected = np.interp(nominal.gap_rad, np.polynomial.polynomial.polyval(grid, paper), grid)
     assert np.all(np.abs(nominal.amplitude_rpm.mean(axis=1) / expected - 1.0) < 0.05)
+
+
+def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
+    bench, settings = reference_bench(), SweepSettings(5e-4, 2e-3, 6, start_angles=2, rotations=3.0)
+    model = DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})  # free, 18 to 20
+    row = sweep_nominal(bench, model, settings, np.random.default_rng(1))
+    decay = row.symbol("decay_rate_per_s", model.fixed)
+    assert np.all((decay >= 5.0) & (decay <= 12.0))
+    angle = row.start_angle_rad[3, 1]
+    recording = bench.simulate(row.gap_rad[3], rotations=3.0, start_angle_rad=angle)
+    fitted = Estimator(model).estimate(recording, np.random.SeedSequence(1)).optimum
+    assert row.amplitude_rpm[3, 1] == pytest.approx(fitted.symbols["amplitude_rpm"], rel=1e-3)
 
 
 def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: GapCurve) -> None:
@@ -285,6 +299,11 @@ def test_a_gap_beyond_the_sweep_is_withheld_with_a_bound(curve: GapCurve) -> Non
             1000.0,
             "window_end_s",
         ),
+        (
+            Estimator(DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})),
+            1000.0,
+            "ranges",
+        ),
     ],
 )
 def test_a_curve_made_with_another_estimator_is_refused(
@@ -294,6 +313,42 @@ def test_a_curve_made_with_another_estimator_is_refused(
     with pytest.raises(CurveError, match=word):
         require_same_estimator(curve, estimator, recording)
     require_same_estimator(curve, Estimator(), reference_bench().simulate(1e-3))
+
+
+@pytest.mark.parametrize("swept_rpm", [1000.0, 1249.98, 1250.02, 1749.98, 1750.02, 2000.0])
+def test_a_curve_is_accepted_within_one_percent_of_its_speed_and_nowhere_else(
+    curve: GapCurve, swept_rpm: float, tmp_path: Path
+) -> None:
+    import xarray as xr
+
+    def at(speed_rpm: float) -> Recording:
+        bench = reference_bench().with_parameters(reference_speed_rpm=speed_rpm)
+        return bench.simulate(1e-3, rotations=2.0, sampling_hz=1000.0)
+
+    fingerprint = Estimator().fingerprint(at(swept_rpm))
+    made = dataclasses.replace(curve, fingerprint=fingerprint, reference_speed_rpm=swept_rpm)
+    tree = xr.DataTree.from_dict({"gap_curve": curve_to_dataset(made)})
+    tree.attrs = {"outcome": "converged", "kind": "sweep"}
+    write_tree(tree, tmp_path / "result.nc")
+    stored = read_curve(tmp_path / "result.nc")
+    for ratio in (0.991, 0.9999, 1.0001, 1.009):
+        require_same_estimator(stored, Estimator(), at(ratio * swept_rpm))
+    for ratio in (0.98, 0.989, 1.011, 1.02):
+        with pytest.raises(CurveError, match="nominal_speed_rpm"):
+            require_same_estimator(stored, Estimator(), at(ratio * swept_rpm))
+
+
+def test_one_percent_of_speed_moves_the_gap_by_less_than_a_curve_may_be_off(
+    nominal: SweepRow, curve: GapCurve
+) -> None:
+    bench = reference_bench()
+    faster = bench.with_parameters(reference_speed_rpm=2000.0 * (1.0 + SPEED_TOLERANCE))
+    for g in (0, 7, 13):
+        options = {"rotations": 5.0, "start_angle_rad": nominal.start_angle_rad[g, 0]}
+        recording = faster.simulate(nominal.gap_rad[g], **options)
+        amplitude = point(recording).optimum.symbols["amplitude_rpm"]
+        gaps_rad = curve.gap(np.array([amplitude, nominal.amplitude_rpm[g, 0]]))
+        assert abs(np.log(gaps_rad[0] / gaps_rad[1])) < SIZES[-1]
 
 
 def test_virtual_draws_reproduce_what_depends_linearly_on_the_parameters() -> None:
@@ -393,6 +448,15 @@ def test_draws_without_a_tolerance_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bench.toml").write_text(dump_bench(reference_bench()))
     with pytest.raises(UserError, match="nothing to draw"):
         run_sweep(config)
+    assert not (tmp_path / "out").exists()  # refused before anything was simulated
+    (problem,) = check(tmp_path / "sweep.toml").problems
+    assert "nothing to draw" in str(problem)
+
+
+def test_a_degree_that_the_gaps_cannot_carry_is_refused_before_the_sweep(tmp_path: Path) -> None:
+    assert sweep_config(tmp_path, degree=5).sweep.gap_rad.count == 8
+    with pytest.raises(ConfigError, match=r"\[sweep\] degree.*gap_rad\.count of at least 9"):
+        sweep_config(tmp_path, degree=6)
 
 
 def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from bayesbl.config.loading import config_from_options
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.inference.estimator import Estimator
 from bayesbl.inference.optimum import Optimum, find_optimum
+from bayesbl.inference.posterior import LogPosterior
 from bayesbl.inference.warm import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
@@ -35,7 +36,7 @@ from bayesbl.signal.parameters import (
     DisturbanceModel,
 )
 from bayesbl.signal.synthetic import synthetic_recording
-from bayesbl.workflows.run import run
+from bayesbl.workflows.run import check, run
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 NOISE = NoiseModel(1.5, (0.6,))
@@ -60,8 +61,8 @@ def recording(seed: int = 1, noise: NoiseModel = NOISE, **changes: float) -> Rec
     )
 
 
-def objective_of(measured: Recording) -> Objective:
-    return Objective(DisturbanceModel(), measured.time_s, measured.motor_speed_rpm)
+def objective_of(measured: Recording, **model: Any) -> Objective:
+    return Objective(DisturbanceModel(**model), measured.time_s, measured.motor_speed_rpm)
 
 
 def full(objective: Objective) -> Optimum:
@@ -96,6 +97,42 @@ def test_a_worn_gap_on_the_bench_is_followed() -> None:
         old = full(objectives[0])
         earlier = EarlierOptimum("the old optimum", old.symbols, old.rmse_rpm)
         assert_same(warm_optimum(objectives[1], earlier), full(objectives[1]))
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        {DECAY: (5.0, 8.0)},  # the truth, 12, is out of reach
+        {FREQUENCY: (70.0, 120.0)},  # likewise 62
+        {DECAY: (5.0, 8.0), FREQUENCY: (63.0, 120.0)},
+        {START: (4.1, 5.5)},  # holds t0 + T_w, not t0
+        {SEPARATION: (1.75, 3.0)},  # holds T_w − T as well: the pulses may change places
+    ],
+    ids=lambda ranges: ", ".join(ranges),
+)
+def test_warm_and_full_search_end_in_the_same_optimum_inside_the_ranges(
+    ranges: dict[str, tuple[float, float]],
+) -> None:
+    objective = objective_of(recording(), ranges=ranges)
+    cold = full(objective)
+    warm = warm_optimum(objective, EarlierOptimum("the old one", cold.symbols, cold.rmse_rpm))
+    assert_same(warm, cold)
+    for found in (warm, cold):
+        assert np.isfinite(LogPosterior(objective, found, 1.0)(found.searched[None])[0])
+        for name, (low, high) in ranges.items():
+            assert all(low <= rival.symbols[name] <= high for rival in found.rivals)
+
+
+def test_the_history_of_a_search_ends_at_its_rmse_whatever_is_left_out() -> None:
+    measured = recording()
+    excluded = np.arange(measured.samples) % 25 == 0
+    objective = Objective(
+        DisturbanceModel(), measured.time_s, measured.motor_speed_rpm, excluded=excluded
+    )
+    for found in (full(objective), warm_optimum(objective, OLD)):
+        residual = (measured.motor_speed_rpm - found.predict(measured.time_s))[~excluded]
+        assert found.rmse_rpm == pytest.approx(math.sqrt(np.mean(residual**2)), rel=1e-9)
+        assert found.history.rmse_rpm.min() == pytest.approx(found.rmse_rpm, rel=1e-9)
 
 
 def test_another_speed_scales_the_rotation_period() -> None:
@@ -179,6 +216,19 @@ def test_a_result_without_optimum_is_refused(tmp_path: Path) -> None:
     write_tree(tree, tmp_path / "result.nc")
     with pytest.raises(ResultError, match="no optimum to start from"):
         read_earlier(tmp_path)
+    (tmp_path / "fit.toml").write_text(
+        f"""schema = 1
+kind = "fit"
+[run]
+output = "out"
+[[recordings]]
+file = "{CONFIGS / "recordings" / "wear_before.csv"}"
+[estimator.search]
+start_from = "result.nc"
+"""
+    )
+    (problem,) = check(tmp_path / "fit.toml").problems
+    assert "no optimum to start from" in str(problem)
 
 
 def test_a_result_that_is_not_there_is_refused_by_its_option(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl.config.fields import InputPath, Positive, Section, refuse
 from bayesbl.config.sections import Interval, Model, RunConfig
@@ -38,6 +38,19 @@ class Sweep(Section):
     sampling_hz: float = Field(default=1000.0, ge=100.0)
     bench_draws: int = Field(default=0, ge=0, le=10_000)
     degree: int = Field(default=3, ge=1, le=8)
+
+    @field_validator("degree")
+    @classmethod
+    def _fewer_than_gaps(cls, degree: int, info: ValidationInfo) -> int:
+        gap_rad = info.data.get("gap_rad")  # missing where it was refused itself
+        if gap_rad is not None and gap_rad.count < degree + 3:
+            refuse(
+                "The sweep has too few gaps for this degree.",
+                found=f"degree = {degree} with gap_rad.count = {gap_rad.count}",
+                expected=f"gap_rad.count of at least {degree + 3}, or a degree of at most "
+                f"{gap_rad.count - 3}",
+            )
+        return degree
 
 
 class SweepEstimator(Section):

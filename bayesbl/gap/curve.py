@@ -71,7 +71,7 @@ class GapCurve:
     warnings
         What every user of this curve must be told.
     reference_speed_rpm
-        Of the bench it was made on, without sign; ``None`` if not known.
+        Mean motor speed of the bench it was made on, without sign; ``None`` if not known.
     """
 
     name: str

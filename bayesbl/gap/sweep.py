@@ -171,7 +171,7 @@ class _Row:
         solution = objective.solve(point[None])
         self._searched[g, s] = point
         self._amplitude[g, s] = abs(solution.coefficients[0, -1])
-        self._rmse[g, s] = math.sqrt(solution.sum_of_squares[0] / objective.samples)
+        self._rmse[g, s] = math.sqrt(solution.sum_of_squares[0] / objective.samples_used)
 
     def done(self) -> SweepRow:
         return SweepRow(

@@ -130,14 +130,16 @@ class Estimator:
 
     def fingerprint(self, recording: Recording) -> str:
         """What decides the meaning of A in this recording, as readable JSON."""
-        speed = abs(float(recording.motor_speed_rpm.mean()))
         meaning: dict[str, Any] = {
             "waveform": "eq. 3, edges resolved to the sampling",
             "baseline_harmonics": self.model.baseline_harmonics,
             "fixed": dict(sorted(self.model.fixed.items())),
             "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),
-            "nominal_speed_rpm": float(f"{speed:.2g}"),
+            # For the reader only: two digits round apart what is one speed.
+            "nominal_speed_rpm": float(f"{nominal_speed_rpm(recording):.2g}"),
         }
+        if ranges := self.model.lasting_ranges:
+            meaning["ranges"] = ranges
         return json.dumps(meaning, sort_keys=True)
 
     def estimate(
@@ -306,6 +308,11 @@ class Estimator:
         optimum, notes, start, contenders = unpack_optimum(stored, objective)
         point = self.around(recording, objective, optimum)
         return replace(point, notes=notes, start=start, contenders=contenders)
+
+
+def nominal_speed_rpm(recording: Recording) -> float:
+    """Mean motor speed without its sign, rpm."""
+    return abs(float(recording.motor_speed_rpm.mean()))
 
 
 def _require_rotations(recording: Recording, optimum: Optimum, gear_ratio: float | None) -> None:

@@ -97,7 +97,7 @@ def unpack_optimum(
         symbols=symbols,
         baseline_rpm=arrays["baseline_rpm"],
         sum_of_squares=stored,
-        samples=objective.samples,
+        samples=objective.samples_used,
         speed_sd_rpm=float(objective.speed_rpm[objective.used].std()),
         history=SearchHistory(arrays["run"], arrays["run_evaluations"], arrays["run_rmse_rpm"]),
         rivals=tuple(

@@ -176,7 +176,7 @@ def settled(
         symbols=best,
         baseline_rpm=solution.coefficients[0, 1:-1],
         sum_of_squares=float(solution.sum_of_squares[0]),
-        samples=int(objective.used.sum()),
+        samples=objective.samples_used,
         speed_sd_rpm=float(objective.speed_rpm[objective.used].std()),
         history=history,
         rivals=_rivals(objective, points, sse[order]),
@@ -203,6 +203,7 @@ def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
             START: value[START] - value[SEPARATION] + shift,
             SEPARATION: -value[SEPARATION] % value[ROTATION],
         }
+        new = _turned(new, _begins(model))
         moved.append(np.array([new[name] for name in names]))
     return moved
 
@@ -234,7 +235,7 @@ def local_search(
         generator,
         population=POPULATION,
         iterations=400,
-        samples=objective.samples,
+        samples=objective.samples_used,
         run=run,
     )
 
@@ -333,7 +334,7 @@ def _paper_search(
 
     ranges = [objective.model.ranges.get(name, box[name]) for name in names]
     low, high = np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
-    end, history = search_box(sum_of_squares, low, high, generator, objective.samples)
+    end, history = search_box(sum_of_squares, low, high, generator, objective.samples_used)
     return end[None, :d], history, int(history.evaluations[-1])
 
 
@@ -423,13 +424,20 @@ def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
 
 def _first_turn(objective: Objective, value: dict[str, float]) -> dict[str, float]:
     """t0 and T, where they are searched, moved by whole rotations to the begin of their range."""
-    ranges, rotation = objective.model.ranges, value[ROTATION]
     begins = {START: objective.time_s[0] - value[WINDOW_START], SEPARATION: 0.0}
-    moved = dict(value)
-    for name in {START, SEPARATION} & set(objective.searched):
-        begin = ranges[name][0] if name in ranges else begins[name]
-        moved[name] = begin + (value[name] - begin) % rotation
-    return moved
+    begins |= _begins(objective.model)
+    return _turned(value, {n: begins[n] for n in begins if n in objective.searched})
+
+
+def _begins(model: DisturbanceModel) -> dict[str, float]:
+    """The begin of the range of t0 and of T, s, where they were given one."""
+    return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
+
+
+def _turned(value: dict[str, float], begins: dict[str, float]) -> dict[str, float]:
+    """Symbols moved by whole rotations into the one that starts at their begin, s."""
+    rotation = value[ROTATION]
+    return value | {n: begin + (value[n] - begin) % rotation for n, begin in begins.items()}
 
 
 def _named(objective: Objective, point: FloatArray) -> dict[str, float]:

@@ -25,7 +25,30 @@ SHRINK, GROW = 0.4, 1.6
 
 
 def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
-    """Local optimum of the searched symbols near ``start``, both of shape (d,)."""
+    """Local optimum of the searched symbols near ``start``, both of shape (d,).
+
+    Symbols that would leave the range they were given are held at its end, and the others refined
+    once more.
+    """
+    end = _descend(objective, start, seed)
+    names, ranges = objective.searched, objective.model.ranges
+    reached = dict(zip(names, (float(x) for x in end), strict=True))
+    nearest = {
+        n: min(max(x, ranges[n][0]), ranges[n][1]) for n, x in reached.items() if n in ranges
+    }
+    held = {n: x for n, x in nearest.items() if x != reached[n]}
+    if not held:
+        return end
+    rest = objective.holding(held)
+    point = reached | held
+    if rest.searched:
+        others = refine(rest, np.array([point[n] for n in rest.searched]), seed)
+        point |= dict(zip(rest.searched, others, strict=True))
+    return np.array([point[n] for n in names])
+
+
+def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
+    """Local optimum near ``start``, both of shape (d,), whatever the ranges."""
     d = start.size
     generator = np.random.default_rng(seed)
     count = POINTS_PER_COEFFICIENT * (1 + d + d * (d + 1) // 2)

@@ -85,7 +85,7 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     end = refine(objective, folds[int(np.argmin(sse))])
     ends = np.array([end, *(refine(objective, x) for x in exchanged(objective.model, end))])
     reached = objective.sum_of_squares(ends)
-    rmse = np.sqrt(np.array([np.min(sse), np.min(reached)]) / objective.samples)
+    rmse = np.sqrt(np.array([np.min(sse), np.min(reached)]) / objective.samples_used)
     history = SearchHistory(np.zeros(2), np.array([1.0, float(len(folds))]), rmse)
     if not np.any(np.isfinite(reached)):
         raise NoLongerFits("its pulses fit nowhere")
@@ -116,7 +116,8 @@ def _folds(objective: Objective, old: Mapping[str, float]) -> FloatArray:
     drift = 0.25 * ringing * rotation / objective.duration_s
     axes = {name: np.array([old[name]]) for name in objective.searched}
     axes[SEPARATION] = np.array([old[SEPARATION] * rotation / old[ROTATION]])
-    axes[START] = objective.time_s[0] + np.arange(0.0, rotation, ringing / STEPS_PER_RINGING)
+    begin, _ = objective.model.ranges.get(START, (objective.time_s[0], math.inf))
+    axes[START] = begin + np.arange(0.0, rotation, ringing / STEPS_PER_RINGING)
     axes[ROTATION] = rotation + drift * PERIOD_STEPS
     axes[FREQUENCY] = old[FREQUENCY] * FREQUENCY_FACTORS
     low, high = bounds(objective)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -124,6 +125,11 @@ class Objective:
         return int(self.time_s.size)
 
     @property
+    def samples_used(self) -> int:
+        """Number of samples that count: n without those excluded."""
+        return int(self.used.sum())
+
+    @property
     def duration_s(self) -> float:
         """n · Δt in s."""
         return self.samples * self.period_s
@@ -132,6 +138,12 @@ class Objective:
     def searched(self) -> tuple[str, ...]:
         """Names of the columns that :meth:`sum_of_squares` takes."""
         return self.model.searched
+
+    def holding(self, values: Mapping[str, float]) -> Objective:
+        """The same recording with some of the searched symbols held at these values."""
+        other = copy.copy(self)
+        other.model = self.model.holding(values)
+        return other
 
     def sum_of_squares(self, searched: FloatArray) -> FloatArray:
         """Sum of squared residuals, free A, v_t and baseline solved exactly.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from bayesbl.errors import ConfigError
@@ -128,6 +128,16 @@ class DisturbanceModel:
     def free(self) -> tuple[str, ...]:
         """All free symbols, in the paper's order."""
         return tuple(n for n in SYMBOLS if n not in self.fixed)
+
+    @property
+    def lasting_ranges(self) -> dict[str, tuple[float, float]]:
+        """Ranges of the searched symbols but t0, which is another in every recording."""
+        return {n: self.ranges[n] for n in self.searched if n in self.ranges and n != START}
+
+    def holding(self, values: Mapping[str, float]) -> DisturbanceModel:
+        """The model with these symbols fixed as well, their ranges gone."""
+        ranges = {name: r for name, r in self.ranges.items() if name not in values}
+        return replace(self, fixed={**self.fixed, **values}, ranges=ranges)
 
     @property
     def amplitude_is_free(self) -> bool:

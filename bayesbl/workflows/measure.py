@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import ConfigError, CurveError
 from bayesbl.gap.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.gap.curve import GapCurve, published_curve
-from bayesbl.inference.estimator import Estimator, Fit
+from bayesbl.inference.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.inference.memory import Forgetful
 from bayesbl.inference.posterior import SamplerSettings
 from bayesbl.inference.second_opinion import require_second_sampler
@@ -39,6 +39,17 @@ from bayesbl.workflows.fits import FitJob, StageProgress, earlier_of, run_fits
 from bayesbl.workflows.maintenance import wear_of
 
 __all__ = ["StageProgress", "measure"]
+
+SPEED_TOLERANCE = 0.01
+"""Largest relative difference in speed between a recording and the curve that δ is read from.
+
+On the reference bench ∂ln δ/∂ln v at a given A is 0.28 to 0.57 for gaps of 2e-4 to 3.5e-3 rad, so
+this moves δ by 0.6 % at most: no more than the lack of fit that a curve may have, and a quarter of
+the 2 % that an amplitude tells δ to.
+"""
+
+SPEED = "nominal_speed_rpm"
+"""Entry of a fingerprint that is compared within the tolerance, not digit by digit."""
 
 LIMIT_BEYOND = 10.0
 """A limit that lies beyond the gaps that can be measured by more than this factor is a mistake."""
@@ -214,15 +225,29 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
     if curve.fingerprint is None:
         return
     mine, theirs = json.loads(estimator.fingerprint(recording)), json.loads(curve.fingerprint)
-    different = sorted(k for k in {*mine, *theirs} if mine.get(k) != theirs.get(k))
+    # A fingerprint has two digits of the speed; the curve's file has all of them beside it.
+    mine[SPEED] = nominal_speed_rpm(recording)
+    theirs[SPEED] = curve.reference_speed_rpm or theirs[SPEED]
+    different = {k for k in {*mine, *theirs} if mine.get(k) != theirs.get(k)}
+    if abs(mine[SPEED] / theirs[SPEED] - 1.0) <= SPEED_TOLERANCE:
+        different.discard(SPEED)
     if different:
+        told = sorted(different)
         raise CurveError(
             "This gap curve was made with another estimator, so it means another amplitude.",
             file=curve.name,
-            where=", ".join(different),
-            found="; ".join(f"{k} = {theirs.get(k)} in the curve" for k in different),
-            expected="; ".join(f"{k} = {mine.get(k)} as in {recording.name}" for k in different),
+            where=", ".join(told),
+            found="; ".join(f"{_told(k, theirs)} in the curve" for k in told),
+            expected="; ".join(f"{_told(k, mine)} as in {recording.name}" for k in told),
         )
+
+
+def _told(key: str, meaning: Mapping[str, Any]) -> str:
+    """An entry of a fingerprint in words."""
+    if key not in meaning:
+        return f"no {key}"
+    value = meaning[key]
+    return f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"
 
 
 def _tree(

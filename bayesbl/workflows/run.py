@@ -212,9 +212,7 @@ def check(path: str | Path) -> Plan:
         plan.add("comparison", partial(_check_diagnosis, config))
     if isinstance(config, SweepConfig):
         _check_bench(plan, config.bench)
-        gap = config.sweep.gap_rad
-        told = f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
-        plan.lines.append(("gaps", told))
+        plan.add("gaps", partial(_gaps, config))
     return plan
 
 
@@ -248,6 +246,28 @@ def _check_simulation(plan: Plan, path: Path) -> None:
         plan.lines.append((f"recording {entry.name}", told))
 
 
+def _gaps(config: SweepConfig) -> str:
+    from bayesbl.config.bench import load_bench
+    from bayesbl.workflows.sweep import require_drawable
+
+    require_drawable(config, load_bench(config.bench))
+    gap = config.sweep.gap_rad
+    return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
+
+
+def _earlier(path: Path) -> str:
+    from bayesbl.results.earlier import read_earlier
+
+    return f"{', '.join(read_earlier(path))} in {path}"
+
+
+def _second_sampler() -> str:
+    from bayesbl.inference.second_opinion import require_second_sampler
+
+    require_second_sampler()
+    return "dynesty"
+
+
 def _limit(limit_rad: float, range_rad: tuple[float, float]) -> str:
     from bayesbl.workflows.measure import require_plausible_limit
 
@@ -270,6 +290,11 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
         ("estimator", f"search {estimator.search}, noise {estimator.noise_kind}"),
         ("interval", f"{100.0 * config.interval.level:g} %, {config.interval.kind}"),
     ]
+
+    if config.estimator.search.start_from is not None:
+        plan.add("start from", partial(_earlier, config.estimator.search.start_from))
+    if config.posterior.check_sampler:
+        plan.add("second sampler", _second_sampler)
 
     def checked(entry: SnapshotRecording) -> str:
         recording = recording_of(entry, config)

@@ -22,9 +22,9 @@ from bayesbl.gap.bench_draws import SweptDraws
 from bayesbl.gap.curve import published_curve
 from bayesbl.gap.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
 from bayesbl.gap.swept_curve import degree_reports, departures, swept_curve
-from bayesbl.inference.estimator import Estimator
+from bayesbl.inference.estimator import Estimator, nominal_speed_rpm
 from bayesbl.physics.bench import Bench
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import GROUP, curve_to_dataset
 from bayesbl.results.provenance import (
     code_sha256,
@@ -121,6 +121,7 @@ def run_sweep(
         If the bench file cannot be used, a simulation fails, or the curve is not monotone.
     """
     bench = load_bench(config.bench)
+    require_drawable(config, bench)
     problem = _Problem(bench, _model(config), _settings(config))
     cache = _Cache(config.run.output.parent / CACHE, fresh)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
@@ -137,7 +138,8 @@ def run_sweep(
         ),
     )
     swept = _sweep_draws(config, problem, nominal, draw_seed, cache, progress)
-    fingerprint = _fingerprint(config, bench)
+    recording = _sampled(config, bench)
+    fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(
         str(config.run.output),
         nominal,
@@ -147,7 +149,7 @@ def run_sweep(
         curve_seed,
         swept,
     )
-    curve = replace(curve, reference_speed_rpm=abs(bench.value("reference_speed_rpm")))
+    curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
     tree = xr.DataTree.from_dict(
         {
             "sweep": _sweep_group(nominal, problem.model),
@@ -176,9 +178,22 @@ def run_sweep(
     return tree
 
 
+def require_drawable(config: SweepConfig, bench: Bench) -> None:
+    """The bench has a tolerance where benches are to be drawn within it."""
+    if config.sweep.bench_draws and not bench.tolerances:
+        raise ConfigError(
+            "There is nothing to draw: no parameter of the bench has a tolerance.",
+            file=config.bench,
+            where="[sweep] bench_draws",
+            found=config.sweep.bench_draws,
+            expected="a tolerance or relative_tolerance in the bench file, or bench_draws = 0",
+        )
+
+
 def _model(config: SweepConfig) -> DisturbanceModel:
     section = config.estimator.model
-    return DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
+    model = DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
+    return replace(model, ranges=model.lasting_ranges)
 
 
 def _settings(config: SweepConfig) -> SweepSettings:
@@ -194,12 +209,11 @@ def _settings(config: SweepConfig) -> SweepSettings:
     )
 
 
-def _fingerprint(config: SweepConfig, bench: Bench) -> str:
-    """That of a measured recording with the sweep's sampling and the bench's speed."""
-    recording = bench.simulate(
+def _sampled(config: SweepConfig, bench: Bench) -> Recording:
+    """A recording with the sweep's sampling and the bench's speed."""
+    return bench.simulate(
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
-    return Estimator(model=_model(config)).fingerprint(recording)
 
 
 def _sweep_draws(
@@ -214,14 +228,6 @@ def _sweep_draws(
     count, tolerances = config.sweep.bench_draws, problem.bench.tolerances
     if count == 0:
         return None
-    if not tolerances:
-        raise ConfigError(
-            "There is nothing to draw: no parameter of the bench has a tolerance.",
-            file=config.bench,
-            where="[sweep] bench_draws",
-            found=count,
-            expected="a tolerance or relative_tolerance in the bench file, or bench_draws = 0",
-        )
     benches = [problem.bench.draw(np.random.default_rng(s)) for s in seed.spawn(count)]
     names = tuple(tolerances)
     shifts = np.array(
