@@ -107,7 +107,7 @@ def write_json(content: Mapping[str, Any], path: str | Path) -> None:
 
 def texts(attribute: object) -> list[str]:
     """A list of texts kept as an attribute: NetCDF gives one back as a text, none as nothing."""
-    if attribute is None or attribute == "":
+    if attribute is None or (isinstance(attribute, str) and not attribute):
         return []
     return [attribute] if isinstance(attribute, str) else [str(text) for text in attribute]  # type: ignore[attr-defined]
 
