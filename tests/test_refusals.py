@@ -198,10 +198,10 @@ def test_a_withheld_answer_asks_for_the_unit_before_all_else():
         posterior=SimpleNamespace(diagnostics=diagnostics), check=None, point=point
     )
     beyond = SimpleNamespace(notes=(), reason="Use a curve that reaches farther.")
-    found = verdict(fit, beyond, "Is the unit right?")
+    found = verdict(fit, beyond, question="Is the unit right?")
     assert found["reason"].startswith("Is the unit right?")
     inside = SimpleNamespace(notes=(), reason=None)
-    assert verdict(fit, inside, "Is the unit right?")["reasons"] == []
+    assert verdict(fit, inside, question="Is the unit right?")["reasons"] == []
 
 
 def test_a_curve_keeps_its_speed_in_its_file():

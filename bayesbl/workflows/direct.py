@@ -56,6 +56,7 @@ from bayesbl.workflows.measure import (
     require_plausible_limit,
     require_same_estimator,
     same_files,
+    unsuited,
 )
 
 FALSE_ALARM = 0.01
@@ -230,10 +231,13 @@ def _amplitude_route(
         else []
     )
     routes = []
-    for fit, refusal in zip(fits, refusals, strict=True):
+    for recording, fit, refusal in zip(recordings, fits, refusals, strict=True):
         gap = next(found) if fit else None
         reason = refusal
-        if fit is not None and fit.posterior.diagnostics.outcome == "withheld":
+        against = unsuited(recording, fit, curve, config) if fit else []
+        if against:
+            reason = " ".join(against)
+        elif fit is not None and fit.posterior.diagnostics.outcome == "withheld":
             reason = " ".join(fit.posterior.diagnostics.reasons)
         elif gap is not None and gap.reason:
             reason = gap.reason

@@ -37,6 +37,7 @@ from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_sn
 from bayesbl.signal.parameters import AMPLITUDE, DisturbanceModel
 from bayesbl.workflows.fits import FitJob, StageProgress, earlier_of, run_fits
 from bayesbl.workflows.maintenance import wear_of
+from bayesbl.workflows.speeds import other_rotation, other_speed, require_one_speed_of_all
 
 __all__ = ["StageProgress", "measure"]
 
@@ -104,6 +105,7 @@ def measure(
         require_second_sampler()
     require_plausible_limit(config.joint.limit_rad, curve.gap_range_rad)
     recordings = read_recordings(config)
+    require_one_speed_of_all(recordings)
     for recording in recordings:
         require_same_estimator(curve, estimator, recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
@@ -233,8 +235,13 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
         different.discard(SPEED)
     if different:
         told = sorted(different)
+        problem = (
+            "This gap curve was swept at another speed, where the same gap rings otherwise."
+            if told == [SPEED]
+            else "This gap curve was made with another estimator, so it means another amplitude."
+        )
         raise CurveError(
-            "This gap curve was made with another estimator, so it means another amplitude.",
+            problem,
             file=curve.name,
             where=", ".join(told),
             found="; ".join(f"{_told(k, theirs)} in the curve" for k in told),
@@ -264,7 +271,12 @@ def _tree(
         for recording, fit, gap in zip(recordings, fits, found, strict=True)
     }
     verdicts = {
-        r.name: verdict(f, g, speed_in_another_unit(r, curve.reference_speed_rpm))
+        r.name: verdict(
+            f,
+            g,
+            unsuited(r, f, curve, config),
+            speed_in_another_unit(r, curve.reference_speed_rpm),
+        )
         for r, f, g in zip(recordings, fits, found, strict=True)
     }
     if isinstance(config, CompareConfig):
@@ -301,15 +313,30 @@ def _tree(
     return tree
 
 
-def verdict(fit: Fit, gap: Gap, question: str | None = None) -> dict[str, Any]:
+def unsuited(recording: Recording, fit: Fit, curve: GapCurve, config: SnapshotConfig) -> list[str]:
+    """Reasons why recording, curve and gear ratio do not belong together."""
+    reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
+    if not config.curve.allow_extrapolation:
+        reasons.append(other_speed(recording, curve))
+    return [reason for reason in reasons if reason]
+
+
+def verdict(
+    fit: Fit, gap: Gap, unsuited: Sequence[str] = (), question: str | None = None
+) -> dict[str, Any]:
     """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
-    ``question``: what to ask the user before anything else where it is.
+    Parameters
+    ----------
+    unsuited
+        Reasons beside the fit's and the gap's own.
+    question
+        What to ask the user before anything else where δ is withheld.
     """
     diagnostics = fit.posterior.diagnostics
     disagreement = None if fit.check is None else fit.check.reason
     notes = (*fit.point.notes, *gap.notes)
-    against = [reason for reason in (gap.reason, disagreement) if reason]
+    against = [*unsuited, *(reason for reason in (gap.reason, disagreement) if reason)]
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"

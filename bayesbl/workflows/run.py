@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -268,6 +268,14 @@ def _second_sampler() -> str:
     return "dynesty"
 
 
+def _one_speed(recordings: Sequence[Recording]) -> str:
+    from bayesbl.inference.estimator import nominal_speed_rpm
+    from bayesbl.workflows.speeds import require_one_speed_of_all
+
+    require_one_speed_of_all(recordings)
+    return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
+
+
 def _limit(limit_rad: float, range_rad: tuple[float, float]) -> str:
     from bayesbl.workflows.measure import require_plausible_limit
 
@@ -316,6 +324,8 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
     plan.warnings += same_files(sound)
+    if bench is None and len(sound) > 1:
+        plan.add("speed", partial(_one_speed, sound))
     if config.joint.limit_rad is not None:
         measurable = config.estimator.gap_rad if bench is not None else curve.gap_range_rad
         plan.add("limit", partial(_limit, config.joint.limit_rad, measurable))
