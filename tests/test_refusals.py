@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 from recording_files import write_csv
 
 from bayesbl import cli
@@ -23,6 +25,7 @@ from bayesbl.recording.channels import MOTOR_SPEED, SUFFIXES
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
 from bayesbl.recording.readers import read_recording
 from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset
+from bayesbl.results.store import write_tree
 from bayesbl.workflows.measure import require_plausible_limit, same_files, verdict
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -283,6 +286,37 @@ def test_what_was_meant_is_told(arguments, told, foreign, capsys):
     (foreign / "dates.toml").write_text(f"{top}date = 1.7.2026\n")
     (foreign / "comma.toml").write_text(f"{top}[joint]\ngear_ratio = 120,0\n")
     refused(arguments, capsys, told)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["fit", "monday.csv", "--config", "sweep.toml"],
+            'sweep.toml, line 2, kind: This file is of another kind. Found: "sweep" (a bench to be '
+            'swept over its gap). Expected: "fit" (one recording to be measured) or "compare"',
+        ),
+        (
+            ["fit", "monday.csv", "--route", "direct", "--bench", "sweep.toml"],
+            '"sweep" (a bench to be swept over its gap). Expected: "bench" (a virtual bench)',
+        ),
+        (["simulate", "bench.toml"], 'Found: "bench" (a virtual bench). Expected: "simulate"'),
+        (["run", "simulte.toml"], "Did you mean \"simulate\"? Found: 'simulte'. Expected: one of"),
+        (
+            ["fit", "monday.csv", "--route", "direct", "--bench", "friday.csv"],
+            "friday.csv: This is a recording, or no configuration at all. Found: a file ending in "
+            '.csv. Expected: a file of kind "bench" (a virtual bench) in TOML.',
+        ),
+        (["compare", "result.nc", "monday.csv"], "This is a result of bayesbl, not a recording."),
+        (["init", "result.nc"], "This is a result of bayesbl, not a recording."),
+    ],
+)
+def test_a_file_of_another_kind_is_told_as_that_and_no_more(arguments, told, foreign, capsys):
+    (foreign / "sweep.toml").write_text('schema = 1\nkind = "sweep"\nbench = "bench.toml"\n')
+    (foreign / "simulte.toml").write_text('schema = 1\nkind = "simulte"\n')
+    shutil.copy(CONFIGS / "bench.toml", foreign)
+    write_tree(xr.DataTree(), foreign / "result.nc")
+    assert len(refused(arguments, capsys, told).splitlines()) == 1
 
 
 def test_help_names_the_formats_and_what_the_limit_is(capsys):

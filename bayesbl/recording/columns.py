@@ -121,4 +121,4 @@ def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> Recordin
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    return shortened(", ".join(f'"{name}"' for name in names), 200)
+    return shortened(", ".join(f'"{name}"' for name in names), 200) or "no column"

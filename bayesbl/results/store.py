@@ -16,10 +16,8 @@ import xarray as xr
 
 from bayesbl.errors import ResultError
 from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
+from bayesbl.recording.netcdf import FORMAT
 from bayesbl.results.folder import RESULT_FILE
-
-FORMAT = "bayesbl_format"
-"""Root attribute that marks a NetCDF file as ours; its value counts the layouts."""
 
 FORMAT_VERSION = 1
 
