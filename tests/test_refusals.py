@@ -214,13 +214,21 @@ def test_a_curve_keeps_its_speed_in_its_file():
     assert curve_from_dataset(curve_to_dataset(unknown), "x").reference_speed_rpm is None
 
 
-@pytest.mark.parametrize("unit", ["U/min", "1/min", "rpm"])
-def test_revolutions_per_minute_have_several_spellings(unit, tmp_path):
+@pytest.mark.parametrize(
+    ("spelling", "unit"),
+    [
+        *((spelling, "rpm") for spelling in ("U/min", "1/min", "rpm", "min⁻¹")),
+        *((spelling, "deg/s") for spelling in ("°/s", "degree/s", "degps")),
+        *((spelling, "rad/s") for spelling in ("rad·s⁻¹", "radian/s")),
+        ("rps", "rev/s"),
+    ],
+)
+def test_units_have_several_spellings(spelling, unit, tmp_path):
     path = compare_file(tmp_path)
     path.write_text(
-        path.read_text() + f'[columns]\nmotor_speed_rpm = {{name = "n", unit = "{unit}"}}\n'
+        path.read_text() + f'[columns]\nmotor_speed_rpm = {{name = "n", unit = "{spelling}"}}\n'
     )
-    assert load_config(path).columns["motor_speed_rpm"].unit == "rpm"
+    assert load_config(path).columns["motor_speed_rpm"].unit == unit
 
 
 # What to type instead
@@ -262,6 +270,18 @@ def test_init_says_what_is_still_to_be_filled_in(foreign, capsys):
     assert config.joint.decide_before > config.dates[-1]
     assert all(recording.repaired for recording in config.recordings)
     assert "half the total play" in text
+
+
+def test_commands_to_type_are_quoted(foreign, capsys):
+    name = "Mess ung ä.csv"
+    (foreign / "monday.csv").rename(foreign / name)
+    assert cli.status(["init", name]) == 0
+    assert "then: bayesbl run 'Mess ung ä.toml'" in capsys.readouterr().out
+    assert "bayesbl run 'Mess ung ä.toml'" in (foreign / "Mess ung ä.toml").read_text()
+    refused(["compare", name], capsys, f"bayesbl fit '{name}'")
+    refused(["run", name], capsys, f"`bayesbl init '{name}'`")
+    refused(["report", name], capsys, f"`bayesbl fit '{name}'`")
+    refused(["report", "Mess ung ä.toml"], capsys, "`bayesbl run 'Mess ung ä.toml'`")
 
 
 @pytest.mark.parametrize(

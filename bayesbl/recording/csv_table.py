@@ -139,12 +139,15 @@ class CsvTable:
         if not text:
             return float("nan")
         if not _is_number(text):
+            expected = "a number"
+            if row == 0 and not any(map(_is_number, self._cells(0))):
+                expected += "; a row of units is to be deleted, the units put under [columns]"
             raise RecordingError(
                 "Text stands in a column of numbers.",
                 file=self.file,
                 where=self.place(row, column),
                 found=repr(shortened(cell)),
-                expected="a number",
+                expected=expected,
             )
         return float(text)
 
