@@ -58,7 +58,7 @@ class CsvTable:
         return f'line {self.line_numbers[row]}, column "{self.columns[column]}"'
 
     def unit(self, column: int) -> None:
-        """A CSV file does not state units."""
+        """A CSV file states no units but in its columns' names."""
 
     def timestamps(self, column: int) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not begin with a date.
