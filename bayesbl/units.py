@@ -46,6 +46,8 @@ _OTHER_SPELLINGS = {
     "seconds": "s",
     "milliseconds": "ms",
     "microseconds": "us",
+    "µs": "us",
+    "μs": "us",
     "nanoseconds": "ns",
     "minutes": "min",
     "rpm": "rpm",
@@ -54,10 +56,20 @@ _OTHER_SPELLINGS = {
     "u/min": "rpm",
     "min-1": "rpm",
     "min^-1": "rpm",
+    "rev/min": "rpm",
     "rad s-1": "rad/s",
     "rad/sec": "rad/s",
+    "radian/s": "rad/s",
+    "radians/s": "rad/s",
+    "radps": "rad/s",
+    "deg s-1": "deg/s",
     "deg/sec": "deg/s",
+    "degree/s": "deg/s",
     "degrees/s": "deg/s",
+    "degps": "deg/s",
+    "dps": "deg/s",
+    "rev/sec": "rev/s",
+    "rps": "rev/s",
     "hertz": "Hz",
     "radian": "rad",
     "radians": "rad",
@@ -148,11 +160,16 @@ def conversion_factor(channel: str, unit: str) -> float:
 
 def spelled(unit: str) -> str:
     """A unit as files spell it, in this package's spelling where that is known."""
-    text = unit.strip()
-    if any(text in units for units in _FACTORS.values()):
+    text = unit.strip().replace("·", " ").replace("⁻¹", "-1").replace("°", "deg")
+    if is_unit(text):
         return text
     # Only these in any case: "MN m" is not "mN m".
     return _OTHER_SPELLINGS.get(text.lower(), text)
+
+
+def is_unit(text: str) -> bool:
+    """Whether this is a unit, of any dimension, in this package's spelling."""
+    return any(text in units for units in _FACTORS.values())
 
 
 def number(value: float, places: int) -> str:

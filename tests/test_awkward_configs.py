@@ -22,6 +22,10 @@ BENCH = (CONFIGS / "bench.toml").read_text()
 SWEEP = 'schema = 1\nkind = "sweep"\nbench = "bench.toml"\n[sweep]\n'
 SIMULATE = 'schema = 1\nkind = "simulate"\nbench = "bench.toml"\n[[recordings]]\n'
 ENTRY = 'name = "a"\nfile = "a.csv"\nreference_speed_rpm = 2000\n'
+DIAGNOSE = (
+    'schema = 1\nkind = "diagnose"\nbench = "bench.toml"\n[[recordings]]\nfile = "bench.toml"\n'
+    'use = "split"\n[candidates]\n'
+)
 FIT = 'schema = 1\nkind = "fit"\n[[recordings]]\nfile = "bench.toml"\n'
 
 # The text, where it is wrong, and what the message must say.
@@ -60,6 +64,17 @@ REFUSED = {
     "a simulation of nothing": (SIMULATE.replace("[[recordings]]\n", ""), "recordings", "missing"),
     "a gap below zero": (SIMULATE + ENTRY + "gap_rad = -1\n", "gap_rad", "equal to 0"),
     "an infinite gap": (SIMULATE + ENTRY + "gap_rad = inf\n", "gap_rad", "finite"),
+    "an effect that is none": (
+        DIAGNOSE + 'effects = ["load_coulomb"]\n',
+        "line 8, [candidates] effects: There is no such effect.",
+        "Did you mean \"load_coulomb_friction\"? Found: 'load_coulomb'. Expected: one of ",
+    ),
+    "an effect without brackets": (
+        DIAGNOSE + 'effects = "load_coulomb_friction"\n',
+        "line 8, [candidates] effects: This is no list",
+        "Found: 'load_coulomb_friction'. Expected: \"all\"",
+    ),
+    "no effect": (DIAGNOSE + "effects = []\n", "line 8, [candidates] effects", "Found: []"),
     "two recordings in one file": (
         SIMULATE + ENTRY + "gap_rad = 1e-3\n[[recordings]]\n" + ENTRY + "gap_rad = 1e-3\n",
         "recordings",

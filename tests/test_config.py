@@ -448,6 +448,28 @@ def test_a_date_to_decide_before_that_cannot_be_used_is_refused(
         load(folder, base=re.sub(old, new, DATED))
 
 
+def test_what_is_wrong_is_told_at_its_own_line(folder: Path) -> None:
+    undated = DATED.replace("date = 2026-03-01\n", "")
+    unit = '[columns]\ntime_s = "t"\nmotor_speed_rpm = {name = "n", unit = "mph"}\n'
+    for text, where in (
+        (undated, "line 9, [[recordings]] 2"),
+        (DATED.replace("2027", "2025"), "line 5, [joint] decide_before"),
+        (DATED + unit, "line 14, [columns] motor_speed_rpm.unit"),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            load(folder, base=text)
+        assert caught.value.where == where
+    dates = [date(2026, 3, 1), date(2026, 7, 1)]
+    with pytest.raises(ConfigError, match=r"^--before: .*not after the last recording"):
+        config_from_options(
+            "compare",
+            [folder / "before.csv", folder / "after.csv"],
+            dates=dates,
+            limit_rad=1e-3,
+            before=date(2025, 1, 1),
+        )
+
+
 def test_dates_on_the_command_line_pair_up_with_the_recordings(folder: Path) -> None:
     files = [folder / "before.csv", folder / "after.csv"]
     with pytest.raises(ConfigError, match="1 for 2 recordings"):
@@ -464,6 +486,10 @@ def test_dates_on_the_command_line_pair_up_with_the_recordings(folder: Path) -> 
         ({"curve": "none.nc"}, "--curve"),
         ({"seed": -1}, "--seed"),
         ({"route": "scenic"}, "--route"),
+        ({"route": "direct"}, "--route"),
+        ({"bench": "before.csv"}, "--bench"),
+        ({"before": date(2027, 1, 1)}, "--before"),
+        ({"before": date(2027, 1, 1), "limit_rad": 1e-3}, "--before"),
     ],
 )
 def test_a_wrong_option_is_named_as_the_option(

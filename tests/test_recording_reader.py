@@ -172,6 +172,20 @@ BAD_FILES = {
         'line 3, column "motor_speed_rpm"',
         "'2_000'",
     ),
+    "thousands with points": (
+        "time_s;motor_speed_rpm\n"
+        + "".join(f"{t:.3f};999,5\n".replace(".", ",") for t in TIME)
+        + "4,000;1.995,49\n",
+        "thousands separator",
+        'line 42, column "motor_speed_rpm"',
+        "'1.995,49'",
+    ),
+    "thousands with commas": (
+        lines_with(17, '0.0150,"1,995.49"'),
+        "thousands separator",
+        'line 17, column "motor_speed_rpm"',
+        "'1,995.49'",
+    ),
     "decimal commas between commas": (
         csv_text().replace(".", ","),
         "one cell for each column",

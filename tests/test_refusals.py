@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 from recording_files import write_csv
 
 from bayesbl import cli
@@ -23,6 +25,7 @@ from bayesbl.recording.channels import MOTOR_SPEED, SUFFIXES
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
 from bayesbl.recording.readers import read_recording
 from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset
+from bayesbl.results.store import write_tree
 from bayesbl.workflows.measure import require_plausible_limit, same_files, verdict
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -211,13 +214,21 @@ def test_a_curve_keeps_its_speed_in_its_file():
     assert curve_from_dataset(curve_to_dataset(unknown), "x").reference_speed_rpm is None
 
 
-@pytest.mark.parametrize("unit", ["U/min", "1/min", "rpm"])
-def test_revolutions_per_minute_have_several_spellings(unit, tmp_path):
+@pytest.mark.parametrize(
+    ("spelling", "unit"),
+    [
+        *((spelling, "rpm") for spelling in ("U/min", "1/min", "rpm", "min⁻¹")),
+        *((spelling, "deg/s") for spelling in ("°/s", "degree/s", "degps")),
+        *((spelling, "rad/s") for spelling in ("rad·s⁻¹", "radian/s")),
+        ("rps", "rev/s"),
+    ],
+)
+def test_units_have_several_spellings(spelling, unit, tmp_path):
     path = compare_file(tmp_path)
     path.write_text(
-        path.read_text() + f'[columns]\nmotor_speed_rpm = {{name = "n", unit = "{unit}"}}\n'
+        path.read_text() + f'[columns]\nmotor_speed_rpm = {{name = "n", unit = "{spelling}"}}\n'
     )
-    assert load_config(path).columns["motor_speed_rpm"].unit == "rpm"
+    assert load_config(path).columns["motor_speed_rpm"].unit == unit
 
 
 # What to type instead
@@ -261,6 +272,18 @@ def test_init_says_what_is_still_to_be_filled_in(foreign, capsys):
     assert "half the total play" in text
 
 
+def test_commands_to_type_are_quoted(foreign, capsys):
+    name = "Mess ung ä.csv"
+    (foreign / "monday.csv").rename(foreign / name)
+    assert cli.status(["init", name]) == 0
+    assert "then: bayesbl run 'Mess ung ä.toml'" in capsys.readouterr().out
+    assert "bayesbl run 'Mess ung ä.toml'" in (foreign / "Mess ung ä.toml").read_text()
+    refused(["compare", name], capsys, f"bayesbl fit '{name}'")
+    refused(["run", name], capsys, f"`bayesbl init '{name}'`")
+    refused(["report", name], capsys, f"`bayesbl fit '{name}'`")
+    refused(["report", "Mess ung ä.toml"], capsys, "`bayesbl run 'Mess ung ä.toml'`")
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -283,6 +306,37 @@ def test_what_was_meant_is_told(arguments, told, foreign, capsys):
     (foreign / "dates.toml").write_text(f"{top}date = 1.7.2026\n")
     (foreign / "comma.toml").write_text(f"{top}[joint]\ngear_ratio = 120,0\n")
     refused(arguments, capsys, told)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["fit", "monday.csv", "--config", "sweep.toml"],
+            'sweep.toml, line 2, kind: This file is of another kind. Found: "sweep" (a bench to be '
+            'swept over its gap). Expected: "fit" (one recording to be measured) or "compare"',
+        ),
+        (
+            ["fit", "monday.csv", "--route", "direct", "--bench", "sweep.toml"],
+            '"sweep" (a bench to be swept over its gap). Expected: "bench" (a virtual bench)',
+        ),
+        (["simulate", "bench.toml"], 'Found: "bench" (a virtual bench). Expected: "simulate"'),
+        (["run", "simulte.toml"], "Did you mean \"simulate\"? Found: 'simulte'. Expected: one of"),
+        (
+            ["fit", "monday.csv", "--route", "direct", "--bench", "friday.csv"],
+            "friday.csv: This is a recording, or no configuration at all. Found: a file ending in "
+            '.csv. Expected: a file of kind "bench" (a virtual bench) in TOML.',
+        ),
+        (["compare", "result.nc", "monday.csv"], "This is a result of bayesbl, not a recording."),
+        (["init", "result.nc"], "This is a result of bayesbl, not a recording."),
+    ],
+)
+def test_a_file_of_another_kind_is_told_as_that_and_no_more(arguments, told, foreign, capsys):
+    (foreign / "sweep.toml").write_text('schema = 1\nkind = "sweep"\nbench = "bench.toml"\n')
+    (foreign / "simulte.toml").write_text('schema = 1\nkind = "simulte"\n')
+    shutil.copy(CONFIGS / "bench.toml", foreign)
+    write_tree(xr.DataTree(), foreign / "result.nc")
+    assert len(refused(arguments, capsys, told).splitlines()) == 1
 
 
 def test_help_names_the_formats_and_what_the_limit_is(capsys):

@@ -12,6 +12,7 @@ from recording_files import write_csv, write_netcdf
 from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import RecordingError
+from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 
@@ -71,12 +72,27 @@ def test_unstated_units_are_found_from_the_numbers(time, speed, angle, measured,
         ("Speed (rpm)", "rpm"),
         ("velocity_rad_per_s", "rad/s"),
         ("MotorSpeed_deg_s", "deg/s"),
+        ("axis1_velocity_degps", "deg/s"),
+        ("velocity [°/s]", "deg/s"),
     ],
 )
 def test_a_unit_in_a_columns_name_is_taken(name, unit, measured, tmp_path):
     values = {"t [ms]": 1e3 * measured.time_s, name: SPEED[unit] * measured.motor_speed_rpm}
-    found = guessed(write_csv(tmp_path / "joint.csv", values))
-    assert found == {"time_s": ("t [ms]", "ms"), "motor_speed_rpm": (name, unit)}
+    path = write_csv(tmp_path / "joint.csv", values)
+    assert guessed(path) == {"time_s": ("t [ms]", "ms"), "motor_speed_rpm": (name, unit)}
+    columns = {"time_s": ColumnSpec("t [ms]"), "motor_speed_rpm": ColumnSpec(name)}
+    read = read_recording(path, columns=columns)
+    assert read.motor_speed_rpm == pytest.approx(measured.motor_speed_rpm)
+    assert read.time_s == pytest.approx(measured.time_s)
+    assert [note for note in read.notes if name in note] == (
+        [] if unit == "rpm" else [f'The unit of column "{name}" is taken from its name: {unit}.']
+    )
+    stated = {**columns, "motor_speed_rpm": ColumnSpec(name, "Hz")}
+    read = read_recording(path, columns=stated)
+    assert read.motor_speed_rpm == pytest.approx(60.0 * values[name])
+    wrong = {"time_s": ColumnSpec("t [ms]"), "motor_current_a": ColumnSpec(name)}
+    with pytest.raises(RecordingError, match="not known for this channel"):
+        read_recording(path, columns=wrong)
 
 
 def test_a_unit_that_the_file_states_is_taken(measured, tmp_path):
@@ -112,6 +128,45 @@ def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
         guess_columns(path, read_table(path))
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
     assert not (tmp_path / "a.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("first", "third", "told"),
+    [
+        ("2000.5", "OVL", 'line 4, column "speed": Text stands in a column of numbers.'),
+        ("rpm", "2000.5", "Found: 's'. Expected: a number; a row of units is to be deleted"),
+        ("", "", 'column "speed": This column does not hold a series of numbers. Found: 1 finite'),
+    ],
+)
+def test_a_recording_that_holds_no_numbers_gets_no_configuration(
+    first, third, told, tmp_path, capsys, recwarn
+):
+    rows = [f"{'s' if first == 'rpm' else 0.0},{first}", "0.001,1999", f"0.002,{third}"]
+    path = tmp_path / "joint.csv"
+    path.write_text("\n".join(["t,speed", *rows]) + "\n")
+    assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
+    printed = capsys.readouterr()
+    assert told in printed.err
+    assert not printed.out
+    assert not recwarn.list
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_recording_that_is_not_there_leaves_no_configuration(tmp_path, capsys):
+    arguments = ["init", str(BEFORE), str(tmp_path / "none.csv"), "--out", str(tmp_path / "a.toml")]
+    assert cli.status(arguments) == cli.WRONG
+    assert "none.csv: There is no such file" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_run_is_not_told_to_run(measured, tmp_path, capsys):
+    values = {"t [s]": measured.time_s[::20], "speed": measured.motor_speed_rpm[::20]}
+    path = write_csv(tmp_path / "slow.csv", values)
+    assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
+    printed = capsys.readouterr()
+    assert "It cannot run as it is; what stands against it:" in printed.out
+    assert "bayesbl run" not in printed.out
+    assert "sampling rate" in printed.err
 
 
 def test_a_configuration_is_not_written_over(tmp_path, capsys):

@@ -87,11 +87,12 @@ def compare_command(
 ) -> None:
     """Measure each gap, the change from first to last, and with dates how fast it grows."""
     if not later:
+        quoted = shlex.quote(str(first))
         raise ConfigError(
             "A comparison needs two recordings or more.",
             where="SECOND",
             found=f"{first} alone",
-            expected=f"bayesbl compare {first} SECOND; for one recording: bayesbl fit {first}",
+            expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
         )
     options: dict[str, Any] = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
     options |= {"route": route, "bench": bench}

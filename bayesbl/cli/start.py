@@ -79,8 +79,8 @@ def init_command(
     from bayesbl.workflows.start import start_config
 
     path, guess = start_config(recordings, out, force=force)
-    print_guess(guess, path, make_console())
     plan = check(path)
+    print_guess(guess, path, make_console(), sound=not plan.problems)
     for warning in plan.warnings:
         typer.echo(f"warning: {warning}")
     for problem in plan.problems:

@@ -21,16 +21,24 @@ from bayesbl.recording.channels import did_you_mean
 Method = Literal["forward", "inverse", "free_motion"]
 
 
-def _effect(name: str) -> str:
+def _effects(value: object) -> object:
+    """Refused before the choice between ``"all"`` and a list, whose every branch would be told."""
     # Imported here: the catalogue stands on the compiled simulator, which takes a second.
     from bayesbl.physics.effects import EFFECT_BY_NAME
 
-    if name not in EFFECT_BY_NAME:
+    if value == "all":
+        return value
+    if not isinstance(value, list | tuple) or not value:
+        refuse("This is no list of effects.", expected='"all", or names in brackets: ["…"]')
+    unknown = [name for name in value if not (isinstance(name, str) and name in EFFECT_BY_NAME)]
+    if unknown:
+        hints = dict.fromkeys(did_you_mean(str(name), EFFECT_BY_NAME) for name in unknown)
         refuse(
-            "There is no such effect." + did_you_mean(name, EFFECT_BY_NAME),
+            "There is no such effect." + "".join(hints),
+            found=", ".join(map(repr, unknown)),
             expected="one of " + ", ".join(EFFECT_BY_NAME),
         )
-    return name
+    return tuple(value)
 
 
 def _bench_parameter(name: str) -> str:
@@ -90,14 +98,7 @@ class DiagnosedRecording(SnapshotRecording):
 class Candidates(Section):
     """``[candidates]``: effects that may be named, how many, and how often one falsely."""
 
-    effects: (
-        Literal["all"]
-        | Annotated[
-            tuple[Annotated[str, AfterValidator(_effect)], ...],
-            Field(min_length=1),
-            BeforeValidator(as_tuple),
-        ]
-    ) = "all"
+    effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(_effects)] = "all"
     max_effects: int = Field(default=3, ge=1, le=10)
     false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
 

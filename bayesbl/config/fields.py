@@ -27,9 +27,23 @@ PUBLISHED = "published"
 """The curve of the paper's eq. 4."""
 
 
-def refuse(problem: str, *, found: object = None, expected: str | None = None) -> NoReturn:
-    """Refuse a value with a sentence; ``found`` replaces the whole value in the message."""
-    context = {"problem": problem.replace("{", "{{"), "found": found, "expected": expected}
+def refuse(
+    problem: str,
+    *,
+    found: object = None,
+    expected: str | None = None,
+    at: tuple[str | int, ...] = (),
+) -> NoReturn:
+    """Refuse a value with a sentence; ``found`` replaces the whole value in the message.
+
+    ``at`` leads from the value on to the part of it that is wrong, for its line and its option.
+    """
+    context = {
+        "problem": problem.replace("{", "{{"),
+        "found": found,
+        "expected": expected,
+        "at": at,
+    }
     raise PydanticCustomError("refused", "{problem}", context)
 
 

@@ -1,16 +1,20 @@
-"""A file of one section: from TOML to its model, everything that is wrong told at once."""
+"""From a file to its tables and its model: what is wrong with it is told at once."""
 
 from __future__ import annotations
 
+import re
 import tomllib
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 
 from bayesbl.config.fields import BASE_DIRECTORY, Section
-from bayesbl.config.problems import config_error, problems_of
+from bayesbl.config.kinds import FILES
+from bayesbl.config.problems import Problem, config_error, line_numbers, problems_of
 from bayesbl.errors import ConfigError
+from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
 
 _Model = TypeVar("_Model", bound=Section)
 
@@ -21,20 +25,100 @@ def load_file(path: Path, model: type[_Model]) -> _Model:
     Raises
     ------
     ConfigError
-        Naming file and field: no such file, no TOML, or what the model refuses.
+        Naming file and field: no such file, no TOML, another kind, or what the model refuses.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        tables = tomllib.loads(text)
-    except (OSError, ValueError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(
-            "The file cannot be read as TOML.",
-            file=path,
-            found=reason,
-            expected="key = value; text stands in quotes",
-        ) from None
+    (kind,) = get_args(model.model_fields["kind"].annotation)
+    text, tables = read_toml(path, f"a file of kind {_told(kind)} in TOML")
+    require_kind(tables, [kind], path, text)
     try:
         return model.model_validate(tables, context={BASE_DIRECTORY: path.absolute().parent})
     except ValidationError as error:
         raise config_error(problems_of(error, model, text), path) from None
+
+
+def read_toml(
+    path: Path, expected: str, *, instead_of_recording: str | None = None
+) -> tuple[str, dict[str, Any]]:
+    """The text of a file and its tables.
+
+    Parameters
+    ----------
+    expected
+        What the file should be, for messages.
+    instead_of_recording
+        The same where the file is a recording; ``expected`` by default.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or it is no TOML.
+    """
+    if path.suffix.lower() in SUFFIXES and path.is_file():
+        raise ConfigError(
+            "This is a recording, or no configuration at all.",
+            file=path,
+            found=f"a file ending in {path.suffix}",
+            expected=instead_of_recording or expected,
+        )
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except (FileNotFoundError, NotADirectoryError):
+        raise ConfigError(
+            "There is no such file." + did_you_mean_file(path), file=path, expected=expected
+        ) from None
+    except UnicodeDecodeError:
+        raise ConfigError(
+            "This is not a text file.", file=path, found="binary data", expected="TOML in UTF-8"
+        ) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(
+            "The file cannot be read.", file=path, found=reason, expected="a TOML file"
+        ) from None
+    return text, _parse(text, path)
+
+
+def require_kind(
+    tables: Mapping[str, Any], wanted: Collection[str], file: Path | None, text: str
+) -> None:
+    """Refuse a file that says it is of another kind, whose keys would all be unknown here.
+
+    Raises
+    ------
+    ConfigError
+        Naming the kind found and those wanted.
+    """
+    kind = tables.get("kind")
+    if not isinstance(kind, str) or kind not in FILES or kind in wanted:
+        return
+    problem = Problem(
+        "This file is of another kind.",
+        where="kind",
+        found=_told(kind),
+        expected=" or ".join(map(_told, wanted)),
+        line=line_numbers(text).get(("kind",)),
+    )
+    raise config_error([problem], file)
+
+
+def _told(kind: str) -> str:
+    return f'"{kind}" ({FILES[kind]})'
+
+
+def _parse(text: str, file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError(
+            "The file is nested too deeply.", file=file, expected="sections, keys and values"
+        ) from None
+    except ValueError as error:
+        place = re.search(r" \(at (line \d+, column \d+|end of document)\)$", str(error))
+        problem = str(error)[: place.start()] if place else str(error)
+        raise ConfigError(
+            f"This is not valid TOML: {problem}.",
+            file=file,
+            where=place[1] if place else None,
+            expected='key = value; text stands in quotes, e.g. file = "before.csv"; numbers have a '
+            "decimal point, not a comma; dates are written 2026-07-01",
+        ) from None

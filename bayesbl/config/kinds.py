@@ -1,4 +1,4 @@
-"""Every kind of run, and the model of its configuration."""
+"""Every kind of file, and the model of those that describe a run."""
 
 from __future__ import annotations
 
@@ -21,3 +21,19 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
     }
 )
 """Kind to the model of its configuration."""
+
+FILES: Mapping[str, str] = MappingProxyType(
+    {
+        "fit": "one recording to be measured",
+        "compare": "recordings to be measured and compared",
+        "simulate": "recordings to be made on a bench",
+        "sweep": "a bench to be swept over its gap",
+        "diagnose": "recordings, and the bench that is to describe them",
+        "study": "an experiment and its rows",
+        "bench": "a virtual bench",
+    }
+)
+"""Kind to what a file of this kind holds, in words."""
+
+RUNNABLE = tuple(kind for kind in FILES if kind != "bench")
+"""The kinds that ``bayesbl run`` takes."""

@@ -6,8 +6,7 @@ A configuration is validated whole: everything that is wrong with it is reported
 from __future__ import annotations
 
 import os
-import re
-import tomllib
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
@@ -19,7 +18,9 @@ import tomli_w
 from pydantic import ValidationError
 
 from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED
-from bayesbl.config.kinds import KINDS
+from bayesbl.config.files import read_toml, require_kind
+from bayesbl.config.kinds import KINDS, RUNNABLE
+from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.problems import (
     Location,
     Problem,
@@ -31,7 +32,7 @@ from bayesbl.config.problems import (
 )
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
-from bayesbl.recording.channels import SUFFIXES, did_you_mean, did_you_mean_file
+from bayesbl.recording.channels import did_you_mean
 
 OPTIONS: Mapping[str, Location] = MappingProxyType(
     {
@@ -88,16 +89,7 @@ def load_config(path: str | Path, *, kind: str | None = None) -> RunConfig:
         of a wrong type or out of range, files named in it that do not exist.
     """
     document = _read(Path(path))
-    found = document.tables.get("kind")
-    if kind is not None and found in KINDS and found != kind:
-        problem = Problem(
-            "This configuration is for another kind of run.",
-            where="kind",
-            found=f'"{found}"',
-            expected=f'"{kind}"',
-            line=line_numbers(document.text).get(("kind",)),
-        )
-        raise config_error([problem], document.file)
+    require_kind(document.tables, KINDS if kind is None else [kind], document.file, document.text)
     _set_default(
         document.tables, ("run", "output"), str(Path("results", Path(path).stem).absolute())
     )
@@ -133,6 +125,7 @@ def config_from_options(
         As :func:`load_config`; problems of options are named by the option.
     """
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
+    require_kind(document.tables, _sharing(kind), document.file, document.text)
     tables = {"schema": 1, **document.tables, "kind": kind}
     origins: dict[Location, str] = {("kind",): "command"}
     if dates and len(dates) != len(recordings):
@@ -155,56 +148,23 @@ def config_from_options(
     return _validate(replace(document, tables=tables, origins=origins))
 
 
+def _sharing(kind: str) -> list[str]:
+    """The kinds whose files a run of this kind can start from: those with the same sections."""
+    if not issubclass(KINDS[kind], SnapshotConfig):
+        return [kind]
+    return [other for other, model in KINDS.items() if issubclass(model, SnapshotConfig)]
+
+
 def dump_config(config: RunConfig) -> str:
     """The configuration as TOML, defaults filled in; it loads back to an equal one."""
     return tomli_w.dumps(_plain(config.model_dump(by_alias=True, exclude_none=True)))
 
 
 def _read(path: Path) -> _Document:
-    if path.suffix.lower() in SUFFIXES and path.is_file():
-        raise ConfigError(
-            "This is a recording, or no configuration at all.",
-            file=path,
-            found=f"a file ending in {path.suffix}",
-            expected=f"a configuration in TOML; `bayesbl init {path}` writes one for a recording",
-        )
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except (FileNotFoundError, NotADirectoryError):
-        raise ConfigError(
-            "There is no such file." + did_you_mean_file(path),
-            file=path,
-            expected="a configuration in TOML",
-        ) from None
-    except UnicodeDecodeError:
-        raise ConfigError(
-            "This is not a text file.", file=path, found="binary data", expected="TOML in UTF-8"
-        ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(
-            "The file cannot be read.", file=path, found=reason, expected="a TOML file"
-        ) from None
-    return _Document(_parse(text, path), Path(os.path.abspath(path)).parent, path, text)
-
-
-def _parse(text: str, file: Path) -> _Tables:
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise ConfigError(
-            "The file is nested too deeply.", file=file, expected="sections, keys and values"
-        ) from None
-    except ValueError as error:
-        place = re.search(r" \(at (line \d+, column \d+|end of document)\)$", str(error))
-        problem = str(error)[: place.start()] if place else str(error)
-        raise ConfigError(
-            f"This is not valid TOML: {problem}.",
-            file=file,
-            where=place[1] if place else None,
-            expected='key = value; text stands in quotes, e.g. file = "before.csv"; numbers have a '
-            "decimal point, not a comma; dates are written 2026-07-01",
-        ) from None
+    init = f"bayesbl init {shlex.quote(str(path))}"
+    hint = f"a configuration in TOML; `{init}` writes one for a recording"
+    text, tables = read_toml(path, "a configuration in TOML", instead_of_recording=hint)
+    return _Document(tables, Path(os.path.abspath(path)).parent, path, text)
 
 
 def _validate(document: _Document) -> RunConfig:
@@ -230,10 +190,10 @@ def _kind_of(document: _Document) -> str:
 def _wrong_kind(document: _Document) -> Problem:
     kind = _kind_of(document)
     line = line_numbers(document.text).get(("kind",))
-    expected = "one of " + ", ".join(f'"{name}"' for name in KINDS)
+    expected = "one of " + ", ".join(f'"{name}"' for name in RUNNABLE)
     if "kind" not in document.tables:
         return Problem("The kind of run is missing.", "kind", "nothing", expected)
-    problem = "There is no such kind of run." + did_you_mean(kind, KINDS)
+    problem = "There is no such kind of run." + did_you_mean(kind, RUNNABLE)
     return Problem(problem, "kind", repr(document.tables["kind"]), expected, line)
 
 

@@ -53,7 +53,8 @@ class Joint(Section):
             refuse(
                 "A date to decide before needs a limit that the gap may pass.",
                 found="decide_before without limit_rad",
-                expected="limit_rad beside it, e.g. limit_rad = 1.2e-3",
+                expected="limit_rad beside it, e.g. limit_rad = 1.2e-3 (--limit-rad 1.2e-3)",
+                at=("decide_before",),
             )
         return self
 
@@ -109,13 +110,15 @@ class Estimator(Section):
             refuse(
                 "The direct route needs a bench.",
                 found='route = "direct" without a bench',
-                expected='bench = "bench.toml"',
+                expected='bench = "bench.toml" (--bench bench.toml)',
+                at=("route",),
             )
         if self.bench is not None and "route" not in self.model_fields_set:
             refuse(
                 "A bench is given, but not the route that uses it.",
                 found=f'bench = "{self.bench}" without a route',
                 expected='route = "direct" (--route direct); for a curve, sweep the bench',
+                at=("bench",),
             )
         if self.route == "direct" and self.search.start_from is not None:
             refuse(
@@ -191,6 +194,7 @@ class SnapshotConfig(RecordedConfig):
                 "route, full simulations check the draws.",
                 found='check_sampler = true with route = "direct"',
                 expected='route = "amplitude", or no check_sampler',
+                at=("check_sampler",),
             )
         return posterior
 
@@ -210,6 +214,7 @@ class FitConfig(SnapshotConfig):
                 "One recording tells no rate of wear, so nothing about a later date.",
                 found=f"decide_before = {self.joint.decide_before}",
                 expected='kind = "compare" with two dated recordings or more',
+                at=("joint", "decide_before"),
             )
         return self
 
@@ -232,13 +237,15 @@ class CompareConfig(SnapshotConfig):
     @field_validator("recordings")
     @classmethod
     def _by_date(cls, recordings: tuple[SnapshotRecording, ...]) -> tuple[SnapshotRecording, ...]:
-        undated = [f'"{recording.name}"' for recording in recordings if recording.date is None]
+        undated = [i for i, recording in enumerate(recordings) if recording.date is None]
         if 0 < len(undated) < len(recordings):
+            names = ", ".join(f'"{recordings[i].name}"' for i in undated)
             refuse(
                 "Some recordings have a date and some have none: every one needs its date, or "
                 "none.",
-                found=f"no date for {', '.join(undated)}",
+                found=f"no date for {names}",
                 expected="date = 2026-03-01 in every [[recordings]], or in none",
+                at=(undated[0],),
             )
         dates = _dates(recordings)
         if dates is None:
@@ -264,12 +271,14 @@ class CompareConfig(SnapshotConfig):
                 "A date to decide before needs recordings that are dated.",
                 found="a recording without a date",
                 expected="date = 2026-03-01 in every [[recordings]], or --date for each",
+                at=("joint", "decide_before"),
             )
         if before <= self.dates[-1]:
             refuse(
                 "The date to decide before is not after the last recording.",
                 found=f"decide_before = {before}, last recording {self.dates[-1]}",
                 expected="a later date",
+                at=("joint", "decide_before"),
             )
         return self
 

@@ -82,8 +82,12 @@ def items_of(error: ValidationError) -> list[dict[str, Any]]:
 
 
 def location_of(item: Mapping[str, Any]) -> Location:
-    """Where pydantic found an error, without its mark for a mapping's key."""
-    return tuple(part for part in item["loc"] if part != "[key]")
+    """Where an error is: where pydantic found it, and on to the part that was refused.
+
+    pydantic's mark for a mapping's key is left out.
+    """
+    refused: Location = (item.get("ctx") or {}).get("at", ())
+    return (*(part for part in item["loc"] if part != "[key]"), *refused)
 
 
 def field_name(model: type[BaseModel], location: Location) -> str:

@@ -108,6 +108,7 @@ class RecordedConfig(RunConfig):
                     f"The unit of {channel} is not known.",
                     found=f'"{column.unit}"',
                     expected=" or ".join(f'"{unit}"' for unit in accepted_units(channel)),
+                    at=(channel, "unit"),
                 )
         names = [column.name for column in columns.values()]
         if len(set(names)) < len(names):

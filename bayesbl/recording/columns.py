@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -11,7 +12,10 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
 from bayesbl.recording.csv_table import shortened
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import accepted_units, conversion_factor, spelled
+from bayesbl.units import accepted_units, conversion_factor, is_unit, spelled
+
+_BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
+_PER_SECOND = re.compile(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|p|_|/)s$")
 
 
 class Table(Protocol):
@@ -36,11 +40,15 @@ class Table(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of the file, the channel it becomes, and the unit it comes in."""
+    """A column of the file, the channel it becomes, and the unit it comes in.
+
+    ``note`` tells of a unit that nobody stated but the column's name.
+    """
 
     index: int
     channel: str
     unit: str | None
+    note: str | None = None
 
     @property
     def factor(self) -> float:
@@ -69,6 +77,17 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
     return [channels.pop(TIME), *channels.values()]
 
 
+def split_unit(name: str) -> tuple[str, str | None]:
+    """A column's name without the unit in it, and the unit: ``n [rad/s]``, ``n_rad_per_s``."""
+    brackets = _BRACKETS.search(name)
+    bare = name[: brackets.start()] + name[brackets.end() :] if brackets else name
+    unit = spelled(brackets[1]) if brackets else ""
+    tail = _PER_SECOND.search(bare)
+    if tail:
+        bare, unit = bare[: tail.start()], unit if is_unit(unit) else f"{tail[1].lower()}/s"
+    return bare, unit if is_unit(unit) else None
+
+
 def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if not is_mappable(channel):
         raise RecordingError(
@@ -90,14 +109,24 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
             found=f'"{spec.unit}"',
             expected=" or ".join(accepted_units(channel)),
         )
-    return Column(index, channel, spec.unit or _stated_unit(path, table, index, channel))
-
-
-def _stated_unit(path: Path, table: Table, index: int, channel: str) -> str | None:
-    """The unit that the file itself states, if any; the user's, under [columns], goes before."""
+    if spec.unit is not None:
+        return Column(index, channel, spec.unit)
     stated = table.unit(index)
-    if not stated or not stated.strip():
-        return None
+    if stated and stated.strip():
+        return Column(index, channel, _known(path, table, index, channel, stated))
+    _, named = split_unit(spec.name)
+    if named is None:
+        return Column(index, channel, None)
+    unit = _known(path, table, index, channel, named)
+    column = Column(index, channel, unit)
+    if column.factor == 1.0:
+        return column
+    note = f'The unit of column "{spec.name}" is taken from its name: {unit}.'
+    return replace(column, note=note)
+
+
+def _known(path: Path, table: Table, index: int, channel: str, stated: str) -> str:
+    """The unit that the file itself states; the user's, under [columns], goes before."""
     unit = spelled(stated)
     if unit not in accepted_units(channel):
         raise RecordingError(
@@ -121,4 +150,4 @@ def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> Recordin
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    return shortened(", ".join(f'"{name}"' for name in names), 200)
+    return shortened(", ".join(f'"{name}"' for name in names), 200) or "no column"

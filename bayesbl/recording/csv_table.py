@@ -26,6 +26,7 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
 _EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
@@ -57,7 +58,7 @@ class CsvTable:
         return f'line {self.line_numbers[row]}, column "{self.columns[column]}"'
 
     def unit(self, column: int) -> None:
-        """A CSV file does not state units."""
+        """A CSV file states no units but in its columns' names."""
 
     def timestamps(self, column: int) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not begin with a date.
@@ -109,6 +110,7 @@ class CsvTable:
     def _numbers_cell_by_cell(self, columns: Sequence[int]) -> FloatArray:
         rows = [self._cells(row) for row in range(len(self.lines))]
         used = [[cells[column] for column in columns] for cells in rows]
+        self._refuse_thousands(used, columns)
         comma_is_decimal = self.separator != "," and not any(
             "." in c for cells in used for c in cells
         )
@@ -118,6 +120,20 @@ class CsvTable:
                 text = cell.replace(",", ".") if comma_is_decimal else cell
                 values[row, index] = self._number(text, cell, row, columns[index])
         return values
+
+    def _refuse_thousands(self, used: Sequence[Sequence[str]], columns: Sequence[int]) -> None:
+        """First of all: one such number leaves open what a comma means in every other."""
+        for row, cells in enumerate(used):
+            for cell, column in zip(cells, columns, strict=True):
+                if _THOUSANDS.fullmatch(cell):
+                    mark = min(".,", key=cell.index)
+                    raise RecordingError(
+                        "A number has a thousands separator.",
+                        file=self.file,
+                        where=self.place(row, column),
+                        found=repr(shortened(cell)),
+                        expected=f"{cell.replace(mark, '')}, and no such separator in the file",
+                    )
 
     def _cells(self, row: int) -> list[str]:
         try:
@@ -139,12 +155,15 @@ class CsvTable:
         if not text:
             return float("nan")
         if not _is_number(text):
+            expected = "a number"
+            if row == 0 and not any(map(_is_number, self._cells(0))):
+                expected += "; a row of units is to be deleted, the units put under [columns]"
             raise RecordingError(
                 "Text stands in a column of numbers.",
                 file=self.file,
                 where=self.place(row, column),
                 found=repr(shortened(cell)),
-                expected="a number",
+                expected=expected,
             )
         return float(text)
 

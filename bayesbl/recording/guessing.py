@@ -26,9 +26,9 @@ from bayesbl.recording.channels import (
     REFERENCE_SPEED,
     TIME,
 )
-from bayesbl.recording.columns import Table
+from bayesbl.recording.columns import Table, split_unit
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor, spelled
+from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor, is_unit, spelled
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
@@ -93,7 +93,7 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     Raises
     ------
     RecordingError
-        If no column can be time, or none the motor's speed.
+        If no column can be time, or none the motor's speed, or these two do not hold numbers.
     """
     named = [_Named(i, name, *_parsed(table, i, name)) for i, name in enumerate(table.columns)]
     chosen = _by_name(named)
@@ -105,8 +105,13 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
         chosen[TIME] = found
     if MOTOR_SPEED not in chosen:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
-    values = {channel: _numbers(table, column) for channel, column in chosen.items()}
-    held = {c: v for c, v in values.items() if c in (TIME, MOTOR_SPEED) or np.isfinite(v).any()}
+    values = {
+        channel: _series(path, table, column)
+        if channel in (TIME, MOTOR_SPEED)
+        else _numbers(table, column)
+        for channel, column in chosen.items()
+    }
+    held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(table, chosen, held)
     columns = tuple(_told(_stated(channel, chosen[channel]), units) for channel in held)
     taken = {column.name for column in columns}
@@ -127,19 +132,12 @@ def _told(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> Guesse
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:
     """Words of a name in small letters, and the unit that it or the file states."""
-    stated = table.unit(index)
-    bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
-    bare = name[: bracket.start()] + name[bracket.end() :] if bracket else name
+    bare, in_name = split_unit(name)
     bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
-    tail = re.search(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|_|/)s$", bare)
     parts = [part for part in re.split(r"[\W_]+", bare) if part]
-    unit = None
-    for text in (stated, bracket[1] if bracket else None, f"{tail[1]}/s" if tail else None):
-        unit = unit or _known_unit(text)
+    unit = _known_unit(table.unit(index)) or in_name
     if unit is None and len(parts) > 1:
         unit = _known_unit(parts[-1], also_small=True)
-    if tail is not None:
-        parts = [part for part in re.split(r"[\W_]+", bare[: tail.start()]) if part]
     words = frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in parts)
     return words, unit
 
@@ -148,10 +146,10 @@ def _known_unit(text: str | None, *, also_small: bool = False) -> str | None:
     """A unit in this package's spelling; of a name's last word in any case of letters."""
     if not text:
         return None
-    unit = spelled(text.replace("·", " ").replace("⁻¹", "-1").replace("°", "deg"))
-    every = [known for channel in (TIME, *CHANNELS) for known in accepted_units(channel)]
-    if unit in every:
+    unit = spelled(text)
+    if is_unit(unit):
         return unit
+    every = [known for channel in (TIME, *CHANNELS) for known in accepted_units(channel)]
     small = [known for known in every if known.lower() == unit.lower()]
     return small[0] if also_small and small else None
 
@@ -245,12 +243,35 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
         return "datetime", "holds dates"
     if _stated(TIME, column).sure:
         return None
-    step = float(np.nanmedian(np.diff(time)))
+    step = float(np.median(np.diff(time[np.isfinite(time)])))
     for unit in ("s", "ms", "us", "ns"):
         rate = 1.0 / (step * conversion_factor(TIME, unit)) if step > 0.0 else 0.0
         if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:
             return unit, f"a sampling rate of {rate:.4g} Hz"
     return None
+
+
+def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
+    """Values of a column that no recording can do without, shape (n,); NaN where one is missing.
+
+    Raises
+    ------
+    RecordingError
+        If it holds text, or hardly a number.
+    """
+    values = table.timestamps(column.index)
+    if values is None:
+        values = table.numbers([column.index])[:, 0]
+    count = int(np.isfinite(values).sum())
+    if count < 2:
+        raise RecordingError(
+            "This column does not hold a series of numbers.",
+            file=path,
+            where=f'column "{column.name}"',
+            found=f"{count} finite numbers in {values.size} samples",
+            expected="a finite number in every sample",
+        )
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def _numbers(table: Table, column: _Named) -> FloatArray:

@@ -6,7 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesbl.errors import RecordingError
 from bayesbl.recording.array_table import ArrayTable, readable
+
+FORMAT = "bayesbl_format"
+"""Root attribute that marks a NetCDF file as a result of ours; its value counts the layouts."""
 
 
 def read_netcdf(file: Path, data: bytes) -> ArrayTable:
@@ -15,13 +19,19 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no NetCDF file.
+        If it is no NetCDF file, or one of our own results.
     """
     import netCDF4
     import xarray as xr
 
     with readable(file, "NetCDF"):
         stored = netCDF4.Dataset("recording", memory=data)
+        if FORMAT in stored.ncattrs():
+            raise RecordingError(
+                "This is a result of bayesbl, not a recording.",
+                file=file,
+                expected="a file of measured channels; `bayesbl inspect` prints a result",
+            )
         store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
         with xr.open_dataset(store, decode_timedelta=False) as dataset:
             chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}

@@ -100,7 +100,7 @@ def read_recording(
             ),
         ),
         excluded=bridged.excluded if bridged.excluded.any() else None,
-        notes=bridged.notes,
+        notes=(*(c.note for c in (time_column, *others) if c.note), *bridged.notes),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
     from bayesbl.recording.guessing import Guess
 
 
-def print_guess(guess: Guess, path: Path, console: Console) -> None:
-    """Columns with channel, unit and the reason for it; what to do next."""
+def print_guess(guess: Guess, path: Path, console: Console, *, sound: bool) -> None:
+    """Columns with channel, unit and the reason for it; what to do next, if it can run at all."""
     say(console, "Guessed from the recording; please confirm:", "bold")
     table = new_table(("Column", "left"), ("is", "left"), ("in", "left"), ("because", "left"))
     for column in guess.columns:
@@ -32,8 +33,10 @@ def print_guess(guess: Guess, path: Path, console: Console) -> None:
                 "yellow",
                 label="Check",
             )
-    console.print(
-        f"Written to {path}. Correct it there, fill in gear_ratio and limit_rad (the gap at which "
-        f"the joint is to be repaired, in rad), then: bayesbl run {path}",
-        soft_wrap=True,
+    after = (
+        "Correct it there, fill in gear_ratio and limit_rad (the gap at which the joint is to be "
+        f"repaired, in rad), then: bayesbl run {shlex.quote(str(path))}"
+        if sound
+        else "It cannot run as it is; what stands against it:"
     )
+    console.print(f"Written to {path}. {after}", soft_wrap=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,10 +17,8 @@ import xarray as xr
 
 from bayesbl.errors import ResultError
 from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
+from bayesbl.recording.netcdf import FORMAT
 from bayesbl.results.folder import RESULT_FILE
-
-FORMAT = "bayesbl_format"
-"""Root attribute that marks a NetCDF file as ours; its value counts the layouts."""
 
 FORMAT_VERSION = 1
 
@@ -66,17 +65,18 @@ def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
             file=file,
             expected="a result.nc",
         )
+    quoted = shlex.quote(str(file))
     if file.suffix.lower() == ".toml":
         raise ResultError(
             "This is a configuration, not a result.",
             file=file,
-            expected=f"the output folder of a run; `bayesbl run {file}` makes it",
+            expected=f"the output folder of a run; `bayesbl run {quoted}` makes it",
         )
     if file.suffix.lower() in SUFFIXES - {".nc"}:
         raise ResultError(
             "This is a recording, not a result.",
             file=file,
-            expected=f"the output folder of a run; `bayesbl fit {file}` makes one",
+            expected=f"the output folder of a run; `bayesbl fit {quoted}` makes one",
         )
     try:
         with xr.open_datatree(file, engine="netcdf4") as opened:

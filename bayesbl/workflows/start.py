@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,7 +34,7 @@ def start_config(
     Raises
     ------
     UserError
-        If a recording cannot be read, holds no speed, or the file is there.
+        If a recording cannot be read, the first holds no speed, or the file is there.
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{_name(first.stem)}.toml")
@@ -43,7 +44,8 @@ def start_config(
             file=path,
             expected="another file (--out), or --force to replace it",
         )
-    guess = guess_columns(first, read_table(first))
+    table, *_ = [read_table(file) for file in recordings]
+    guess = guess_columns(first, table)
     write_text(config_text([Path(file) for file in recordings], path, guess), path)
     return path, guess
 
@@ -69,7 +71,7 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     columns = "\n".join(_column_line(column) for column in guess.columns)
     unused = f"# Not used: {', '.join(_text(name) for name in guess.unused)}\n"
     return f"""\
-# Check the columns, then:   bayesbl run {path.name}
+# Check the columns, then:   bayesbl run {shlex.quote(path.name)}
 
 schema = 1
 kind = "{kind}"
