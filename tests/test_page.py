@@ -389,6 +389,15 @@ def test_the_headline_of_dated_snapshots_claims_growth_only_where_it_is_shown():
     assert "not shown to have grown" in worn.headline(dated(certain=0.9))
 
 
+def test_dated_snapshots_lead_with_their_wear_and_never_with_a_change_across_a_repair():
+    steady, repaired, untold = dated(), dated(), dated()
+    assert list(worn.answer(steady)) == [worn.headline(steady), words.headline(steady)]
+    repaired["snapshots"].insert(0, {**repaired["snapshots"][0], "name": "worn"})
+    assert list(worn.answer(repaired)) == [worn.headline(repaired)]
+    untold["wear"] |= {"reason": "There is only one snapshot."}
+    assert list(worn.answer(untold)) == [words.headline(untold)]
+
+
 def test_two_snapshots_are_told_to_be_few():
     assert any("third" in told for told in advice(dated(count=2)).sentences)
     assert not any("third" in told for told in advice(dated(count=3)).sentences)

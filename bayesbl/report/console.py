@@ -18,7 +18,7 @@ from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
-from bayesbl.report.worn import print_wear
+from bayesbl.report.worn import answer, print_wear
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -61,8 +61,9 @@ def print_result(summary: Summary, folder: Path | None, console: Console) -> Non
 
 def _print_snapshots(summary: Summary, console: Console) -> None:
     withheld = summary["outcome"] == "withheld"
-    say(console, words.headline(summary), "bold yellow" if withheld else "bold")
-    for sentence in (*words.steps(summary), words.above_limit(summary)):
+    first, *others = answer(summary)
+    say(console, first, "bold yellow" if withheld else "bold")
+    for sentence in (*others, *words.steps(summary), words.above_limit(summary)):
         if sentence:
             say(console, sentence)
     if words.has_shrunk(summary):

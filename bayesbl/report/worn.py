@@ -24,7 +24,7 @@ MODEL = (
 def print_wear(summary: Summary, console: Console) -> None:
     """Sentences and table of ``wear`` of a summary of a dated comparison."""
     wear = summary["wear"]
-    if len(wear["snapshots"]) < len(summary["snapshots"]):
+    if spans_repair(summary):
         say(console, repaired(wear))
     if wear["reason"]:
         say(console, wear["reason"], "yellow", label="No rate of wear")
@@ -43,6 +43,21 @@ def is_told(summary: Summary) -> bool:
     """Whether a summary tells how fast the gap grows."""
     wear = summary.get("wear")
     return wear is not None and not wear["reason"]
+
+
+def spans_repair(summary: Summary) -> bool:
+    """Whether a repair lies between the first and the last of dated snapshots."""
+    return len(summary["wear"]["snapshots"]) < len(summary["snapshots"])
+
+
+def answer(summary: Summary) -> Iterator[str]:
+    """What a fit or a comparison leads with: the wear where it is told, else gap or change."""
+    if not is_told(summary):
+        yield words.headline(summary)
+        return
+    yield headline(summary)
+    if not spans_repair(summary):
+        yield words.headline(summary)
 
 
 def headline(summary: Summary) -> str:
