@@ -23,9 +23,10 @@ from bayesbl.physics.effects import EFFECTS
 from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.report import words
 from bayesbl.report.console import error, print_result, print_summary
-from bayesbl.report.progress import progress
 from bayesbl.report.diagnosed import UNTOLD_SHARE, removed
-from bayesbl.report.study import filled, print_study
+from bayesbl.report.output import filled
+from bayesbl.report.progress import progress
+from bayesbl.report.study import print_study
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
 from bayesbl.units import number, quantity_and_unit
@@ -223,6 +224,18 @@ def test_the_unit_read_from_a_name_is_that_of_the_catalogue():
 def test_no_line_is_wider_than_the_terminal(names, reasons):
     text = printed(comparison(names=names, reasons=reasons), Path("results/wear"))
     assert max(len(line) for line in text.splitlines()) <= 80
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+def test_every_cell_of_a_table_is_printed_whole(width):
+    summary = comparison()
+    text = printed(summary, width=width)
+    for snapshot in summary["snapshots"]:
+        assert words.bounds(snapshot["delta_rad"], 1e3, 3) in text
+        assert f"{snapshot['rotations']:.1f}" in text
+    for title in ("rotations", "90 % interval"):
+        assert title in text
+    assert text.count("converged") == len(summary["snapshots"])
 
 
 def test_a_pipe_gets_no_colour_codes_and_a_terminal_does():
