@@ -321,6 +321,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
     wear = {
         "snapshots": [f"s{i}" for i in range(count)],
         "first_date": "2025-01-01",
+        "last_date": "2026-01-01",
         "level": 0.9,
         "rate_rad_per_year": interval(*rate),
         "rate_at_most_rad_per_year": 0.95 * rate[1],

@@ -221,11 +221,12 @@ def _print_origin(attributes: Mapping[Any, Any], summary: Summary, console: Cons
     console.print()
     say(console, "Origin", "bold")
     inputs = json.loads(attributes.get("input_sha256", "{}"))
+    is_direct = _has_snapshots(summary) and words.is_direct(summary)
     lines = {
         "Version": f"{summary['version']}, commit {summary['commit']}",
         "Made": attributes.get("created_utc"),
         "Seed": summary["seed"],
-        "Gap curve": summary.get("curve"),
+        "Gap curve": None if is_direct else summary.get("curve"),
         **{f"SHA-256 of {file}": digest for file, digest in inputs.items()},
     }
     for label, content in lines.items():

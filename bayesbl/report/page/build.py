@@ -198,9 +198,8 @@ def _wear_cards(summary: Summary) -> Iterator[Card]:
     note = f"{100.0 * rate['level']:g} %: {words.bounds(rate, 1e3)}"
     yield Card("Wear", worn.in_mrad(rate), "mrad a year", note)
     if wear["limit_date"] is not None:
-        low, middle, high = (worn.month(wear["limit_date"][k]) for k in ("low", "median", "high"))
-        note = f"{100.0 * rate['level']:g} %: {low} to {high}"
-        yield Card("Limit reached", middle, "", note)
+        middle, bounds = worn.limit_dates(wear, worn.month)
+        yield Card("Limit reached", middle, "", f"{100.0 * rate['level']:g} %: {bounds}")
 
 
 def _gap_cards(summary: Summary) -> Iterator[Card]:
