@@ -37,7 +37,9 @@ def named(tree: xr.DataTree) -> Figure:
     ]
     head_panels(axes, values)
     lines = [line for panel in axes for line in panel.lines]
-    by_label = {line.get_label(): line for line in lines if line.get_label()[0] != "_"}
+    by_label = {
+        line.get_label(): line for line in lines if not str(line.get_label()).startswith("_")
+    }
     figure.legend(handles=list(by_label.values()), loc="upper left", ncols=2)
     return figure
 

@@ -64,8 +64,8 @@ def print_rows(table: Table, console: Console) -> None:
     if min(name, _NARROWEST_NAME) + sum(others) + _BETWEEN * len(others) <= console.width:
         console.print(table)
         return
-    titles, *rows = zip(*columns, strict=True)
-    titles = [title.replace("\n", " ") for title in titles]
+    heads, *rows = zip(*columns, strict=True)
+    titles = [head.replace("\n", " ") for head in heads]
     # A name speaks for itself, a number does not.
     first = f"{titles[0]} " if table.columns[0].justify == "right" else ""
     for row in rows:
