@@ -113,7 +113,6 @@ def _load_maps(
         panel.plot(angle, mean, color=style.colour, linewidth=0.7)
         _angle_axis(panel)
         panel.label_outer()
-        panel.locator_params(axis="y", nbins=4)
         panels.append(panel)
     panels[0].set_ylabel(
         f"Recorded − simulated ({unit_of(channel)})", y=0.5 if len(panels) == 1 else -0.06
