@@ -31,9 +31,11 @@ from bayesbl.figures.bench_draws import standardised_slopes
 from bayesbl.figures.corner import enclosing_levels
 from bayesbl.figures.curve import departures_from_curve, source_bands
 from bayesbl.figures.degrees import departure_of_degree
+from bayesbl.figures.direct_gap import direct_gap
+from bayesbl.figures.named import named
 from bayesbl.figures.scales import scale_of
 from bayesbl.figures.snapshots import snapshots
-from bayesbl.figures.style import publication_style, save
+from bayesbl.figures.style import look, publication_style, save
 from bayesbl.figures.traces import envelope
 from bayesbl.gap.curve import PUBLISHED_COEFFICIENTS
 from bayesbl.results.curve_file import curve_from_dataset
@@ -475,3 +477,96 @@ def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monk
     names = {path.name for path in draw_all(nominal, tmp_path)}
     assert names == {"curve", "disturbance", "degrees"}
     assert {path.name for path in draw_all(swept, tmp_path)} == names | {"bench_draws"}
+
+
+# Nothing runs out of a figure
+
+
+def beyond(figure):
+    """Texts of a figure that its page cuts off; matplotlib keeps ticks beyond the view too."""
+    figure.canvas.draw()
+    page, text = figure.bbox.padded(0.5), mpl.text.Text
+    ticks = {id(t) for tick in figure.findobj(mpl.axis.Tick) for t in tick.findobj(text)}
+    found = [t for t in figure.findobj(text) if t.get_visible() and t.get_text()]
+    boxes = [(t.get_text(), t.get_window_extent()) for t in found if id(t) not in ticks]
+    return [
+        told
+        for told, box in boxes
+        if not all(map(page.contains, *zip(box.min, box.max, strict=True)))
+    ]
+
+
+def direct_result(names):
+    """As much of a direct comparison as its figure of the gaps reads."""
+    draws = np.random.default_rng(1).normal(7e-4, 2e-6, (len(names), 2, 500))
+    dims = ("snapshot", "chain", "draw")
+    gaps = xr.Dataset({"delta_rad": (dims, draws)}, {"snapshot": names})
+    bound = xr.Dataset(
+        {"cramer_rao_sd": (("snapshot", "parameter"), np.full((len(names), 1), 2e-6))},
+        {"snapshot": names, "parameter": ["delta_rad"]},
+    )
+    groups = {"posterior": gaps, "optimum": bound, "amplitude_route": 1.05 * gaps}
+    tree = xr.DataTree.from_dict({**groups, "diagnostics": None, "curve": None})
+    tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
+    tree["curve"].attrs = {"name": "published"}
+    verdicts = {name: {"reason": None} for name in names}
+    tree["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
+    return tree
+
+
+def test_no_legend_of_the_direct_route_runs_out_of_its_panel():
+    figure = direct_gap(direct_result(["wear_before", "wear_after"]))
+    assert beyond(figure) == []
+    for panel in figure.axes:
+        legend = panel.get_legend().get_window_extent()
+        assert panel.bbox.x0 <= legend.x0
+        assert legend.x1 <= panel.bbox.x1
+
+
+def named_result(believed_rad):
+    """As much of a forward diagnosis as its figure of what was named reads."""
+    draws = np.random.default_rng(2).normal(8e-4, 1e-6, (2, 500))
+    torque = xr.DataArray(2e4 * draws, dims=("chain", "draw"), attrs={"units": "N m"})
+    posterior = xr.Dataset(
+        {"delta_rad": (("chain", "draw"), draws), "load_coulomb_friction__torque_nm": torque}
+    )
+    tree = xr.DataTree.from_dict({"posterior": posterior})
+    answer = {"delta_rad_before": {"median": believed_rad}, "parameter_errors": []}
+    tree.attrs = {"interval_level": 0.9, "interval_kind": "hdi", "diagnosis": json.dumps(answer)}
+    return tree
+
+
+def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
+    near, far = named(named_result(8e-4)), named(named_result(2e-4))
+    for figure in (near, far):
+        shown = texts(figure)
+        assert re.search(r"\(a\)  0\.80\d* mrad \(", shown)
+        assert re.search(r"\(b\)  16\.0\d* N m \(", shown)
+        assert "90 % HDI" in shown
+        assert beyond(figure) == []
+    assert "before: the bench as believed" in texts(near)
+    assert "← before" in texts(far)
+
+
+@pytest.mark.parametrize("count", [2, 6])
+def test_the_whole_change_has_the_colour_of_no_snapshot_and_titles_keep_clear(tree, count):
+    parts = snapshots(tree)
+    several = tree.copy()
+    change = tree["change"]["change_rad"]
+    steps = xr.Dataset(
+        {
+            "change_rad": change,
+            "step_change_rad": change.expand_dims(step=count - 1),
+            "step_from": ("step", [parts[0].name] * (count - 1)),
+            "step_to": ("step", [parts[1].name] * (count - 1)),
+        }
+    )
+    several["change"] = xr.DataTree(steps)
+    figure = gap(several)
+    panel, overview = figure.axes[3:]
+    used = {look(i).colour for i in range(7)}
+    assert mpl.colors.to_hex(panel.containers[0].lines[0].get_color()) not in used
+    assert beyond(figure) == []
+    heading = overview.get_title(loc="left")
+    (title,) = [t for t in overview.findobj(mpl.text.Text) if t.get_text() == heading]
+    assert not panel.xaxis.label.get_window_extent().overlaps(title.get_window_extent())

@@ -16,6 +16,7 @@ from bayesbl.discrepancy.spectrum import benjamini_hochberg, comb, noise_floor
 from bayesbl.discrepancy.unexplained import describe_unexplained
 from bayesbl.errors import RecordingError
 from bayesbl.figures.discrepancy import discrepancy
+from bayesbl.figures.style import look
 from bayesbl.inference.simulated import Observed
 from bayesbl.report.located import located_sentences, unexplained_phrase
 from bayesbl.results.located import located_dataset
@@ -320,13 +321,26 @@ def test_the_dataset_carries_units_and_survives_a_file(three, tmp_path):
 def test_the_figure_marks_every_significant_line(three, tmp_path):
     data = located_dataset(three)
     figure = discrepancy(data, "reverse", data)
-    assert len(figure.axes) == 6
+    assert len(figure.axes) == 8
     for row, channel in enumerate(three.recordings[1].channels):
         marks = [
             line
-            for line in figure.axes[3 * row + 2].get_lines()
+            for line in figure.axes[4 * row + 3].get_lines()
             if line.get_linestyle() == "None" and len(line.get_xdata())
         ]
         orders = sorted(x for line in marks for x in line.get_xdata())
         assert orders == sorted(2 * [x.load_order for x in channel.lines])
-    assert all(panel.get_xlabel() and "(" in panel.get_ylabel() for panel in figure.axes)
+    for panel in figure.axes:
+        outer = panel.get_subplotspec()
+        assert panel.get_xlabel() or not outer.is_last_row()
+        assert "(" in panel.get_ylabel() or not outer.is_first_row()
+
+
+def test_what_was_left_before_and_after_never_hide_each_other(three):
+    data = located_dataset(three)
+    shown = discrepancy(data, "reverse", data).axes[1:3]
+    for index, panel in enumerate(shown):
+        (line,) = [line for line in panel.lines if len(line.get_xdata()) > 2]
+        assert line.get_color() == look(index).colour
+    assert shown[0].get_ylim() == shown[1].get_ylim()
+    assert not shown[0].bbox.overlaps(shown[1].bbox)

@@ -321,6 +321,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
     wear = {
         "snapshots": [f"s{i}" for i in range(count)],
         "first_date": "2025-01-01",
+        "last_date": "2026-01-01",
         "level": 0.9,
         "rate_rad_per_year": interval(*rate),
         "rate_at_most_rad_per_year": 0.95 * rate[1],
@@ -387,6 +388,15 @@ def test_without_a_limit_the_rate_is_told_and_without_a_rate_why():
 def test_the_headline_of_dated_snapshots_claims_growth_only_where_it_is_shown():
     assert "grows by 0.30 mrad a year" in worn.headline(dated())
     assert "not shown to have grown" in worn.headline(dated(certain=0.9))
+
+
+def test_dated_snapshots_lead_with_their_wear_and_never_with_a_change_across_a_repair():
+    steady, repaired, untold = dated(), dated(), dated()
+    assert list(worn.answer(steady)) == [worn.headline(steady), words.headline(steady)]
+    repaired["snapshots"].insert(0, {**repaired["snapshots"][0], "name": "worn"})
+    assert list(worn.answer(repaired)) == [worn.headline(repaired)]
+    untold["wear"] |= {"reason": "There is only one snapshot."}
+    assert list(worn.answer(untold)) == [words.headline(untold)]
 
 
 def test_two_snapshots_are_told_to_be_few():

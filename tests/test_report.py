@@ -23,8 +23,10 @@ from bayesbl.physics.effects import EFFECTS
 from bayesbl.physics.parameters import BENCH_PARAMETERS
 from bayesbl.report import words
 from bayesbl.report.console import error, print_result, print_summary
+from bayesbl.report.diagnosed import UNTOLD_SHARE, removed
+from bayesbl.report.output import filled
 from bayesbl.report.progress import progress
-from bayesbl.report.study import filled, print_study
+from bayesbl.report.study import print_study
 from bayesbl.signal.parameters import SYMBOLS
 from bayesbl.signal.waveform import pulse_train
 from bayesbl.units import number, quantity_and_unit
@@ -224,6 +226,18 @@ def test_no_line_is_wider_than_the_terminal(names, reasons):
     assert max(len(line) for line in text.splitlines()) <= 80
 
 
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+def test_every_cell_of_a_table_is_printed_whole(width):
+    summary = comparison()
+    text = printed(summary, width=width)
+    for snapshot in summary["snapshots"]:
+        assert words.bounds(snapshot["delta_rad"], 1e3, 3) in text
+        assert f"{snapshot['rotations']:.1f}" in text
+    for title in ("rotations", "90 % interval"):
+        assert title in text
+    assert text.count("converged") == len(summary["snapshots"])
+
+
 def test_a_pipe_gets_no_colour_codes_and_a_terminal_does():
     assert "\x1b" not in printed(comparison())
     assert "\x1b" in printed(comparison(), terminal=True)
@@ -414,6 +428,46 @@ def test_a_sweep_is_never_wider_than_the_terminal(width):
 def test_significant_digits_are_kept_whatever_the_size():
     values = (0.000149, 0.15, 1.04, 32.6, 0.0, -2.55)
     assert [words.significant(v) for v in values] == ["0.00015", "0.15", "1.0", "33", "0", "−2.5"]
+
+
+# A diagnosis
+
+
+def diagnosis(*closed):
+    """The summary of a diagnosis by several channels with these shares of disagreement removed."""
+    gap = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "rpm"}
+    uses = [{"used": {**gap, "closed_fraction": share}} for share in closed]
+    return {
+        "kind": "diagnose",
+        "verdict": "nothing_missing",
+        "effects": [],
+        "parameter_errors": [],
+        "gap": {
+            "unit": None,
+            "recordings": {f"r{i}": {"motor_speed_rpm": use} for i, use in enumerate(uses)},
+            "over_all": {},
+        },
+        "remaining": [],
+        "delta_rad_before": None,
+        "delta_rad_after": None,
+        "suggested_recording": None,
+        "warnings": [],
+    }
+
+
+def test_a_share_that_cannot_be_told_is_a_dash_with_its_reason():
+    text = flat(printed(diagnosis(0.998, None)))
+    assert "1 rpm – " in text
+    assert UNTOLD_SHARE in text
+    assert "–" not in printed(diagnosis(0.998))
+
+
+@given(st.floats(-10.0, 10.0))
+def test_no_more_than_all_of_a_disagreement_is_told_as_removed(closed):
+    told = removed(closed)
+    assert float(told.removesuffix(" %").replace("−", "-")) == pytest.approx(
+        min(100.0 * closed, 100.0), abs=0.05001
+    )
 
 
 # Studies

@@ -452,11 +452,26 @@ def test_gaps_off_a_line_are_told_where_the_date_stands(count, tmp_path):
 def test_a_passed_limit_and_one_far_ahead_are_told_so(tmp_path):
     _, passed = compared(tmp_path, [1.3e-3, 1.4e-3], [0, 365], limit=LIMIT)
     assert passed["years_to_limit"]["high"] == 0.0
-    assert "The gap has passed the limit" in told(passed, 2)
+    last = passed["last_date"]
+    assert f"The gap passed the limit of 1.2 mrad before {last}." in told(passed, 2)
+    assert re.search(rf"date of the limit +before {last} +before {last} Wear", told(passed, 2))
+    assert "years" not in told(passed, 2)
     _, far = compared(tmp_path, [8e-4, 8e-4 + 1e-9], [0, 365], limit=0.05, sd=1e-10)
     assert far["limit_not_before"] is None
     assert "within 1000 years" in told(far, 2)
     assert "far ahead" in told(far, 2)
+
+
+def test_a_limit_that_may_have_been_passed_before_is_never_said_to_lie_ahead(tmp_path):
+    tree, found = compared(tmp_path, [1e-3, 1.1e-3, 1.2e-3], [0, 365, 730], limit=LIMIT)
+    last = found["last_date"]
+    assert 0.0 == found["years_to_limit"]["low"] < found["years_to_limit"]["high"]
+    text = told(found, 3)
+    assert f"may have passed the limit of 1.2 mrad before {last}" in text
+    assert "does not reach" not in text
+    assert f"before {last} to {found['limit_date']['high']}" in text
+    shown = [item.get_text() for item in wear_figure(tree).axes[1].texts]
+    assert re.fullmatch(rf"passed before {last}: \d+ %", shown[0])
 
 
 def test_the_figure_shows_dates_line_and_limit_as_stored(tmp_path):

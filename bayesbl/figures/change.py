@@ -14,7 +14,7 @@ from bayesbl.figures.style import NEUTRAL, WITHHELD, look
 from bayesbl.recording.types import FloatArray
 
 _BINS = 40
-_TOTAL = "#0072b2"
+_STEPS = "each step in the colour of its later snapshot"
 
 
 def draw_change(panel: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
@@ -28,12 +28,22 @@ def draw_change(panel: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     panel.set_ylim(0.0, 1.1 * panel.get_ylim()[1])
     panel.set_xlabel("Change of the gap δ (mrad)")
     panel.set_ylabel("Posterior density (1/mrad)")
-    panel.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.12), borderaxespad=0.0)
+    # The whole change is grey, as no snapshot is: colours are those of the panels beside it.
+    panel.legend(
+        loc="lower left", bbox_to_anchor=(-0.05, 1.12), borderaxespad=0.0, alignment="left",
+        title=_STEPS if change.sizes["step"] > 1 else None,
+    )  # fmt: skip
+
+
+def legend_lines(tree: xr.DataTree) -> int:
+    """How many lines the legend of the change has."""
+    steps = tree["change"].to_dataset().sizes["step"]
+    return 1 if steps == 1 else 2 + steps
 
 
 def _draw_total(panel: Axes, tree: xr.DataTree, mrad: FloatArray, hidden: bool) -> None:
     """Distribution, and above it the median with its interval; grey and without where withheld."""
-    colour = WITHHELD if hidden else _TOTAL
+    colour = WITHHELD if hidden else NEUTRAL
     counts, edges = np.histogram(mrad, _BINS, density=True)
     panel.stairs(
         counts, edges, fill=True, color=colour, alpha=0.3,

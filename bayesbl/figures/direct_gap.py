@@ -7,8 +7,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.figures.change import draw_change, told
-from bayesbl.figures.layout import one_panel_each
+from bayesbl.figures.change import draw_change, legend_lines, told
+from bayesbl.figures.layout import LINE_IN, grid, one_panel_each
 from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, snapshots
 from bayesbl.figures.stored import curve_name
 from bayesbl.figures.style import (
@@ -21,7 +21,6 @@ from bayesbl.figures.style import (
     new_figure,
     publication_style,
 )
-from bayesbl.recording.types import FloatArray
 
 _BINS = 40
 _OTHER = "#d55e00"
@@ -42,8 +41,9 @@ def direct_gap(tree: xr.DataTree) -> Figure:
 @publication_style()
 def direct_change(tree: xr.DataTree) -> Figure:
     """The change of δ between snapshots."""
-    figure = new_figure(SINGLE_COLUMN_IN, 2.6)
-    panel = figure.add_axes((0.14, 0.17, 0.83, 0.6))
+    above = 0.3 + LINE_IN * legend_lines(tree)
+    figure = new_figure(SINGLE_COLUMN_IN, 2.0 + above)
+    panel = figure.add_subplot(grid(figure, 1, 1, top=above)[0, 0])
     draw_change(panel, tree, snapshots(tree))
     return figure
 
@@ -70,26 +70,26 @@ def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, colour: str, curve
         x, density, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)),
         label="as wide as the Cramér-Rao bound",
     )  # fmt: skip
-    _draw_other(panel, snapshot, x, curve)
+    _draw_other(panel, tree, snapshot, curve)
     limit = tree.attrs.get("limit_rad")
     if limit is not None and x[0] < 1e3 * float(limit) < x[-1]:
         panel.axvline(1e3 * float(limit), color=LIMIT, linewidth=0.8)
     panel.set_xlim(x[0], x[-1])
-    panel.set_ylim(0.0, 1.45 * max(counts.max(), density.max()))
+    panel.set_ylim(0.0, 1.6 * max(counts.max(), density.max()))
     panel.set_xlabel("Gap δ (mrad)")
     panel.set_ylabel("Density (1/mrad)")
     panel.locator_params(axis="x", nbins=5)
     panel.legend(loc="upper left", borderaxespad=0.0)
 
 
-def _draw_other(panel: Axes, snapshot: Snapshot, x: FloatArray, curve: str) -> None:
+def _draw_other(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, curve: str) -> None:
     """The amplitude route's interval as a bar; most of it is usually beyond the panel."""
     draws = 1e3 * snapshot.values("amplitude_route", GAP).ravel()
     if not draws.size:
         return
-    low, middle, high = np.quantile(draws, (0.05, 0.5, 0.95))
+    found = credible_interval(tree, draws)
     panel.plot(
-        [low, high], [0.02, 0.02], color=_OTHER, linewidth=2.0, solid_capstyle="butt",
-        transform=panel.get_xaxis_transform(),
-        label=f"by amplitude ({curve} curve): {middle:.3g} ({low:.3g} to {high:.3g}) mrad",
+        [found["low"], found["high"]], [0.02, 0.02], color=_OTHER, linewidth=2.0,
+        solid_capstyle="butt", transform=panel.get_xaxis_transform(),
+        label=f"by amplitude ({curve} curve):\n{told(tree, found)}",
     )  # fmt: skip

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
 from bayesbl.figures.layout import grid
@@ -62,13 +63,15 @@ def discrepancy(before: xr.Dataset, recording: str, after: xr.Dataset | None = N
     axes: list[Axes] = []
     titles: list[str] = []
     for row, channel in enumerate(channels):
-        panels = [figure.add_subplot(spec[row, column]) for column in range(3)]
-        _overlay(panels[0], stages, channel)
-        _load_map(panels[1], stages, channel)
-        _spectrum(panels[2], stages, channel)
-        axes += panels
+        overlay = figure.add_subplot(spec[row, 0])
+        _overlay(overlay, stages, channel)
+        maps = _load_maps(figure, spec[row, 1], stages, channel)
+        spectrum = figure.add_subplot(spec[row, 2])
+        _spectrum(spectrum, stages, channel)
+        axes += [overlay, maps[0], spectrum]
         said = CHANNELS.get(channel, channel)
-        titles += [said, "what is left", "its spectrum"]
+        left = "what is left" + (": before, after" if after is not None else "")
+        titles += [said, left, "its spectrum"]
     head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure
@@ -90,19 +93,31 @@ def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
     _angle_axis(panel)
 
 
-def _load_map(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
+def _load_maps(
+    figure: Figure, place: SubplotSpec, stages: list[xr.Dataset], channel: str
+) -> list[Axes]:
+    """One above the other on one scale: where little was removed, one would hide the other."""
     angle = _values(stages[0], "load_angle_rad")
-    panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    spec = place.subgridspec(len(stages), 1, hspace=0.12)
+    panels: list[Axes] = []
     for index, stage in enumerate(stages):
+        first = panels[0] if panels else None
+        panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
         style = look(index)
         mean = _values(stage, f"{channel}_load_map")
         error = float(stage[f"{channel}_map_error"])
+        panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
         panel.fill_between(
             angle, mean - error, mean + error, color=style.colour, alpha=0.3, linewidth=0.0
         )
-        panel.plot(angle, mean, color=style.colour, linestyle=style.dashes, linewidth=0.7)
-    panel.set_ylabel(f"Recorded − simulated ({unit_of(channel)})")
-    _angle_axis(panel)
+        panel.plot(angle, mean, color=style.colour, linewidth=0.7)
+        _angle_axis(panel)
+        panel.label_outer()
+        panels.append(panel)
+    panels[0].set_ylabel(
+        f"Recorded − simulated ({unit_of(channel)})", y=0.5 if len(panels) == 1 else -0.06
+    )
+    return panels
 
 
 def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:

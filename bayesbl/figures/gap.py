@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from bayesbl.figures.change import draw_change, told
-from bayesbl.figures.layout import grid
+from bayesbl.figures.change import draw_change, legend_lines, told
+from bayesbl.figures.layout import LINE_IN, grid
 from bayesbl.figures.snapshots import GAP, Snapshot, credible_interval, snapshots
 from bayesbl.figures.stored import curve_name
 from bayesbl.figures.style import (
@@ -35,25 +35,28 @@ def gap(tree: xr.DataTree) -> Figure:
     """δ against A with the posteriors of both along the axes; for snapshots also the change."""
     parts = snapshots(tree)
     compare = "change" in tree.children
-    figure = new_figure(DOUBLE_COLUMN_IN, 4.2 if compare else 3.4)
-    told = 1 + len(parts) + ("limit_rad" in tree.attrs)  # lines of the legend, above the panels
-    outer = grid(figure, 1, 2, top=0.28 + 0.15 * told, widths=(1.4, 1.0))
+    # Two legends stand side by side above the panels.
+    lines = 1 + len(parts) + ("limit_rad" in tree.attrs)
+    lines = max(lines, legend_lines(tree)) if compare else lines
+    top = 0.28 + LINE_IN * lines
+    figure = new_figure(DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
+    outer = grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
     joint = outer[0, 0].subgridspec(
         2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
     )
     main = figure.add_subplot(joint[1, 0])
-    top = figure.add_subplot(joint[0, 0], sharex=main)
+    above = figure.add_subplot(joint[0, 0], sharex=main)
     side = figure.add_subplot(joint[1, 1], sharey=main)
-    _draw_joint(main, top, side, tree, parts)
+    _draw_joint(main, above, side, tree, parts)
     if compare:
-        right = outer[0, 1].subgridspec(2, 1, height_ratios=(1.3, 1.0), hspace=0.5)
+        right = outer[0, 1].subgridspec(2, 1, height_ratios=(1.3, 1.0), hspace=0.55)
         panel, overview = figure.add_subplot(right[0, 0]), figure.add_subplot(right[1, 0])
         draw_change(panel, tree, parts)
         change = f"change from {parts[0].name} to {parts[-1].name}"
-        panels, titles = [top, panel, overview], ["gap on its curve", change]
+        panels, titles = [above, panel, overview], ["gap on its curve", change]
     else:
         overview = figure.add_subplot(outer[0, 1])
-        panels, titles = [top, overview], ["gap on its curve"]
+        panels, titles = [above, overview], ["gap on its curve"]
     _draw_overview(overview, main, tree, parts)
     head_panels(panels, [*titles, "the whole curve; grey: the view of (a)"])
     handles, labels = main.get_legend_handles_labels()

@@ -13,6 +13,9 @@ from bayesbl.figures.style import DOUBLE_COLUMN_IN, SINGLE_COLUMN_IN, new_figure
 
 MOST_COLUMNS = 2
 
+LINE_IN = 0.15
+"""Height of a line of a legend."""
+
 
 def grid(
     figure: Figure,
@@ -47,14 +50,17 @@ def grid(
 
 
 def one_panel_each(
-    count: int, height_in: float = 2.1, *, shared: bool = True
+    count: int, height_in: float = 2.1, *, shared: bool = True, above: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel per snapshot, at most two in a row, with ``shared`` axes or not."""
+    """A figure with one panel per snapshot, at most two in a row, with ``shared`` axes or not.
+
+    ``above`` is room for a legend over all of them, in inches.
+    """
     columns = min(count, MOST_COLUMNS)
     rows = math.ceil(count / columns)
     width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN
-    figure = new_figure(width, rows * height_in + 0.2)
-    spec = grid(figure, rows, columns, between=(0.65, 0.35))
+    figure = new_figure(width, rows * height_in + 0.2 + above)
+    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35 if shared else 0.55))
     axes: list[Axes] = []
     for i in range(count):
         first = axes[0] if axes and shared else None

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.figures.layout import one_panel_each
-from bayesbl.figures.snapshots import GAP, credible_interval
-from bayesbl.figures.style import NEUTRAL, head_panels, look, publication_style
+from bayesbl.figures.snapshots import GAP, credible_interval, interval_name
+from bayesbl.figures.style import MODEL, NEUTRAL, head_panels, publication_style
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
@@ -30,12 +30,17 @@ def named(tree: xr.DataTree) -> Figure:
     posterior = tree["posterior"].to_dataset()
     answer = json.loads(tree.attrs["diagnosis"])
     shown = [name for name in map(str, posterior) if _is_size(name, answer)]
-    figure, axes = one_panel_each(len(shown), height_in=1.9, shared=False)
+    figure, axes = one_panel_each(len(shown), height_in=1.9, shared=False, above=0.2)
     values = [
-        _draw(panel, tree, posterior[name], _believed(name, answer), look(index).colour)
-        for index, (panel, name) in enumerate(zip(axes, shown, strict=True))
+        _draw(panel, tree, posterior[name], _believed(name, answer))
+        for panel, name in zip(axes, shown, strict=True)
     ]
     head_panels(axes, values)
+    lines = [line for panel in axes for line in panel.lines]
+    by_label = {
+        line.get_label(): line for line in lines if not str(line.get_label()).startswith("_")
+    }
+    figure.legend(handles=list(by_label.values()), loc="upper left", ncols=2)
     return figure
 
 
@@ -68,29 +73,48 @@ def _draw(
     tree: xr.DataTree,
     variable: xr.DataArray,
     believed: dict[str, Any] | None,
-    colour: str,
 ) -> str:
     """Draw, and say the values."""
     factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
     draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
     found = credible_interval(tree, draws)
     counts, edges = np.histogram(draws, _BINS, density=True)
-    panel.stairs(counts, edges, fill=True, color=colour, alpha=0.3)
-    panel.stairs(counts, edges, color=colour)
+    panel.stairs(counts, edges, fill=True, color=MODEL, alpha=0.3)
+    panel.stairs(counts, edges, color=MODEL)
     for end in ("low", "median", "high"):
-        panel.axvline(found[end], color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
-    if believed is not None and edges[0] < factor * believed["median"] < edges[-1]:
-        panel.axvline(factor * believed["median"], color=_BELIEVED, linewidth=1.0)
+        panel.axvline(
+            found[end], color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
+            label=f"posterior: median and {interval_name(tree)}",
+        )  # fmt: skip
+    if believed is not None:
+        _draw_believed(panel, factor * believed["median"], edges)
     panel.set_ylim(0.0, 1.1 * counts.max())
     quantity = _quantity(str(variable.name))
     panel.set_xlabel(quantity if unit == "1" else f"{quantity} ({unit})")
     panel.set_ylabel("Density")
     panel.set_yticks([])
     panel.locator_params(axis="x", nbins=5)
-    values = f"{_digits(found['median'])} ({_digits(found['low'])} to {_digits(found['high'])})"
+    told = "" if unit == "1" else f" {unit}"
+    values = f"{_digits(found['median'])}{told}"
+    values += f" ({_digits(found['low'])} to {_digits(found['high'])})"
     return (
-        values if believed is None else f"{values}, before {_digits(factor * believed['median'])}"
+        values
+        if believed is None
+        else f"{values}, before {_digits(factor * believed['median'])}{told}"
     )
+
+
+def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
+    """A line, or an arrow to where it would be beyond the panel."""
+    if edges[0] < value < edges[-1]:
+        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: the bench as believed")
+        return
+    left = value <= edges[0]
+    panel.annotate(
+        "← before" if left else "before →",
+        (0.02 if left else 0.98, 0.9), xycoords="axes fraction", ha="left" if left else "right",
+        color=_BELIEVED,
+    )  # fmt: skip
 
 
 def _quantity(name: str) -> str:

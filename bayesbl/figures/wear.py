@@ -29,6 +29,9 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.wear import DAYS_PER_YEAR, GROUP, used_dates
 
 _LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
+_RAREST = 0.005
+"""A probability nearer than this to 0 or 1 is told as less than 1 % or more than 99 %."""
+
 _LONGEST_VIEW = 3.0
 """How far ahead is shown at most, in times since the first snapshot in use."""
 
@@ -48,7 +51,7 @@ def wear(tree: xr.DataTree) -> Figure:
         titles.append("probability that the limit is reached")
         _draw_limit_reached(panels[1], group, ahead)
     for panel in panels:
-        locator = AutoDateLocator(minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
+        locator = AutoDateLocator(minticks=3, maxticks=7)  # type: ignore[no-untyped-call]
         panel.xaxis.set_major_locator(locator)
         formatter = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
         panel.xaxis.set_major_formatter(formatter)
@@ -157,6 +160,15 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
 def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
     years = np.linspace(0.0, ahead, 300)
     last = _days(used_dates(group))[-1]
+    passed = float(reached(group, np.zeros(1))[0])
+    if passed > _RAREST:
+        low = passed < 0.2  # no room below
+        panel.plot([last], [passed], color=MODEL, marker="o")
+        panel.annotate(
+            f"passed before {used_dates(group)[-1]}: {_share(passed)}", (last, passed),
+            xytext=(4.0, 6.0 if low else -6.0), textcoords="offset points",
+            va="bottom" if low else "top", fontsize=7.0,
+        )  # fmt: skip
     panel.plot(last + DAYS_PER_YEAR * years, reached(group, years), color=MODEL)
     if "decide_before" in group.attrs:
         asked = group.attrs["decide_before"]
@@ -165,8 +177,15 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
         panel.axvline(day, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
         panel.plot([day], [share], color=NEUTRAL, marker="o")
         panel.annotate(
-            f"by {asked}: {100.0 * share:.0f} %", (day, share), xytext=(-4.0, 4.0),
+            f"by {asked}: {_share(share)}", (day, share), xytext=(-4.0, 4.0),
             textcoords="offset points", ha="right", fontsize=7.0,
         )  # fmt: skip
     panel.set_ylim(0.0, 1.03)
     panel.set_ylabel("Probability")
+
+
+def _share(probability: float) -> str:
+    """``68 %``; never 0 % or 100 %, which no number of draws can show."""
+    if probability < _RAREST:
+        return "< 1 %"
+    return "> 99 %" if probability > 1.0 - _RAREST else f"{100.0 * probability:.0f} %"

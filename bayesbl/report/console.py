@@ -18,7 +18,7 @@ from bayesbl.report.direct import print_direct_details, print_other_route
 from bayesbl.report.output import add_row, new_table, print_table, say
 from bayesbl.report.swept import print_sweep
 from bayesbl.report.words import Summary
-from bayesbl.report.worn import print_wear
+from bayesbl.report.worn import answer, print_wear
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -61,8 +61,9 @@ def print_result(summary: Summary, folder: Path | None, console: Console) -> Non
 
 def _print_snapshots(summary: Summary, console: Console) -> None:
     withheld = summary["outcome"] == "withheld"
-    say(console, words.headline(summary), "bold yellow" if withheld else "bold")
-    for sentence in (*words.steps(summary), words.above_limit(summary)):
+    first, *others = answer(summary)
+    say(console, first, "bold yellow" if withheld else "bold")
+    for sentence in (*others, *words.steps(summary), words.above_limit(summary)):
         if sentence:
             say(console, sentence)
     if words.has_shrunk(summary):
@@ -220,11 +221,12 @@ def _print_origin(attributes: Mapping[Any, Any], summary: Summary, console: Cons
     console.print()
     say(console, "Origin", "bold")
     inputs = json.loads(attributes.get("input_sha256", "{}"))
+    is_direct = _has_snapshots(summary) and words.is_direct(summary)
     lines = {
         "Version": f"{summary['version']}, commit {summary['commit']}",
         "Made": attributes.get("created_utc"),
         "Seed": summary["seed"],
-        "Gap curve": summary.get("curve"),
+        "Gap curve": None if is_direct else summary.get("curve"),
         **{f"SHA-256 of {file}": digest for file, digest in inputs.items()},
     }
     for label, content in lines.items():

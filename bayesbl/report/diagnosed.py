@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 FAR_BEYOND_NOISE = 10.0
 """Standard deviations from nothing above which their number tells a reader no more."""
 
+UNTOLD_SHARE = (
+    "–: before naming, the disagreement is too small beside the noise to tell a share of it."
+)
+
 _USES = {"used": "fitted on", "held_out": "held out"}
 
 
@@ -31,6 +35,8 @@ def print_diagnosis(summary: Summary, console: Console) -> None:
     for sentence in (*effects(summary), *parameter_errors(summary)):
         say(console, sentence)
     print_table(_gap_table(summary), console)
+    if any(gap["closed_fraction"] is None for *_, gap in _gaps(summary["gap"])):
+        say(console, UNTOLD_SHARE, "dim")
     for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
         say(console, sentence)
 
@@ -186,8 +192,6 @@ def _beyond_noise(deviations: float) -> str:
 
 
 def _gap_table(summary: Summary) -> Table:
-    from bayesbl.recording.types import CHANNELS  # numpy is behind it
-
     unit = summary["gap"]["unit"]
     table = new_table(
         ("Recording", "left"),
@@ -197,27 +201,39 @@ def _gap_table(summary: Summary) -> Table:
         (f"Noise\n({unit})" if unit else "Noise", "right"),
         ("Removed", "right"),
     )
-    for recording, channels in summary["gap"]["recordings"].items():
-        for channel, uses in channels.items():
-            name = recording if unit else f"{recording}, {CHANNELS.get(channel, channel)}"
-            for use, gap in uses.items():
-                _add_gap(table, name, use, gap)
-    for use, gap in summary["gap"]["over_all"].items():
-        _add_gap(table, "all", use, gap)
+    for name, use, gap in _gaps(summary["gap"]):
+        add_row(
+            table,
+            name,
+            _USES[use],
+            *(f"{gap[key]:.3g}{_own_unit(gap)}" for key in ("before", "after", "noise_floor")),
+            removed(gap["closed_fraction"]),
+        )
     return table
 
 
-def _add_gap(table: Table, recording: str, use: str, gap: dict[str, Any]) -> None:
-    closed = gap["closed_fraction"]
-    add_row(
-        table,
-        recording,
-        _USES[use],
-        *(f"{gap[name]:.3g}{_own_unit(gap)}" for name in ("before", "after", "noise_floor")),
-        "" if closed is None else f"{100.0 * closed:.1f} %",
-    )
+def _gaps(gap: Summary) -> Iterator[tuple[str, str, Summary]]:
+    """(recording and channel, use, disagreement) of every row, those over all at the end."""
+    from bayesbl.recording.types import CHANNELS  # numpy is behind it
+
+    for recording, channels in gap["recordings"].items():
+        for channel, uses in channels.items():
+            name = recording if gap["unit"] else f"{recording}, {CHANNELS.get(channel, channel)}"
+            yield from ((name, use, found) for use, found in uses.items())
+    yield from (("all", use, found) for use, found in gap["over_all"].items())
 
 
-def _own_unit(gap: dict[str, Any]) -> str:
+def removed(closed: float | None) -> str:
+    """The share of the disagreement that naming removes, never above all of it.
+
+    Stored values may exceed 1, because the noise that they are counted from is an estimate.
+    """
+    if closed is None:
+        return "–"
+    shown = number(100.0 * min(closed, 1.0), 1)
+    return "100 %" if shown == "100.0" else f"{shown} %"
+
+
+def _own_unit(gap: Summary) -> str:
     unit = gap.get("unit")
     return "" if unit is None else " × noise" if unit == "noise" else f" {unit}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import date
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ MODEL = (
 def print_wear(summary: Summary, console: Console) -> None:
     """Sentences and table of ``wear`` of a summary of a dated comparison."""
     wear = summary["wear"]
-    if len(wear["snapshots"]) < len(summary["snapshots"]):
+    if spans_repair(summary):
         say(console, repaired(wear))
     if wear["reason"]:
         say(console, wear["reason"], "yellow", label="No rate of wear")
@@ -43,6 +43,21 @@ def is_told(summary: Summary) -> bool:
     """Whether a summary tells how fast the gap grows."""
     wear = summary.get("wear")
     return wear is not None and not wear["reason"]
+
+
+def spans_repair(summary: Summary) -> bool:
+    """Whether a repair lies between the first and the last of dated snapshots."""
+    return len(summary["wear"]["snapshots"]) < len(summary["snapshots"])
+
+
+def answer(summary: Summary) -> Iterator[str]:
+    """What a fit or a comparison leads with: the wear where it is told, else gap or change."""
+    if not is_told(summary):
+        yield words.headline(summary)
+        return
+    yield headline(summary)
+    if not spans_repair(summary):
+        yield words.headline(summary)
 
 
 def headline(summary: Summary) -> str:
@@ -94,8 +109,13 @@ def sentences(wear: Summary) -> Iterator[str]:
     if wear["years_to_limit"] is None:
         return
     limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
-    if wear["years_to_limit"]["low"] == wear["years_to_limit"]["high"] == 0.0:
-        yield f"The gap has passed {limit}."
+    if has_passed(wear, "high"):
+        yield f"The gap passed {limit} before {wear['last_date']}."
+    elif wear["limit_not_before"] == wear["last_date"]:
+        yield (
+            f"The gap may have passed {limit} before {wear['last_date']}: that it had not is less "
+            f"than {share} probable."
+        )
     elif wear["limit_not_before"] is None:
         yield (
             f"With {share} probability the gap does not reach {limit} within "
@@ -161,15 +181,29 @@ def _table(wear: Summary) -> Table:
     rows = [("rate", rate, 1e3, "mrad/year")]
     if scatter is not None:
         rows.append(("irregular wear", scatter, 1e3, "mrad/√year"))
-    if wear["years_to_limit"] is not None:
+    if wear["years_to_limit"] is not None and not has_passed(wear, "high"):
         rows.append(("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
     for name, found, scale, unit in rows:
         low, middle, high = (_cell(scale * found[k]) for k in ("low", "median", "high"))
         add_row(table, name, middle, f"{low} to {high}", unit)
     if wear["limit_date"] is not None:
-        low, middle, high = (day(wear["limit_date"][k]) for k in ("low", "median", "high"))
-        add_row(table, "date of the limit", middle, f"{low} to {high}", "")
+        middle, bounds = limit_dates(wear, day)
+        add_row(table, "date of the limit", middle, bounds, "")
     return table
+
+
+def has_passed(wear: Summary, end: str) -> bool:
+    """Whether the limit lies before the last recording, by this end of the interval."""
+    return bool(wear["years_to_limit"][end] == 0.0)
+
+
+def limit_dates(wear: Summary, told: Callable[[str | None], str]) -> tuple[str, str]:
+    """When the limit is reached, and between which dates; of the past only that it is past."""
+    low, middle, high = (
+        f"before {wear['last_date']}" if has_passed(wear, end) else told(wear["limit_date"][end])
+        for end in ("low", "median", "high")
+    )
+    return middle, low if low == high else f"{low} to {high}"
 
 
 def _cell(value: float) -> str:

@@ -154,10 +154,8 @@ def _headline(summary: Summary) -> str:
             return diagnosed.headline(summary)
         case "study":
             return study_headline(summary)
-        case _ if worn.is_told(summary):
-            return worn.headline(summary)
         case _:
-            return words.headline(summary)
+            return next(worn.answer(summary))
 
 
 def _cards(summary: Summary) -> Iterator[Card]:
@@ -194,15 +192,14 @@ def _wear_cards(summary: Summary) -> Iterator[Card]:
     change = summary["change_rad"]
     places = words.common_decimals([last["delta_rad"], change])
     yield _card("Gap δ now", last["delta_rad"], places)
-    if len(wear["snapshots"]) == len(summary["snapshots"]):
+    if not worn.spans_repair(summary):
         yield _card("Change", change, places)  # across a repair it would say nothing of wear
     rate = wear["rate_rad_per_year"]
     note = f"{100.0 * rate['level']:g} %: {words.bounds(rate, 1e3)}"
     yield Card("Wear", worn.in_mrad(rate), "mrad a year", note)
     if wear["limit_date"] is not None:
-        low, middle, high = (worn.month(wear["limit_date"][k]) for k in ("low", "median", "high"))
-        note = f"{100.0 * rate['level']:g} %: {low} to {high}"
-        yield Card("Limit reached", middle, "", note)
+        middle, bounds = worn.limit_dates(wear, worn.month)
+        yield Card("Limit reached", middle, "", f"{100.0 * rate['level']:g} %: {bounds}")
 
 
 def _gap_cards(summary: Summary) -> Iterator[Card]:
