@@ -98,6 +98,7 @@ def status(arguments: Sequence[str] | None = None) -> int:
     except OSError as problem:
         place = f"{problem.filename}: " if problem.filename else ""
         print(f"Error: {place}{problem.strerror or problem}.", file=sys.stderr)
+        print(*getattr(problem, "__notes__", ()), sep="\n", end="", file=sys.stderr)
         return FAILED
     except Exception:
         import traceback
