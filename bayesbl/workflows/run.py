@@ -348,6 +348,11 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
     plan.warnings += same_files(sound)
+    if bench is None and config.joint.gear_ratio is None:
+        plan.warnings.append(
+            "Without [joint] gear_ratio the load's rotations are counted only by the run, which "
+            "refuses a recording of fewer than two."
+        )
     if bench is None and len(sound) > 1:
         plan.add("speed", partial(_one_speed, sound))
     if config.joint.limit_rad is not None:
