@@ -392,6 +392,30 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         "rpm from 0 to",
         "cut the file",
     ),
+    "a speed that drifts": (
+        lambda p: write_csv(
+            p / "a.csv",
+            changed(
+                speed_only(plain(samples=18000)),
+                motor_speed_rpm=plain(samples=18000)[SPEED] + np.linspace(0.0, 40.0, 18000),
+            ),
+        ),
+        "motor_speed_rpm from 0 to 18 s: The speed drifts",
+        "to 2040.1 rpm (2 %)",
+        "one speed for two rotations",
+    ),
+    "a motor at rest": (
+        lambda p: write_csv(
+            p / "a.csv",
+            changed(
+                speed_only(plain()),
+                motor_speed_rpm=0.1 * np.random.default_rng(1).standard_normal(SAMPLES),
+            ),
+        ),
+        "The motor stands still",
+        "rpm in means over 0.25 s",
+        "is the speed in rpm?",
+    ),
     "a constant speed": (
         lambda p: write_csv(p / "a.csv", with_values(speed_only(plain()), SPEED, slice(None), 2e3)),
         "motor_speed_rpm",

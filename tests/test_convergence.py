@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 from bayesbl import cli
+from bayesbl.figures import signal
 from bayesbl.inference.covariance import Covariance
 from bayesbl.inference.estimator import Estimator, PointEstimate
 from bayesbl.inference.optimum import exchanged
@@ -17,6 +18,7 @@ from bayesbl.inference.posterior import SamplerSettings, sample_posterior
 from bayesbl.inference.refine import refine
 from bayesbl.physics.noise import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.results.store import read_tree
 from bayesbl.signal.model import model_speed
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import (
@@ -128,6 +130,19 @@ def test_a_posterior_at_a_bound_is_withheld(
         clean(), tmp_path, capsys, f"[estimator.model.ranges]\n{DECAY} = [5.0, 11.5]\n"
     )
     assert f"draws of {DECAY} lie at a bound" in reason
+
+
+def test_ringing_lost_in_noise_is_the_first_reason_and_its_band_can_be_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent = synthetic_recording(
+        TRUTH | {AMPLITUDE: 0.0}, NOISE, np.random.default_rng(1), baseline_rpm=(5.0, -3.0)
+    )
+    reason = withheld(silent, tmp_path, capsys, "[posterior]\nensembles = 2\nmax_steps = 500\n")
+    assert reason.startswith("The impact ringing is too weak")
+    tree = read_tree(tmp_path / "out")
+    assert all(np.isfinite(tree["predictive"][name]).all() for name in ("low_rpm", "high_rpm"))
+    signal(tree)
 
 
 def test_a_stuck_ensemble_is_withheld(point: PointEstimate) -> None:

@@ -192,6 +192,11 @@ def test_every_speed_of_a_recording_is_named_with_its_time_range(
     np.testing.assert_allclose(told, expected, atol=0.3)
 
 
+@pytest.mark.parametrize("samples", [3600, 8280, 18000])
+def test_the_wave_of_the_load_angle_is_no_drift(example: Recording, samples: int) -> None:
+    checks.require_no_drift(part(example, slice(0, samples)))
+
+
 def test_a_part_at_another_speed_is_named_with_its_time_range(example: Recording) -> None:
     time_s = example.time_s
     slow = np.interp(time_s, [0.0, 2.0, 5.0], [0.2, 0.2, 1.0])

@@ -142,6 +142,21 @@ def test_what_was_finished_is_not_done_again(
     assert not unfinished(output).exists()
 
 
+def test_a_figure_that_cannot_be_drawn_costs_no_result(
+    folder: Path, whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    def draw(tree: object, place: Path) -> None:
+        raise ValueError("no such colour")
+
+    output = tmp_path / "out"
+    config = config_from_options("compare", (), folder / "compare.toml", out=output)
+    with pytest.raises(ValueError, match="no such colour") as failure:
+        run(config, draw, say=lambda sentence: None)
+    assert f"bayesbl figures {output}" in failure.value.__notes__[0]
+    assert draws(output) == whole
+    assert not unfinished(output).exists()
+
+
 def test_any_number_of_workers_gives_the_same_draws_and_resumes_those_of_one(
     folder: Path, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -98,6 +98,8 @@ def status(arguments: Sequence[str] | None = None) -> int:
     except OSError as problem:
         place = f"{problem.filename}: " if problem.filename else ""
         print(f"Error: {place}{problem.strerror or problem}.", file=sys.stderr)
+        for note in getattr(problem, "__notes__", ()):
+            print(note, file=sys.stderr)
         return FAILED
     except Exception:
         import traceback

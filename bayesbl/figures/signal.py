@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -46,10 +45,9 @@ class _Signal:
     def of(cls, snapshot: Snapshot) -> _Signal:
         time, speed = (snapshot.values("observed_data", n) for n in ("time_s", "motor_speed_rpm"))
         names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
-        model, low, high, residual = (snapshot.values("predictive", n) for n in names)
-        # A last sample that the fit left out has no residual, like the padding behind it.
-        left_out = np.full(time.size - residual.size, np.nan)
-        return cls(time, speed, model, low, high, np.concatenate([residual, left_out]))
+        # By the time's length: a sample that was left out has no residual, like the padding.
+        curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
+        return cls(time, speed, *curves)
 
     def within(self, begin_s: float, end_s: float) -> _Signal:
         inside = (self.time >= begin_s) & (self.time <= end_s)

@@ -129,6 +129,13 @@ def judge(
     """
     doubts: list[str] = []
     failures: list[str] = []
+    # First, as it is the cause of the others.
+    if signal_to_noise < WEAKEST_SIGNAL_TO_NOISE:
+        failures.append(
+            f"The impact ringing is too weak: its amplitude is {signal_to_noise:.1f} standard "
+            f"deviations above zero ({WEAKEST_SIGNAL_TO_NOISE:.0f} are needed). Record more "
+            "rotations, or with less noise."
+        )
     worst = max(r_hat, key=lambda n: r_hat[n])
     if not r_hat[worst] < R_HAT_BAD:
         failures.append(
@@ -171,12 +178,6 @@ def judge(
             f"{other_answer.amplitude_rpm:.3g} rpm, explains the recording nearly as well "
             f"(probability {other_answer.share:.0%} beside the one taken). Record more rotations, "
             "or use a curve swept for this bench, which can tell them apart."
-        )
-    if signal_to_noise < WEAKEST_SIGNAL_TO_NOISE:
-        failures.append(
-            f"The impact ringing is too weak: its amplitude is {signal_to_noise:.1f} standard "
-            f"deviations above zero ({WEAKEST_SIGNAL_TO_NOISE:.0f} are needed). Record more "
-            "rotations, or with less noise."
         )
     outcome: Outcome = "withheld" if failures else "usable" if doubts else "converged"
     return Diagnostics(

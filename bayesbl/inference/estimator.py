@@ -26,7 +26,7 @@ from bayesbl.inference.posterior import Posterior, Progress, SamplerSettings, sa
 from bayesbl.inference.quantisation import speed_steps
 from bayesbl.inference.second_opinion import SamplerCheck, check_sampler
 from bayesbl.inference.warm import EarlierOptimum, NoLongerFits, warm_optimum
-from bayesbl.recording.checks import ready_for_fit, require_rotations
+from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.signal.objective import Objective
 from bayesbl.signal.parameters import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
@@ -196,8 +196,14 @@ class Estimator:
                     "The full search was made."
                 )
         optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
-        _require_rotations(recording, optimum, gear_ratio)
-        return replace(self.around(recording, objective, optimum), start=start)
+        try:
+            if gear_ratio is None:
+                require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
+            point = self.around(recording, objective, optimum)
+        except RecordingError as error:
+            require_no_drift(recording)  # the search takes one for part of a long rotation
+            raise in_file(recording, error) from None
+        return replace(point, start=start)
 
     def _objective(self, recording: Recording) -> Objective:
         return Objective(
@@ -313,9 +319,3 @@ class Estimator:
 def nominal_speed_rpm(recording: Recording) -> float:
     """Mean motor speed without its sign, rpm."""
     return abs(float(recording.motor_speed_rpm.mean()))
-
-
-def _require_rotations(recording: Recording, optimum: Optimum, gear_ratio: float | None) -> None:
-    """Enough rotations by the optimum's period, where no gear ratio could tell before."""
-    if gear_ratio is None:
-        require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])

@@ -235,6 +235,9 @@ def complete(
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
     """Linear symbols drawn given the searched ones, then every width made the noise's own.
 
+    What that carries beyond a symbol's range, where the prior is zero, is put at the bound: where
+    the recording hardly tells a symbol, the linear map leads to decays that grow.
+
     Parameters
     ----------
     points
@@ -260,6 +263,8 @@ def complete(
     stacked = np.column_stack([*(values[n] for n in symbols), linear[:, 1:-1]])
     centre = np.r_[[optimum.symbols[n] for n in symbols], optimum.baseline_rpm]
     stacked = centre + (stacked - centre) @ spread.calibration.T
+    ranged = [symbols.index(n) for n in objective.searched]
+    stacked[:, ranged] = np.clip(stacked[:, ranged], *bounds(objective))
 
     shape = (chains, count)
     draws = {n: stacked[:, i].reshape(shape) for i, n in enumerate(symbols)}

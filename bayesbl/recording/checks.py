@@ -43,6 +43,13 @@ STEP_OVER_SCATTER = 6.0
 STRETCHES_TOLD = 6
 """Of :func:`require_one_speed`."""
 
+STANDSTILL_RPM = 1.0
+"""A motor that turned slower would need minutes for one rotation even without a gear."""
+
+LARGEST_DRIFT = 0.01
+DRIFT_OVER_SCATTER = 3.0
+"""Of :func:`require_no_drift`; what the load angle does to the speed is smaller in both."""
+
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
 
@@ -66,6 +73,7 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_alive(recording, (MOTOR_POSITION,))
     require_plausible_speed_unit(recording)
     require_unclipped(recording, MOTOR_SPEED)
+    require_turning(recording)
     require_one_speed(recording)
     if gear_ratio is not None:
         require_rotations(recording, rotations_of(recording, gear_ratio))
@@ -206,6 +214,21 @@ def _of_dead_channels(recording: Recording) -> list[str]:
     ]
 
 
+def require_turning(recording: Recording) -> None:
+    """The motor does not stand still, whatever its sensor's noise."""
+    means, _ = _block_means(recording)
+    fastest = float(np.abs(means).max())
+    if fastest >= STANDSTILL_RPM:
+        return
+    raise _error(
+        recording,
+        "The motor stands still.",
+        where=MOTOR_SPEED,
+        found=f"at most {fastest:.2g} rpm in means over {BLOCK_S:g} s",
+        expected="a motor that turns at one speed; is the speed in rpm?",
+    )
+
+
 def require_one_speed(recording: Recording) -> None:
     """The joint turns at one speed from begin to end.
 
@@ -214,11 +237,10 @@ def require_one_speed(recording: Recording) -> None:
     next of more than 2 % and six times the scatter within those seconds. No slow wave of the load
     angle makes such a step: on a slope the ratio is at most √12.
     """
-    block = max(1, round(BLOCK_S / recording.sampling_period_s))
-    count = recording.samples // block
+    means, edges_s = _block_means(recording)
+    count = means.size
     if count < 4 * BLOCKS_COMPARED:
         return
-    means = recording.motor_speed_rpm[: count * block].reshape(count, block).mean(axis=1)
     usual = float(np.median(means))
     departs = np.abs(means - usual) > LARGEST_DEPARTURE * abs(usual)
     windows = np.lib.stride_tricks.sliding_window_view(means, BLOCKS_COMPARED)
@@ -228,7 +250,6 @@ def require_one_speed(recording: Recording) -> None:
     steps = np.flatnonzero(
         (size > SMALLEST_STEP * abs(usual)) & (size > STEP_OVER_SCATTER * scatter)
     )
-    edges_s = [*recording.time_s[: count * block : block], recording.time_s[-1]]
     if steps.size:
         # One change is seen from several places; each is told where it is sharpest.
         changes = np.split(steps, np.flatnonzero(np.diff(steps) > BLOCKS_COMPARED) + 1)
@@ -252,7 +273,43 @@ def require_one_speed(recording: Recording) -> None:
     )
 
 
-def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: Sequence[float]) -> str:
+def require_no_drift(recording: Recording) -> None:
+    """No slow change stands out of the speed; what a fit asks that found no rotation twice.
+
+    A drift is a parabola through means over a quarter of a second. In a recording of one rotation
+    the load angle's wave looks like one, so a fit that finds its rotations does without asking.
+    """
+    means, edges_s = _block_means(recording)
+    x = np.linspace(-1.0, 1.0, means.size)
+    drift = np.polynomial.Polynomial.fit(x, means, min(2, means.size - 1))(x)
+    size, usual = float(np.ptp(drift)), abs(float(np.median(means)))
+    if size <= max(LARGEST_DRIFT * usual, DRIFT_OVER_SCATTER * float(np.std(means - drift))):
+        return
+    begin, end = sorted((int(np.argmin(drift)), int(np.argmax(drift))))
+    # The last block is told by its end, as the recording's.
+    times = edges_s[begin], edges_s[end if end + 1 < means.size else -1]
+    raise _error(
+        recording,
+        "The speed drifts too far to find the load's rotations in it.",
+        where=f"{MOTOR_SPEED} from {times[0]:.4g} to {times[1]:.4g} s",
+        found=f"a drift from {drift[begin]:.5g} to {drift[end]:.5g} rpm "
+        f"({100.0 * size / usual:.2g} %)",
+        expected="one speed for two rotations of the load or more, e.g. a machine that has settled",
+    )
+
+
+def _block_means(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Mean speeds over a quarter of a second each, shape (b,), rpm; their edges, (b + 1,), s.
+
+    A recording shorter than that is one block; what does not fill the last one is left out.
+    """
+    block = min(max(1, round(BLOCK_S / recording.sampling_period_s)), recording.samples)
+    count = recording.samples // block
+    means = recording.motor_speed_rpm[: count * block].reshape(count, block).mean(axis=1)
+    return means, np.r_[recording.time_s[: count * block : block], recording.time_s[-1]]
+
+
+def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: FloatArray) -> str:
     """Speed and time range of each stretch between cuts (numbers of blocks), in words."""
     told = [
         f"{np.median(means[begin:end]):.5g} rpm from {edges_s[begin]:.4g} to {edges_s[end]:.4g} s"
@@ -338,6 +395,15 @@ def _time_in_ms(recording: Recording) -> str:
     """A sentence where time would make a usual sampling rate if it were in milliseconds."""
     rate = 1000.0 / recording.sampling_period_s
     return f" The column for {TIME} looks like ms, not s." if 100.0 <= rate <= 1e5 else ""
+
+
+def in_file(recording: Recording, error: RecordingError) -> RecordingError:
+    """An error of a step that saw the samples alone, with the recording's file put to it."""
+    if error.file is not None:
+        return error
+    return _error(
+        recording, error.problem, where=error.where, found=error.found, expected=error.expected
+    )
 
 
 def _error(

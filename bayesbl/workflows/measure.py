@@ -340,11 +340,14 @@ def verdict(
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"
-    reasons = [*against, *diagnostics.reasons, *notes, *fit.point.recording.notes]
     if outcome == "withheld":
-        against += diagnostics.reasons
-    elif against:
-        outcome = "withheld"
+        # What is made of draws that fail, fails with them: the cause comes first.
+        against = [*diagnostics.reasons, *against]
+        reasons = [*against]
+    else:
+        reasons = [*against, *diagnostics.reasons]
+        outcome = "withheld" if against else outcome
+    reasons += [*notes, *fit.point.recording.notes]
     if question and outcome == "withheld":
         against.insert(0, question)
         reasons.insert(0, question)

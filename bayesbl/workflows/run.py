@@ -137,9 +137,7 @@ def _measure(
         except UserError:
             checkpoint.clear()  # it would end the same way again
             raise
-        summary = write_result(tree, config, draw, force=force)
-        checkpoint.clear()
-    return summary
+        return write_result(tree, config, draw, force=force, stored=checkpoint.clear)
 
 
 def _require_free(config: RunConfig, force: bool) -> None:
@@ -151,9 +149,24 @@ def _require_free(config: RunConfig, force: bool) -> None:
 
 
 def write_result(
-    tree: xr.DataTree, config: RunConfig, draw: Draw, *, force: bool = False
+    tree: xr.DataTree,
+    config: RunConfig,
+    draw: Draw,
+    *,
+    force: bool = False,
+    stored: Callable[[], object] = lambda: None,
 ) -> Summary:
-    """The output folder of a result, whole or not at all; its summary."""
+    """The output folder of a result, whole or not at all; its summary.
+
+    Figures can be made again at once, what was computed cannot: where drawing fails, the result is
+    stored with the figures drawn so far, and the failure raised only then, with a note that says
+    so.
+
+    Parameters
+    ----------
+    stored
+        Called when the folder stands.
+    """
     from bayesbl.results.store import write_json, write_text, write_tree
     from bayesbl.results.summary import summarise
 
@@ -164,7 +177,18 @@ def write_result(
         write_text(dump_config(config), folder / CONFIG_FILE)
         if tree.attrs.get("augmented_bench"):
             write_text(tree.attrs["augmented_bench"], folder / AUGMENTED_BENCH)
-        draw(tree, folder / FIGURES)
+        failure: Exception | None = None
+        try:
+            draw(tree, folder / FIGURES)
+        except Exception as error:
+            failure = error
+    stored()
+    if failure is not None:
+        failure.add_note(
+            f"The result is stored in {config.run.output}; only figures are missing. To draw them "
+            f"again: bayesbl figures {config.run.output}"
+        )
+        raise failure
     return summary
 
 
@@ -324,6 +348,11 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
     plan.warnings += same_files(sound)
+    if bench is None and config.joint.gear_ratio is None:
+        plan.warnings.append(
+            "Without [joint] gear_ratio the load's rotations are counted only by the run, which "
+            "refuses a recording of fewer than two."
+        )
     if bench is None and len(sound) > 1:
         plan.add("speed", partial(_one_speed, sound))
     if config.joint.limit_rad is not None:
