@@ -84,7 +84,7 @@ def dependency_versions() -> dict[str, str]:
 
 @cache
 def git_commit() -> str:
-    """Commit of the checkout that the package runs from, with ``-dirty`` if it was changed since.
+    """Commit of the checkout that the package runs from, ``-dirty`` if its content is another.
 
     ``"unknown"`` if the package is installed elsewhere; a repository that merely surrounds its
     environment does not count.
@@ -95,7 +95,7 @@ def git_commit() -> str:
     if not tracked or top is None or Path(top).resolve() != package.parent:
         return UNKNOWN
     commit = _git(package, "rev-parse", "HEAD")
-    changes = _git(package, "status", "--porcelain", "--", ".")
+    changes = _git(package, "-c", "core.fileMode=false", "status", "--porcelain", "--", ".")
     if commit is None or changes is None:
         return UNKNOWN
     return f"{commit}-dirty" if changes else commit
