@@ -170,7 +170,7 @@ class FreeMotionComparison:
         if f"angle@{i}" in values:
             return self._predict(i, effects, values, values[f"angle@{i}"], values[f"speed@{i}"])
         found = least_squares(
-            lambda x: self._misfit(i, effects, values, x[0], x[1]),
+            lambda x: self._misfit(i, effects, values, *x),
             self.starts[i],
             diff_step=1e-4,
             x_scale=[0.1, 1.0],
@@ -178,15 +178,11 @@ class FreeMotionComparison:
         return self._predict(i, effects, values, *found.x)
 
     def _misfit(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        values: Mapping[str, float],
-        angle: float,
-        speed: float,
+        self, i: int, effects: tuple[str, ...], values: Mapping[str, float], *start: float
     ) -> FloatArray:
+        """Prediction less measurement from a start (angle in rad, speed in rad/s), shape (k,)."""
         piece = self.pieces[i]
-        return piece.kept(self._predict(i, effects, values, angle, speed) - piece.measured)
+        return piece.kept(self._predict(i, effects, values, *start) - piece.measured)
 
     def _predict(
         self,

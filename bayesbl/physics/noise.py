@@ -116,6 +116,7 @@ def ar_autocorrelation(coefficients: FloatArray, lags: int) -> FloatArray:
                 else:
                     matrix[k - 1, abs(k - j) - 1] -= phi
         rho[1 : p + 1] = np.linalg.solve(matrix, right)
+    if 0 < p < rho.size - 1:
         polynomial = np.r_[1.0, -coefficients]
         state = signal.lfiltic([1.0], polynomial, rho[p:0:-1])
         rho[p + 1 :] = signal.lfilter([1.0], polynomial, np.zeros(rho.size - p - 1), zi=state)[0]

@@ -7,7 +7,7 @@ import math
 import os
 import shlex
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -105,11 +105,11 @@ def write_json(content: Mapping[str, Any], path: str | Path) -> None:
     write_text(text + "\n", path)
 
 
-def texts(attribute: object) -> list[str]:
+def texts(attribute: str | Iterable[object] | None) -> list[str]:
     """A list of texts kept as an attribute: NetCDF gives one back as a text, none as nothing."""
-    if attribute is None or (isinstance(attribute, str) and not attribute):
-        return []
-    return [attribute] if isinstance(attribute, str) else [str(text) for text in attribute]  # type: ignore[attr-defined]
+    if isinstance(attribute, str):
+        return [attribute] if attribute else []
+    return [] if attribute is None else [str(text) for text in attribute]
 
 
 def write_text(text: str, path: str | Path) -> None:
