@@ -23,12 +23,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from bayesbl.bench.bench import Bench
     from bayesbl.config.bench import load_bench
     from bayesbl.config.loading import load_config
+    from bayesbl.curve.gap_curve import GapCurve, published_curve
     from bayesbl.errors import UserError
-    from bayesbl.gap.curve import GapCurve, published_curve
     from bayesbl.library import compare, fit, run, write_page
-    from bayesbl.physics.bench import Bench
     from bayesbl.recording.readers import read_recording
     from bayesbl.recording.types import Recording
     from bayesbl.results.store import read_tree as read_result
@@ -55,15 +55,15 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Bench": "bayesbl.physics.bench",
-    "GapCurve": "bayesbl.gap.curve",
+    "Bench": "bayesbl.bench.bench",
+    "GapCurve": "bayesbl.curve.gap_curve",
     "Recording": "bayesbl.recording.types",
     "UserError": "bayesbl.errors",
     "compare": "bayesbl.library",
     "fit": "bayesbl.library",
     "load_bench": "bayesbl.config.bench",
     "load_config": "bayesbl.config.loading",
-    "published_curve": "bayesbl.gap.curve",
+    "published_curve": "bayesbl.curve.gap_curve",
     "read_recording": "bayesbl.recording.readers",
     "read_result": "bayesbl.results.store:read_tree",
     "run": "bayesbl.library",

@@ -86,8 +86,8 @@ def run(config: str | Path | RunConfig, *, force: bool = False) -> dict[str, Any
         If the configuration cannot be run, or the folder holds a finished result and ``force`` is
         not given.
     """
-    from bayesbl.workflows.run import load_run
-    from bayesbl.workflows.run import run as run_config
+    from bayesbl.runs.run import load_run
+    from bayesbl.runs.run import run as run_config
 
     loaded = config if isinstance(config, RunConfig) else load_run(config)
     return run_config(loaded, draw, force=force)
@@ -101,7 +101,7 @@ def write_page(result: str | Path) -> Path:
     UserError
         If there is no finished result.
     """
-    from bayesbl.report.page.build import write_page as write
+    from bayesbl.presentation.page.build import write_page as write
 
     return write(result, draw)
 
@@ -109,10 +109,10 @@ def write_page(result: str | Path) -> Path:
 def draw(tree: xr.DataTree, folder: Path) -> list[Path]:
     """Write every figure of a result of any kind into a folder; the files written."""
     if tree.attrs["kind"] == "study":
-        from bayesbl.workflows.study import draw_study
+        from bayesbl.runs.study import draw_study
 
         return draw_study(tree, folder)
-    from bayesbl.figures import draw_all
+    from bayesbl.presentation.figures import draw_all
 
     return draw_all(tree, folder)
 
@@ -126,8 +126,8 @@ def _measure(
 ) -> xr.DataTree:
     from bayesbl.config.loading import OPTIONS, config_from_options
     from bayesbl.errors import ConfigError
+    from bayesbl.measurement.amplitude_route import measure
     from bayesbl.recording.channels import did_you_mean
-    from bayesbl.workflows.measure import measure
 
     for name in options:
         if name not in OPTIONS:

@@ -27,17 +27,17 @@ import numpy as np
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import load_config
-from bayesbl.discrepancy.forward.diagnosis import ForwardSettings, diagnose_forward
-from bayesbl.inference.estimator import Estimator
-from bayesbl.inference.optimum import Optimum, find_optimum
-from bayesbl.inference.posterior import SamplerSettings, sample_posterior
-from bayesbl.inference.warm import EarlierOptimum, warm_optimum
-from bayesbl.physics.noise import NoiseModel
+from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnose_forward
+from bayesbl.diagnosis.closed_loop.problem import forward_problem
+from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.signal.model import model_speed
-from bayesbl.signal.objective import Objective
-from bayesbl.signal.parameters import (
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.model import model_speed
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.optimum import Optimum, find_optimum
+from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
     FREQUENCY,
@@ -49,8 +49,8 @@ from bayesbl.signal.parameters import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.signal.synthetic import synthetic_recording
-from bayesbl.workflows.forward import forward_problem
+from bayesbl.ringing.synthetic import synthetic_recording
+from bayesbl.ringing.warm_start import EarlierOptimum, warm_optimum
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
 POPULATION = 1000

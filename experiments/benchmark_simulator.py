@@ -18,15 +18,15 @@ import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from bayesbl.config.bench import reference_bench
-from bayesbl.physics import kernel
-from bayesbl.physics.kernel import RPM, STATES, Slot
-from bayesbl.physics.simulation import (
+from bayesbl.bench import kernel
+from bayesbl.bench.kernel import RPM, STATES, Slot
+from bayesbl.bench.simulation import (
     simulate_channels,
     simulate_speeds,
     start_states,
 )
-from bayesbl.physics.steady import settling_time_s
+from bayesbl.bench.steady import settling_time_s
+from bayesbl.config.bench import reference_bench
 
 SAMPLING_HZ = 1000.0
 SAMPLES = 18_001

@@ -35,24 +35,24 @@ from pydantic import (
     model_validator,
 )
 
+from bayesbl.bench.bench import Bench, SpeedSource
+from bayesbl.bench.spoiling import drifting, with_samples_lost
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
-from bayesbl.gap.branch import likeliest_branch
-from bayesbl.gap.change import MeasuredRinging, gaps
-from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.calibration import rank
-from bayesbl.inference.diagnostics import WEAKEST_SIGNAL_TO_NOISE
-from bayesbl.inference.estimator import Estimator, PointEstimate
-from bayesbl.inference.posterior import SamplerSettings, sample_posterior
-from bayesbl.inference.simulated import GAP, observed
-from bayesbl.physics.bench import Bench, SpeedSource
-from bayesbl.physics.noise import NoiseModel
-from bayesbl.physics.spoiling import drifting, with_samples_lost
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.matching.signals import GAP, observed
+from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import read_curve
-from bayesbl.signal.parameters import AMPLITUDE, DECAY, FREQUENCY
-from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
-from bayesbl.workflows.direct import fit_directly
+from bayesbl.ringing.estimator import Estimator, PointEstimate
+from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY
+from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
+from bayesbl.sampling.calibration import rank
+from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,7 +201,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """Coverage less what was promised, row by row, and the ranks' distribution less uniform."""
-    from bayesbl.figures.calibration import draw_calibration
+    from bayesbl.presentation.figures.calibration import draw_calibration
 
     return draw_calibration(table, cases, list(QUANTITIES))
 

@@ -17,20 +17,20 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.inference.agreement import agrees, disagreements
-from bayesbl.inference.alignment import fit_aligned
-from bayesbl.inference.calibration import LEVELS, coverage
-from bayesbl.inference.direct import DirectPosterior, sample_direct
-from bayesbl.inference.posterior import SamplerSettings
-from bayesbl.inference.simulated import (
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.signals import (
     GAP,
     gap_unknown,
     observed,
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.physics.bench import Bench
+from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.calibration import LEVELS, coverage
 
 FAST = SamplerSettings(ensembles=2, max_steps=1000)
 FULL = SamplerSettings()

@@ -20,18 +20,18 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.gap.branch import likeliest_branch
-from bayesbl.gap.change import MeasuredRinging, gaps
-from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.alignment import fit_aligned
-from bayesbl.inference.direct import sample_direct
-from bayesbl.inference.estimator import Estimator
-from bayesbl.inference.posterior import SamplerSettings
-from bayesbl.inference.simulated import GAP, gap_unknown, observed, start_angle_unknown
-from bayesbl.physics.bench import Bench
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.posterior import sample_direct
+from bayesbl.matching.signals import GAP, gap_unknown, observed, start_angle_unknown
+from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.curve_file import read_curve
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.posterior import SamplerSettings
 
 FAST = SamplerSettings(ensembles=2, max_steps=1000)
 RANGE_RAD = (5e-5, 1e-2)

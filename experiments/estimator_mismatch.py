@@ -20,16 +20,16 @@ import xarray as xr
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 from scipy.optimize import least_squares
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple
-from bayesbl.gap.branch import likeliest_branch
-from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.estimator import Estimator, PointEstimate
-from bayesbl.physics.bench import Bench
-from bayesbl.physics.noise import NoiseModel
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.curve_file import read_curve
-from bayesbl.signal.parameters import (
+from bayesbl.ringing.estimator import Estimator, PointEstimate
+from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
     FREQUENCY,
@@ -40,7 +40,7 @@ from bayesbl.signal.parameters import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.signal.waveform import baseline_columns, pulse_train
+from bayesbl.ringing.waveform import baseline_columns, pulse_train
 
 MODELS = {
     "same": DisturbanceModel(),

@@ -32,21 +32,21 @@ sys.path.append(str(Path(__file__).parent))
 
 from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 
+from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.discrepancy.forward.candidates import BENCH_PARAMETERS, candidates
-from bayesbl.discrepancy.forward.diagnosis import (
+from bayesbl.diagnosis.closed_loop.candidates import BENCH_PARAMETERS, candidates
+from bayesbl.diagnosis.closed_loop.diagnosis import (
     ForwardDiagnosis,
     ForwardSettings,
     diagnose_forward,
 )
-from bayesbl.discrepancy.forward.explain import Explanation, distance, explain
-from bayesbl.discrepancy.forward.motor_orders import OrderPeak
-from bayesbl.inference.direct import sample_direct
-from bayesbl.inference.posterior import SamplerSettings
-from bayesbl.inference.simulated import GAP, START_ANGLE, Unknown, gap_unknown, observed
-from bayesbl.inference.simulated import start_angle_unknown as start_angle
-from bayesbl.physics.effects import EFFECTS
-from bayesbl.physics.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
+from bayesbl.diagnosis.closed_loop.explain import Explanation, distance, explain
+from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
+from bayesbl.matching.posterior import sample_direct
+from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, observed
+from bayesbl.matching.signals import start_angle_unknown as start_angle
+from bayesbl.ringing.posterior import SamplerSettings
 
 HELD_OUT_RPM = 1600.0
 GAP_RANGE_RAD = (1e-4, 4e-3)

@@ -532,9 +532,9 @@ TYPICAL: Mapping[str, Mapping[str, float]] = {
 def _main() -> None:
     from time import perf_counter
 
+    from bayesbl.bench.effects import EFFECTS
+    from bayesbl.bench.parameters import BENCH_PARAMETERS
     from bayesbl.config.bench import reference_bench
-    from bayesbl.physics.effects import EFFECTS
-    from bayesbl.physics.parameters import BENCH_PARAMETERS
 
     bench = reference_bench()
     values = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}

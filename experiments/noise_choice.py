@@ -20,12 +20,12 @@ import xarray as xr
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 
 from bayesbl.config.fields import as_tuple
-from bayesbl.inference.calibration import coverage_band
-from bayesbl.inference.covariance import covariance
-from bayesbl.inference.estimator import Estimator, PointEstimate
-from bayesbl.physics.noise import NoiseModel
-from bayesbl.signal.parameters import AMPLITUDE
-from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
+from bayesbl.noise.process import NoiseModel
+from bayesbl.ringing.covariance import covariance
+from bayesbl.ringing.estimator import Estimator, PointEstimate
+from bayesbl.ringing.symbols import AMPLITUDE
+from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
+from bayesbl.sampling.calibration import coverage_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,8 +150,8 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """What was chosen, and coverage and width by each kind, row by row of the table."""
-    from bayesbl.figures.layout import grid
-    from bayesbl.figures.style import (
+    from bayesbl.presentation.figures.layout import grid
+    from bayesbl.presentation.figures.style import (
         BAND,
         DOUBLE_COLUMN_IN,
         NEUTRAL,
@@ -191,7 +191,7 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
 
 
 def _draw_choice(panel: Axes, table: Sequence[Mapping[str, Any]]) -> None:
-    from bayesbl.figures.style import look
+    from bayesbl.presentation.figures.style import look
 
     rows, start = np.arange(len(table)), np.zeros(len(table))
     for n, kind in enumerate(KINDS):
@@ -205,7 +205,7 @@ def _draw_choice(panel: Axes, table: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_by_kind(panel: Axes, table: Sequence[Mapping[str, Any]], what: str, scale: float) -> None:
-    from bayesbl.figures.style import look
+    from bayesbl.presentation.figures.style import look
 
     for n, name in enumerate(ESTIMATORS):
         style, apart = look(n), 0.7 / len(ESTIMATORS)

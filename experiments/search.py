@@ -22,12 +22,12 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayesbl.inference.optimum import find_optimum, local_search, search_box, table_2_box
-from bayesbl.inference.refine import refine
-from bayesbl.physics.noise import NoiseModel
+from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
-from bayesbl.signal.objective import Objective
-from bayesbl.signal.parameters import (
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.optimum import find_optimum, local_search, search_box, table_2_box
+from bayesbl.ringing.refine import refine
+from bayesbl.ringing.symbols import (
     AMPLITUDE,
     FREQUENCY,
     MEAN,
@@ -39,7 +39,7 @@ from bayesbl.signal.parameters import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.signal.synthetic import draw_symbols, synthetic_recording
+from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 
 AMPLITUDE_RPM = 20.0
 SAME_RMSE = 1e-6

@@ -18,15 +18,15 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple
-from bayesbl.gap.branch import likeliest_branch
-from bayesbl.gap.change import MeasuredRinging, gaps
-from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.estimator import Estimator
-from bayesbl.physics.bench import Bench
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.curve_file import read_curve
+from bayesbl.ringing.estimator import Estimator
 
 WAYS = ("shared", "apart")
 

@@ -32,20 +32,20 @@ from pydantic import (
     model_validator,
 )
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
-from bayesbl.gap.branch import likeliest_branch
-from bayesbl.gap.change import MeasuredRinging, changes, gaps
-from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.calibration import coverage_band
-from bayesbl.inference.estimator import Estimator
-from bayesbl.inference.posterior import SamplerSettings
-from bayesbl.inference.simulated import GAP, observed
-from bayesbl.physics.bench import Bench
-from bayesbl.physics.noise import NoiseModel
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.matching.signals import GAP, observed
+from bayesbl.measurement.change import MeasuredRinging, changes, gaps
+from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.curve_file import read_curve
-from bayesbl.workflows.direct import fit_directly
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.calibration import coverage_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -195,8 +195,13 @@ def smallest_change(middle_rad: float, width_rad: float, power: float = POWER) -
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """Detection curves of each route: the share of pairs reported against the true change."""
-    from bayesbl.figures.layout import grid
-    from bayesbl.figures.style import DOUBLE_COLUMN_IN, head_panels, new_figure, publication_style
+    from bayesbl.presentation.figures.layout import grid
+    from bayesbl.presentation.figures.style import (
+        DOUBLE_COLUMN_IN,
+        head_panels,
+        new_figure,
+        publication_style,
+    )
 
     table = [line for line in table if line.get("smallest_mrad")]  # others have no curve
     routes = list(dict.fromkeys(str(line["route"]) for line in table))
@@ -214,7 +219,7 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
 def _draw_curves(panel: Axes, table: Sequence[Mapping[str, Any]]) -> None:
     from scipy.stats import binom, norm
 
-    from bayesbl.figures.style import NEUTRAL, look
+    from bayesbl.presentation.figures.style import NEUTRAL, look
 
     for index, line in enumerate(table):
         style = look(index)

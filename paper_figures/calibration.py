@@ -20,11 +20,11 @@ import xarray as xr
 from common import ROOT, PaperFigure, Stored, arrays, main
 from matplotlib.figure import Figure
 
-from bayesbl.figures.calibration import draw_calibration
-from bayesbl.inference.calibration import FALSE_ALARM, LEVELS, POINTS
+from bayesbl.presentation.figures.calibration import draw_calibration
 from bayesbl.results.calibration import WORDS
 from bayesbl.results.store import read_tree
-from bayesbl.workflows.study import stored_rows
+from bayesbl.runs.study import stored_rows
+from bayesbl.sampling.calibration import FALSE_ALARM, LEVELS, POINTS
 
 STUDIES = ("calibration_main", "calibration")
 RANKS = "calibration_ranks"

@@ -24,10 +24,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.errors import ResultError, UserError
-from bayesbl.figures.style import publication_style, save
-from bayesbl.physics.bench import Bench
+from bayesbl.presentation.figures.style import publication_style, save
 from bayesbl.results.store import read_tree
 
 ROOT = Path(__file__).parents[1]

@@ -11,9 +11,9 @@ from common import PaperFigure, Stored, arrays, main
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from bayesbl.figures.layout import grid
-from bayesbl.figures.style import DOUBLE_COLUMN_IN, new_figure
-from bayesbl.physics.effects import EFFECTS
+from bayesbl.bench.effects import EFFECTS
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, new_figure
 from bayesbl.units import in_words
 
 TABLES = ("hidden_effects_confusion", "hidden_effects_core_confusion")

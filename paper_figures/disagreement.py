@@ -10,8 +10,8 @@ from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.figures.layout import grid
-from bayesbl.figures.style import (
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
     NEUTRAL,

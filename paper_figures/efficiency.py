@@ -9,9 +9,15 @@ from common import PaperFigure, Stored, arrays, main, numbers
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.figures.layout import grid
-from bayesbl.figures.scales import plain_log_axis
-from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, head_panels, look, new_figure
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.scales import plain_log_axis
+from bayesbl.presentation.figures.style import (
+    DOUBLE_COLUMN_IN,
+    NEUTRAL,
+    head_panels,
+    look,
+    new_figure,
+)
 
 _WAYS = {
     "amplitude": "amplitude route (speed)",

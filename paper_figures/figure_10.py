@@ -7,10 +7,10 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.figures import gap
-from bayesbl.figures.change import told
-from bayesbl.figures.snapshots import GAP, credible_interval, snapshots
-from bayesbl.signal.parameters import AMPLITUDE
+from bayesbl.presentation.figures import gap
+from bayesbl.presentation.figures.change import told
+from bayesbl.presentation.figures.snapshots import GAP, credible_interval, snapshots
+from bayesbl.ringing.symbols import AMPLITUDE
 
 
 def data(stored: Stored) -> xr.DataTree:

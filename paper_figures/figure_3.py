@@ -10,9 +10,9 @@ from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.figures.layout import grid
-from bayesbl.figures.snapshots import snapshots
-from bayesbl.figures.style import (
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.snapshots import snapshots
+from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
     MODEL,
@@ -20,8 +20,8 @@ from bayesbl.figures.style import (
     head_panels,
     new_figure,
 )
-from bayesbl.signal.parameters import SYMBOLS
-from bayesbl.signal.waveform import impact, pulse_train
+from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.waveform import impact, pulse_train
 
 _DASHED = (0.0, (4.0, 2.0))
 

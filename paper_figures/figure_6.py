@@ -17,16 +17,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
 
+from bayesbl.bench.bench import Bench
 from bayesbl.errors import ResultError
-from bayesbl.figures.layout import grid
-from bayesbl.figures.snapshots import GAP, Snapshot, snapshots
-from bayesbl.figures.style import (
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.snapshots import GAP, Snapshot, snapshots
+from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MODEL,
     head_panels,
     new_figure,
 )
-from bayesbl.physics.bench import Bench
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,

@@ -7,9 +7,9 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.figures import disturbance
-from bayesbl.figures.disturbance import pulse_view
-from bayesbl.signal.parameters import DECAY, FREQUENCY
+from bayesbl.presentation.figures import disturbance
+from bayesbl.presentation.figures.disturbance import pulse_view
+from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 
 def data(stored: Stored) -> xr.DataTree:

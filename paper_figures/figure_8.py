@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.figures import curve
-from bayesbl.figures.curve import departures_from_curve
-from bayesbl.gap.curve import published_curve
+from bayesbl.curve.gap_curve import published_curve
+from bayesbl.presentation.figures import curve
+from bayesbl.presentation.figures.curve import departures_from_curve
 
 
 def data(stored: Stored) -> xr.DataTree:

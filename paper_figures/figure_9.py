@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.figures import signal
-from bayesbl.figures.snapshots import interval_name, snapshots
-from bayesbl.signal.parameters import SYMBOLS
+from bayesbl.presentation.figures import signal
+from bayesbl.presentation.figures.snapshots import interval_name, snapshots
+from bayesbl.ringing.symbols import SYMBOLS
 
 
 def data(stored: Stored) -> xr.DataTree:

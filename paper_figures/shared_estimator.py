@@ -11,9 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from bayesbl.figures.layout import grid
-from bayesbl.figures.scales import plain_log_axis
-from bayesbl.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, head_panels, look, new_figure
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.scales import plain_log_axis
+from bayesbl.presentation.figures.style import (
+    DOUBLE_COLUMN_IN,
+    NEUTRAL,
+    head_panels,
+    look,
+    new_figure,
+)
 
 ESTIMATORS = {
     "same": "the sweep's own",

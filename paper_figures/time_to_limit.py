@@ -7,9 +7,9 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.figures import wear
-from bayesbl.figures.snapshots import GAP
-from bayesbl.report.worn import sentences
+from bayesbl.presentation.figures import wear
+from bayesbl.presentation.figures.snapshots import GAP
+from bayesbl.presentation.wear import sentences
 from bayesbl.results.summary import summarise
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import bayesbl
 from bayesbl import cli
-from bayesbl.report.citations import all_bibtex, citations
+from bayesbl.presentation.citations import all_bibtex, citations
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -14,8 +14,8 @@ import typer
 
 from bayesbl import __version__
 from bayesbl.cli.bench import diagnose_command, effects_command, simulate_command, sweep_command
+from bayesbl.cli.configurations import check_command, init_command, run_command
 from bayesbl.cli.measuring import compare_command, fit_command
-from bayesbl.cli.start import check_command, init_command, run_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
 from bayesbl.errors import UserError
@@ -81,7 +81,7 @@ def main() -> None:
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, ``sys.argv``'s by default, and return its exit status."""
-    from bayesbl.report.console import error, make_console
+    from bayesbl.presentation.console import error, make_console
 
     try:
         app(arguments, prog_name="bayesbl")

@@ -31,7 +31,7 @@ def sweep_command(
     json: Json = False,
 ) -> None:
     """Sweep a virtual bench over its gap, for a gap curve of its own."""
-    from bayesbl.workflows.run import load_run
+    from bayesbl.runs.run import load_run
 
     loaded = load_run(config, kind="sweep", out=out, seed=seed, workers=workers)
     run_config(loaded, force, json)
@@ -46,7 +46,7 @@ def diagnose_command(
     json: Json = False,
 ) -> None:
     """Find what a bench lacks that recordings show."""
-    from bayesbl.workflows.run import load_run
+    from bayesbl.runs.run import load_run
 
     loaded = load_run(config, kind="diagnose", out=out, seed=seed, workers=workers)
     run_config(loaded, force, json)
@@ -58,9 +58,9 @@ def effects_command(
     ] = None,
 ) -> None:
     """Print the catalogue of physical effects, or one entry in full."""
-    from bayesbl.physics.effects import EFFECTS, effect_named
-    from bayesbl.report.catalogue import print_catalogue, print_effect
-    from bayesbl.report.console import make_console
+    from bayesbl.bench.effects import EFFECTS, effect_named
+    from bayesbl.presentation.catalogue import print_catalogue, print_effect
+    from bayesbl.presentation.console import make_console
 
     if name is None:
         print_catalogue(EFFECTS, make_console())

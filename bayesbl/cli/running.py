@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from bayesbl.config.sections import RunConfig
-    from bayesbl.workflows.measure import StageProgress
+    from bayesbl.measurement.amplitude_route import StageProgress
 
 
 def run_config(config: RunConfig, force: bool, json: bool) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
-    from bayesbl.report.console import make_console, print_result
-    from bayesbl.report.progress import progress
-    from bayesbl.workflows.run import run
+    from bayesbl.presentation.console import make_console, print_result
+    from bayesbl.presentation.progress import progress
+    from bayesbl.runs.run import run
 
     console = make_console(stderr=True)
     bars = _case_progress if config.kind == "study" else progress
@@ -47,7 +47,7 @@ def simulate(
     config: Path, out: Path | None, seed: int | None, workers: int | None, force: bool, json: bool
 ) -> None:
     """Make the recordings, and print the files written."""
-    from bayesbl.workflows.simulate import run_simulate
+    from bayesbl.runs.simulate import run_simulate
 
     files = run_simulate(config, out, seed, workers, force=force)
     if json:
@@ -74,9 +74,9 @@ def print_json(folder: Path) -> None:
 
 def tell_study(summary: dict[str, Any], folder: Path | None = None) -> None:
     """The table of a study; the commit of each row stands in the files."""
-    from bayesbl.report.console import make_console
-    from bayesbl.report.study import print_study
-    from bayesbl.workflows.study import table_columns
+    from bayesbl.presentation.console import make_console
+    from bayesbl.presentation.study import print_study
+    from bayesbl.runs.study import table_columns
 
     lines = summary["rows"]
     print_study(lines, [*table_columns(lines)[:-1], "seconds"], make_console())

@@ -29,21 +29,21 @@ def figures_command(result: ResultPath) -> None:
 def report_command(result: ResultPath) -> None:
     """Write a result as one HTML page, report.html, that opens anywhere."""
     from bayesbl.library import draw
-    from bayesbl.report.page.build import write_page
+    from bayesbl.presentation.page.build import write_page
 
     typer.echo(str(write_page(result, draw)))
 
 
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
-    from bayesbl.report.console import make_console, print_summary
+    from bayesbl.presentation.console import make_console, print_summary
     from bayesbl.results.store import read_tree
 
     tree = read_tree(result)
     if json:
         print_json(result if result.is_dir() else result.parent)
     elif tree.attrs["kind"] == "study":
-        from bayesbl.workflows.study import summarise_study
+        from bayesbl.runs.study import summarise_study
 
         tell_study(summarise_study(tree))
     else:
@@ -54,7 +54,7 @@ def cite_command(
     bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
 ) -> None:
     """Print what to cite, as text and as BibTeX."""
-    from bayesbl.report.citations import all_bibtex, told_citations
+    from bayesbl.presentation.citations import all_bibtex, told_citations
 
     if not bibtex:
         for line in told_citations():

@@ -15,6 +15,15 @@ from pydantic import (
     model_validator,
 )
 
+from bayesbl.bench.bench import (
+    Bench,
+    BenchEffect,
+    BenchParameter,
+    EffectParameterValue,
+    Measurement,
+)
+from bayesbl.bench.effects import EFFECT_BY_NAME
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.fields import (
     Section,
     as_tuple,
@@ -22,16 +31,7 @@ from bayesbl.config.fields import (
 )
 from bayesbl.config.files import load_file
 from bayesbl.errors import BenchError, ConfigError
-from bayesbl.physics.bench import (
-    Bench,
-    BenchEffect,
-    BenchParameter,
-    EffectParameterValue,
-    Measurement,
-)
-from bayesbl.physics.effects import EFFECT_BY_NAME
-from bayesbl.physics.noise import NoiseModel
-from bayesbl.physics.parameters import PARAMETER_INFO
+from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.channels import did_you_mean
 
 REFERENCE_BENCH = "reference_bench.toml"
@@ -257,7 +257,7 @@ def load_bench(path: str | Path) -> Bench:
 
 def reference_bench() -> Bench:
     """The bench that the package ships: its A(δ) follows the paper's eq. 4."""
-    with resources.as_file(resources.files("bayesbl.physics") / REFERENCE_BENCH) as path:
+    with resources.as_file(resources.files("bayesbl.bench") / REFERENCE_BENCH) as path:
         return load_bench(path)
 
 

@@ -24,7 +24,7 @@ Method = Literal["forward", "inverse", "free_motion"]
 def _effects(value: object) -> object:
     """Refused before the choice between ``"all"`` and a list, whose every branch would be told."""
     # Imported here: the catalogue stands on the compiled simulator, which takes a second.
-    from bayesbl.physics.effects import EFFECT_BY_NAME
+    from bayesbl.bench.effects import EFFECT_BY_NAME
 
     if value == "all":
         return value
@@ -42,7 +42,7 @@ def _effects(value: object) -> object:
 
 
 def _bench_parameter(name: str) -> str:
-    from bayesbl.physics.parameters import PARAMETER_INFO
+    from bayesbl.bench.parameters import PARAMETER_INFO
 
     if name not in PARAMETER_INFO:
         refuse(

@@ -18,7 +18,7 @@ from bayesbl.recording.channels import (
     is_mappable,
 )
 from bayesbl.results.folder import RESULT_FILE
-from bayesbl.signal.parameters import SYMBOLS
+from bayesbl.ringing.symbols import SYMBOLS
 
 BASE_DIRECTORY = "base_directory"
 """Key of the validation context: the folder that relative paths start from."""

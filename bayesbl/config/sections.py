@@ -26,7 +26,7 @@ from bayesbl.config.fields import (
     refuse,
 )
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.signal.parameters import (
+from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
     DEFAULT_FIXED,

@@ -25,7 +25,7 @@ from bayesbl.recording.channels import (
     did_you_mean,
 )
 from bayesbl.recording.clipping import require_unclipped, without_rails
-from bayesbl.recording.gaps import GRID_TOLERANCE, deviation_from_grid, runs
+from bayesbl.recording.lost_samples import GRID_TOLERANCE, deviation_from_grid, runs
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 

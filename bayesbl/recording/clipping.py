@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import CHANNELS
-from bayesbl.recording.gaps import LONGEST_GAP_S, MOST_LOST, runs
+from bayesbl.recording.lost_samples import LONGEST_GAP_S, MOST_LOST, runs
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
 
 DETACHED_RANGES = 1.0

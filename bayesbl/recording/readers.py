@@ -18,7 +18,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.csv_table import read_csv
-from bayesbl.recording.gaps import bridge
+from bayesbl.recording.lost_samples import bridge
 from bayesbl.recording.matlab import read_matlab
 from bayesbl.recording.netcdf import read_netcdf
 from bayesbl.recording.parquet import read_parquet

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesbl.inference.calibration import LEVELS, coverage, levels_missed, uniformity
+from bayesbl.sampling.calibration import LEVELS, coverage, levels_missed, uniformity
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -89,7 +89,7 @@ class Checkpoint:
 
 @dataclass(frozen=True, slots=True)
 class StageFiles:
-    """Finished stages of one snapshot (a :class:`bayesbl.inference.memory.Memory`)."""
+    """Finished stages of one snapshot (a :class:`bayesbl.ringing.memory.Memory`)."""
 
     checkpoint: Checkpoint
     prefix: str

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from bayesbl.curve.gap_curve import GapCurve, Ringing
 from bayesbl.errors import CurveError, ResultError
-from bayesbl.gap.curve import GapCurve, Ringing
 from bayesbl.results.store import read_tree, texts
 from bayesbl.results.tree import dataset
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.discrepancy.report import Diagnosis, Estimate, Gap
+from bayesbl.diagnosis.report import Diagnosis, Estimate, Gap
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.store import texts
 from bayesbl.results.tree import dataset

@@ -15,16 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from bayesbl.gap.change import Gap
-from bayesbl.inference.agreement import Disagreement
-from bayesbl.inference.direct import DirectPosterior
-from bayesbl.inference.estimator import Fit
-from bayesbl.inference.simulated import GAP, Unknown
-from bayesbl.physics.effects import EFFECT_BY_NAME
-from bayesbl.physics.parameters import PARAMETER_INFO
+from bayesbl.bench.effects import EFFECT_BY_NAME
+from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.matching.predictive_check import Disagreement
+from bayesbl.matching.signals import GAP, Unknown
+from bayesbl.measurement.change import Gap
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.tree import Variables, dataset, observed_group
-from bayesbl.signal.parameters import AMPLITUDE
+from bayesbl.ringing.estimator import Fit
+from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.units import unit_of
 
 DELTA = "delta_rad"
@@ -207,7 +207,7 @@ def _noise(posterior: DirectPosterior, index: int) -> xr.Dataset:
 
 
 def _check(check: Sequence[Disagreement]) -> xr.Dataset:
-    """Ratio and probability by channel and band; see :mod:`bayesbl.inference.agreement`."""
+    """Ratio and probability by channel and band; see :mod:`bayesbl.matching.predictive_check`."""
     channels = list(dict.fromkeys(entry.channel for entry in check))
     orders = list(dict.fromkeys(entry.highest_order for entry in check))
     shape = (len(channels), len(orders))

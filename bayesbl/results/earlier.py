@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 from bayesbl.errors import ResultError
-from bayesbl.inference.warm import EarlierOptimum
 from bayesbl.results.store import read_tree, texts
-from bayesbl.signal.parameters import SYMBOLS
+from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.warm_start import EarlierOptimum
 
 KINDS = ("fit", "compare")
 

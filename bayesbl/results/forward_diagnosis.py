@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.discrepancy.forward.diagnosis import ForwardDiagnosis, estimates, places
-from bayesbl.discrepancy.forward.evaluate import ChannelGap
-from bayesbl.discrepancy.forward.naming import NamedEffect
-from bayesbl.discrepancy.report import Estimate
-from bayesbl.inference.direct import DirectPosterior
-from bayesbl.inference.simulated import GAP
-from bayesbl.physics.bench import Bench
+from bayesbl.bench.bench import Bench
+from bayesbl.diagnosis.closed_loop.diagnosis import ForwardDiagnosis, estimates, places
+from bayesbl.diagnosis.closed_loop.evaluate import ChannelGap
+from bayesbl.diagnosis.closed_loop.naming import NamedEffect
+from bayesbl.diagnosis.report import Estimate
+from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.matching.signals import GAP
 from bayesbl.results.diagnosis import GAP_WORDS, interval_of
 from bayesbl.results.direct_tree import result_name, unit_and_meaning
 from bayesbl.results.intervals import IntervalKind, interval

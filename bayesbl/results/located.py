@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayesbl.discrepancy.attribution import Line
-from bayesbl.discrepancy.left_over import MAP_POINTS
-from bayesbl.discrepancy.locate import ChannelLeft, Located
-from bayesbl.discrepancy.unexplained import describe_unexplained
+from bayesbl.diagnosis.residuals.attribution import Line
+from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
+from bayesbl.diagnosis.residuals.locate import ChannelLeft, Located
+from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.results.tree import dataset
 from bayesbl.units import unit_of

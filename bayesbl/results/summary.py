@@ -14,7 +14,7 @@ from bayesbl.results.direct_summary import amplitude_reasons, direct_snapshot
 from bayesbl.results.intervals import interval
 from bayesbl.results.store import texts
 from bayesbl.results.wear import summarise_wear
-from bayesbl.signal.parameters import SYMBOLS
+from bayesbl.ringing.symbols import SYMBOLS
 
 SOURCE_PREFIX = "source_"
 """Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""

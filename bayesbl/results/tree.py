@@ -15,13 +15,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from bayesbl.gap.change import Change, Gap
-from bayesbl.gap.curve import GapCurve
-from bayesbl.inference.estimator import Fit
-from bayesbl.inference.second_opinion import SamplerCheck
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.measurement.change import Change, Gap
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
-from bayesbl.signal.jacobian import jacobian_columns
-from bayesbl.signal.parameters import ROTATION, SYMBOLS
+from bayesbl.ringing.estimator import Fit
+from bayesbl.ringing.jacobian import jacobian_columns
+from bayesbl.ringing.second_sampler import SamplerCheck
+from bayesbl.ringing.symbols import ROTATION, SYMBOLS
 from bayesbl.units import unit_of
 
 PREDICTIVE_DRAWS = 100

@@ -1,9 +1,9 @@
 """Wear in time, as ``result.nc`` and ``summary.json`` of a comparison hold it.
 
 Group ``wear`` of ``result.nc``: ``date`` of every snapshot and whether it is ``used`` (taken since
-the last repair), and the draws of :class:`bayesbl.gap.wear.Wear`. Attributes: ``reason`` where the
-answer is withheld, ``decide_before`` where that was asked, and with three snapshots or more those
-of :class:`bayesbl.gap.wear.Straightness`, ``line_`` before their names.
+the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
+where the answer is withheld, ``decide_before`` where that was asked, and with three snapshots or
+more those of :class:`bayesbl.measurement.wear.Straightness`, ``line_`` before their names.
 
 Keys of ``wear`` in ``summary.json`` (the whole is ``null`` where no snapshot is dated):
 
@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.gap.wear import (
+from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
     LONGEST_YEARS,
     Straightness,

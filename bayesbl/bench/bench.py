@@ -1,0 +1,389 @@
+"""The virtual bench: parameters with tolerances, measurement, effects; simulates recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
+from bayesbl.bench.parameters import (
+    PARAMETER_INFO,
+    check_parameters,
+    rotation_period_s,
+    slot_of,
+)
+from bayesbl.bench.simulation import (
+    DEFAULT_ACCURACY_RPM,
+    simulate_channels,
+    simulate_speeds,
+)
+from bayesbl.bench.steady import noise_through_loop
+from bayesbl.errors import BenchError
+from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+FloatArray = NDArray[np.float64]
+
+GapForm = Literal["arctan", "dead_zone"]
+Drive = Literal["two_mass", "rigid"]
+SpeedSource = Literal["sensor", "encoder"]
+
+# Increased when the same bench gives other signals, so that cached results are not mixed.
+_SIGNALS_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class BenchParameter:
+    """Value of one bench parameter and the half-width of its uniform prior, in its own unit."""
+
+    value: float
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameterValue:
+    """Value of one effect's parameter and its standard deviation as it was estimated."""
+
+    value: float
+    sd: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BenchEffect:
+    """An effect that this bench has, by its catalogue name, with its parameters."""
+
+    name: str
+    parameters: Mapping[str, EffectParameterValue]
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """How the bench is seen.
+
+    Attributes
+    ----------
+    encoder_counts
+        Counts per motor revolution; ``None`` for an ideal encoder.
+    speed_source
+        ``sensor``: the speed the controller sees, with noise. ``encoder``: backward difference
+        of the recorded position over one sample (the first sample repeats the second), no noise
+        of its own.
+    speed_noise, current_noise
+        In rpm and A.
+    noise_through_controller
+        The speed noise is inside the loop: the controller answers it, on the linear bench in
+        contact, and the recorded speed holds the motor's answer too.
+    """
+
+    encoder_counts: int | None = None
+    speed_source: SpeedSource = "sensor"
+    speed_noise: NoiseModel = NO_NOISE
+    current_noise: NoiseModel = NO_NOISE
+    noise_through_controller: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Two masses, a gap between them, gravity and a speed loop (design.md section 3).
+
+    ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
+    ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
+    with recordings but not simulated in steady rotation.
+    """
+
+    parameters: Mapping[str, BenchParameter]
+    gap_form: GapForm = "arctan"
+    drive: Drive = "two_mass"
+    measurement: Measurement = Measurement()
+    effects: tuple[BenchEffect, ...] = ()
+    assumed: frozenset[str] = frozenset()
+    _vector: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.parameters if name not in PARAMETER_INFO]
+        if unknown:
+            raise BenchError(
+                "There is no such bench parameter.",
+                found=unknown[0],
+                expected="one of " + ", ".join(PARAMETER_INFO),
+            )
+        if self.assumed and self.drive != "rigid":
+            raise BenchError("A bench of two masses needs this.", where=min(self.assumed))
+        complete: dict[str, BenchParameter] = {}
+        for name, info in PARAMETER_INFO.items():
+            if name in self.parameters:
+                complete[name] = self.parameters[name]
+            elif info.default is not None:
+                complete[name] = BenchParameter(info.default)
+            else:
+                raise BenchError("A bench needs this parameter.", where=name, expected=info.meaning)
+        object.__setattr__(self, "parameters", MappingProxyType(complete))
+        vector = self._flat()
+        check_parameters(vector[None, :])
+        object.__setattr__(self, "_vector", vector)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only mappings and arrays do not cross process boundaries as they are.
+        plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
+        return Bench, (*plain, self.assumed)
+
+    def _flat(self) -> FloatArray:
+        vector = np.zeros(SLOTS)
+        for name, parameter in self.parameters.items():
+            vector[Slot[name]] = parameter.value
+        vector[Slot.hard_dead_zone] = float(self.gap_form == "dead_zone")
+        vector[Slot.rigid] = float(self.drive == "rigid")
+        for present in self.effects:
+            given = {name: item.value for name, item in present.parameters.items()}
+            for slot, value in effect_named(present.name).values(given).items():
+                vector[slot] = value
+        vector.setflags(write=False)
+        return vector
+
+    def value(self, name: str) -> float:
+        """Value of a bench parameter, run setting or ``effect.parameter``."""
+        return float(self._vector[slot_of(name)])
+
+    @property
+    def tolerances(self) -> dict[str, float]:
+        """Half-width of every parameter that is not known exactly, in its own unit."""
+        return {name: item.tolerance for name, item in self.parameters.items() if item.tolerance}
+
+    def with_parameters(self, **values: float) -> Bench:
+        """The same bench with other values; relative tolerances keep their share."""
+        changed = dict(self.parameters)
+        for name, value in values.items():
+            if name not in changed:
+                slot_of(name)
+                raise BenchError("This is not a parameter of the bench itself.", found=name)
+            old = changed[name]
+            share = abs(value / old.value) if old.value else 1.0
+            changed[name] = BenchParameter(float(value), old.tolerance * share)
+        return dataclasses.replace(self, parameters=changed)
+
+    def with_effects(self, *effects: BenchEffect) -> Bench:
+        """The same bench with these effects instead of its own."""
+        return dataclasses.replace(self, effects=tuple(effects))
+
+    def with_measurement(self, measurement: Measurement) -> Bench:
+        """The same bench, seen otherwise."""
+        return dataclasses.replace(self, measurement=measurement)
+
+    def draw(self, rng: np.random.Generator) -> Bench:
+        """A bench drawn uniformly within the tolerances, known exactly.
+
+        One number is drawn for each parameter, tolerance or not, so that giving one more
+        parameter a tolerance does not change the others' draws.
+        """
+        shifts = rng.uniform(-1.0, 1.0, len(self.parameters))
+        drawn = {
+            name: BenchParameter(item.value + item.tolerance * float(shift))
+            for (name, item), shift in zip(self.parameters.items(), shifts, strict=True)
+        }
+        return dataclasses.replace(self, parameters=drawn)
+
+    def rotation_period_s(self, reference_speed_rpm: float | None = None) -> float:
+        """Time of one load rotation T_w = 2πN/|ω_ref|, s."""
+        return float(rotation_period_s(self.vector(reference_speed_rpm=reference_speed_rpm))[0])
+
+    def vector(self, **settings: Any) -> FloatArray:
+        """Parameter matrix for simulations that differ in these settings.
+
+        Parameters
+        ----------
+        settings
+            Names of ``kernel.Slot`` (``effect__parameter`` for effects), each a number or an array
+            of shape (m,); ``None`` leaves the bench's value.
+
+        Returns
+        -------
+        Array of shape (m, SLOTS); m is 1 if all are numbers.
+        """
+        given = {
+            slot_of(name): np.asarray(v, float) for name, v in settings.items() if v is not None
+        }
+        shape = np.broadcast_shapes((1,), *(values.shape for values in given.values()))
+        matrix = np.tile(self._vector, (shape[0], 1))
+        for slot, values in given.items():
+            matrix[:, slot] = values
+        return matrix
+
+    def simulate_many(
+        self,
+        gap_rad: float | FloatArray,
+        *,
+        rotations: float = 5.0,
+        sampling_hz: float = 1000.0,
+        start_angle_rad: float | FloatArray = 0.0,
+        reference_speed_rpm: float | None = None,
+        overrides: Mapping[str, float | FloatArray] | None = None,
+        channels: Literal["speed", "all"] = "speed",
+        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+        workers: int = 1,
+    ) -> FloatArray:
+        """Noise-free signals for arrays of gaps, start angles and parameter values of length m.
+
+        The number of samples is that of the nominal reference speed.
+
+        Returns
+        -------
+        Shape (m, n) in rpm for ``channels="speed"``; (m, 3, n) with position, speed and current
+        (rad, rpm, A) for ``"all"``.
+
+        Raises
+        ------
+        BenchError
+            As :func:`simulate_speeds`.
+        """
+        matrix = self.vector(
+            gap_rad=gap_rad,
+            start_angle_rad=start_angle_rad,
+            reference_speed_rpm=reference_speed_rpm,
+            **dict(overrides or {}),
+        )
+        samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
+        simulate = simulate_speeds if channels == "speed" else simulate_channels
+        return simulate(matrix, samples, sampling_hz, accuracy_rpm=accuracy_rpm, workers=workers)
+
+    def samples(
+        self, rotations: float, sampling_hz: float, reference_speed_rpm: float | None = None
+    ) -> int:
+        """Number of samples in so many load rotations, both ends included.
+
+        Raises
+        ------
+        BenchError
+            If the bench leaves out what a steady rotation needs.
+        """
+        missing = [name for name in sorted(self.assumed) if not name.startswith("shaft_")]
+        if missing:
+            raise BenchError(
+                "This bench leaves out what drives it, so it cannot be simulated in steady "
+                "rotation; it can be compared with recordings.",
+                where="[parameters]",
+                found="no " + ", ".join(missing),
+            )
+        period = self.rotation_period_s(reference_speed_rpm)
+        count = round(rotations * period * sampling_hz, 6)
+        if not count >= 1:
+            raise BenchError(
+                "A recording needs at least two samples.", where="rotations", found=rotations
+            )
+        return math.floor(count) + 1
+
+    def simulate(
+        self,
+        gap_rad: float,
+        *,
+        rotations: float = 5.0,
+        sampling_hz: float = 1000.0,
+        start_angle_rad: float = 0.0,
+        reference_speed_rpm: float | None = None,
+        motor_start_angle_rad: float | None = None,
+        seed: np.random.Generator | None = None,
+        name: str = "simulated",
+        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+        overrides: Mapping[str, float] | None = None,
+    ) -> Recording:
+        """One recording in steady rotation.
+
+        Parameters
+        ----------
+        gap_rad
+            Half the clearance δ, an angle at the load.
+        rotations, sampling_hz
+            Length in load rotations, and rate.
+        start_angle_rad
+            Load angle at the first sample; 0 hangs straight down.
+        reference_speed_rpm
+            Of the motor, negative for reverse; the bench's own if ``None``.
+        motor_start_angle_rad
+            Makes the recorded position absolute; ``None``: it begins at zero.
+        seed
+            Generator of the noise; ``None`` for none.
+        name, accuracy_rpm
+            Of the recording; largest error of the simulated speed.
+        overrides
+            Other parameter values for this recording, by name.
+
+        Raises
+        ------
+        BenchError
+            If a parameter makes no sense or the simulation fails.
+        """
+        absolute = motor_start_angle_rad is not None
+        parameters = self.vector(
+            gap_rad=gap_rad,
+            start_angle_rad=start_angle_rad,
+            reference_speed_rpm=reference_speed_rpm,
+            motor_start_angle_rad=motor_start_angle_rad,
+            **dict(overrides or {}),
+        )
+        reference = float(parameters[0, Slot.reference_speed_rpm])
+        samples = self.samples(rotations, sampling_hz, reference)
+        position, speed, current = simulate_channels(
+            parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
+        )[0, [POSITION, SPEED, CURRENT]]
+        if absolute:
+            offset = parameters[0, Slot.gear_ratio] * start_angle_rad - motor_start_angle_rad
+        else:
+            offset = position[0]
+        return Recording(
+            name=name,
+            time_s=np.arange(samples) / sampling_hz,
+            channels=self._measured(
+                position - offset, speed, current, parameters[0], sampling_hz, seed
+            ),
+            metadata={
+                "simulated": True,
+                "bench": self.fingerprint(),
+                "gap_rad": float(gap_rad),
+                "start_angle_rad": float(start_angle_rad),
+                "reference_speed_rpm": reference,
+            },
+        )
+
+    def _measured(
+        self,
+        position: FloatArray,
+        speed: FloatArray,
+        current: FloatArray,
+        parameters: FloatArray,
+        sampling_hz: float,
+        rng: np.random.Generator | None,
+    ) -> dict[str, FloatArray]:
+        seen = self.measurement
+        if rng is not None:
+            noise = seen.speed_noise.draw(speed.size, rng)
+            current = current + seen.current_noise.draw(speed.size, rng)
+            if seen.noise_through_controller:
+                motion, answer = noise_through_loop(parameters, noise, 1.0 / sampling_hz)
+                noise = noise + motion
+                current = current + answer
+            speed = speed + noise
+        if seen.encoder_counts is not None:
+            position = quantised(position, seen.encoder_counts)
+        if seen.speed_source == "encoder":
+            difference = np.diff(position) * sampling_hz * RPM_PER_RAD_PER_S
+            speed = np.concatenate((difference[:1], difference))
+        return {MOTOR_POSITION: position, MOTOR_SPEED: speed, MOTOR_CURRENT: current}
+
+    def fingerprint(self) -> str:
+        """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
+        content = {
+            "version": _SIGNALS_VERSION,
+            "vector": [repr(float(value)) for value in self._vector],
+            "speed_source": self.measurement.speed_source,
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

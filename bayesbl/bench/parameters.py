@@ -1,0 +1,220 @@
+"""The bench's own parameters: name, unit, meaning, sign; and the flat vector they travel in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.bench.kernel import SLOTS, Slot
+from bayesbl.errors import BenchError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterInfo:
+    """What a bench parameter is.
+
+    ``positive``: it must be above zero; otherwise zero is allowed, and negative values only where
+    ``signed``. ``default``: value in a bench file that does not give it, ``None`` if it must.
+    ``idle``: value in the file of a rigid bench that does not give it and is only compared with
+    recordings, never driven.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    positive: bool = True
+    signed: bool = False
+    default: float | None = None
+    idle: float | None = None
+
+
+BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
+    ParameterInfo("gear_ratio", "", "gear ratio N, motor turns per load turn"),
+    ParameterInfo("motor_inertia_kg_m2", "kg m²", "inertia of the motor J_m"),
+    ParameterInfo("load_inertia_kg_m2", "kg m²", "inertia of the load J_l"),
+    ParameterInfo(
+        "shaft_stiffness_nm_per_rad",
+        "N m/rad",
+        "torsional stiffness K_s, seen at the load",
+        idle=1.0,
+    ),
+    ParameterInfo(
+        "shaft_damping_nm_s_per_rad",
+        "N m s/rad",
+        "torsional damping D_s, seen at the load",
+        positive=False,
+        idle=0.0,
+    ),
+    ParameterInfo(
+        "gravity_torque_nm",
+        "N m",
+        "largest torque of gravity on the load m g l",
+        positive=False,
+        default=0.0,
+    ),
+    ParameterInfo(
+        "speed_gain_nm_s_per_rad", "N m s/rad", "speed controller, proportional K_p", idle=1.0
+    ),
+    ParameterInfo(
+        "integral_gain_nm_per_rad",
+        "N m/rad",
+        "speed controller, integral K_i",
+        positive=False,
+        idle=0.0,
+    ),
+    ParameterInfo(
+        "position_gain_per_s",
+        "1/s",
+        "outer position controller, proportional; 0 for none",
+        positive=False,
+        default=0.0,
+    ),
+    ParameterInfo("torque_constant_nm_per_a", "N m/A", "motor torque per current K_t", idle=1.0),
+    ParameterInfo(
+        "current_limit_a", "A", "largest current the controller asks for i_max", idle=1.0
+    ),
+    ParameterInfo(
+        "reference_speed_rpm",
+        "rpm",
+        "reference speed ω_ref, negative for reverse",
+        signed=True,
+        idle=1.0,
+    ),
+    ParameterInfo(
+        "stiffness_sharpness_per_rad",
+        "1/rad",
+        "sharpness α of the arctan stiffness at the edges of the gap",
+        default=1e6,
+    ),
+)
+
+PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
+
+SMALLEST_SHARPNESS_GAP = 50.0
+"""α·δ below which the arctan form has no dead zone left, only a weak shaft."""
+
+
+def label(slot: Slot) -> str:
+    """A slot as a user writes it: ``load_coulomb_friction.torque_nm``."""
+    return slot.name.replace("__", ".")
+
+
+def slot_of(name: str) -> Slot:
+    """Slot of a bench parameter, run setting or ``effect.parameter``.
+
+    Raises
+    ------
+    BenchError
+        If there is no such parameter.
+    """
+    try:
+        return Slot[name.replace(".", "__")]
+    except KeyError:
+        raise BenchError(
+            "There is no such parameter in the simulator.",
+            found=name,
+            expected="one of " + ", ".join(label(slot) for slot in Slot),
+        ) from None
+
+
+def check_parameters(matrix: FloatArray) -> None:
+    """Refuse parameter vectors without physical sense.
+
+    Parameters
+    ----------
+    matrix
+        Shape (m, SLOTS), one parameter vector a row.
+
+    Raises
+    ------
+    BenchError
+        Naming the parameter, the row's value and what was expected.
+    """
+    if matrix.ndim != 2 or matrix.shape[1] != SLOTS:
+        raise BenchError(
+            "A parameter matrix has one row for each simulation and one column for each slot.",
+            found=f"shape {matrix.shape}",
+            expected=f"(m, {SLOTS})",
+        )
+    for slot in Slot:
+        _refuse_where(~np.isfinite(matrix[:, slot]), matrix, slot, "a finite number")
+    for info in BENCH_PARAMETERS:
+        slot = Slot[info.name]
+        values = matrix[:, slot]
+        if info.signed:
+            _refuse_where(values == 0.0, matrix, slot, "a number other than zero")
+        elif info.positive:
+            _refuse_where(values <= 0.0, matrix, slot, "a number above zero")
+        else:
+            _refuse_where(values < 0.0, matrix, slot, "zero or a number above it")
+    _check_gap(matrix)
+    _check_effects(matrix)
+
+
+def _check_gap(matrix: FloatArray) -> None:
+    _refuse_where(matrix[:, Slot.gap_rad] < 0.0, matrix, Slot.gap_rad, "zero or a number above it")
+    gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
+    sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
+    arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)
+    weak = arctan & (gap > 0.0) & (sharpness * gap < SMALLEST_SHARPNESS_GAP)
+    if weak.any():
+        row = int(np.argmax(weak))
+        raise BenchError(
+            "The arctan stiffness has no dead zone at so small a gap: stiffness_sharpness_per_rad "
+            f"times the gap must be 0 or at least {SMALLEST_SHARPNESS_GAP:g}, or the shaft is "
+            'only weakened everywhere. Use gap_form = "dead_zone", a larger sharpness, or no '
+            "gap.",
+            where="stiffness_sharpness_per_rad * gap_rad",
+            found=f"{sharpness[row]:g} * {gap[row]:g} = {sharpness[row] * gap[row]:.3g}",
+        )
+
+
+_NOT_NEGATIVE = (
+    Slot.backlash__gap_rad,
+    Slot.motor_coulomb_friction__torque_nm,
+    Slot.motor_viscous_friction__coefficient_nm_s_per_rad,
+    Slot.load_coulomb_friction__torque_nm,
+    Slot.load_viscous_friction__coefficient_nm_s_per_rad,
+    Slot.gear_mesh_friction__coefficient,
+    Slot.current_loop_lag__time_s,
+    Slot.speed_sensor_lag__time_s,
+)
+
+
+def _check_effects(matrix: FloatArray) -> None:
+    for slot in _NOT_NEGATIVE:
+        _refuse_where(matrix[:, slot] < 0.0, matrix, slot, "zero or a number above it")
+    eccentricity = Slot.encoder_eccentricity__angle_rad
+    _refuse_where(
+        np.abs(matrix[:, eccentricity]) >= 1.0, matrix, eccentricity, "between -1 and 1 rad"
+    )
+    for amplitude, scale in (
+        (Slot.motor_stribeck_friction__torque_nm, Slot.motor_stribeck_friction__speed_rad_per_s),
+        (Slot.shaft_hysteresis__torque_nm, Slot.shaft_hysteresis__angle_rad),
+    ):
+        wrong = (matrix[:, amplitude] != 0.0) & (matrix[:, scale] <= 0.0)
+        _refuse_where(wrong, matrix, scale, "a number above zero")
+
+
+def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise BenchError(
+            "This value makes no physical sense.",
+            where=label(slot),
+            found=f"{matrix[row, slot]:g}",
+            expected=expected,
+        )
+
+
+def rotation_period_s(matrix: FloatArray) -> FloatArray:
+    """Time of one load rotation T_w = 2πN/|ω_ref| for each row, s."""
+    speed = np.abs(matrix[:, Slot.reference_speed_rpm]) * (2.0 * math.pi / 60.0)
+    period: FloatArray = 2.0 * math.pi * matrix[:, Slot.gear_ratio] / speed
+    return period

@@ -1,0 +1,186 @@
+"""Many simulations at once over the cores, from flat parameter vectors to arrays."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.bench import kernel
+from bayesbl.bench.kernel import STATES, Slot
+from bayesbl.bench.parameters import check_parameters
+from bayesbl.bench.steady import settling_time_s
+from bayesbl.errors import BenchError
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_ACCURACY_RPM = 0.01
+
+_REASONS = {
+    kernel.DIVERGED: "the simulation diverged: the motor ran away or no step is short enough",
+    kernel.TOO_MANY_STEPS: "the simulation needs steps far shorter than any oscillation of the "
+    "bench: a time constant or a friction width is out of proportion",
+    kernel.SATURATED: "the motor cannot turn the load round: the torque that gravity and friction "
+    "ask for exceeds torque_constant_nm_per_a times current_limit_a, or the speed loop does not "
+    "reach its reference",
+}
+
+
+def simulate_speeds(
+    parameter_matrix: FloatArray,
+    samples: int,
+    sampling_hz: float,
+    *,
+    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    workers: int = 1,
+    failures: str = "raise",
+) -> FloatArray:
+    """Noise-free motor speed in steady rotation, as the controller sees it.
+
+    Parameters
+    ----------
+    parameter_matrix
+        Shape (m, SLOTS), one simulation a row (see ``kernel.Slot``).
+    samples, sampling_hz
+        Number n and rate of the samples; the first lies where the load passes the start angle.
+    accuracy_rpm
+        Largest error of the speed, rpm.
+    workers
+        Threads; the numbers do not depend on it.
+    failures
+        ``"raise"``, or ``"nan"`` to fill failed rows with nan, as samplers want it.
+
+    Returns
+    -------
+    Array of shape (m, n), rpm.
+
+    Raises
+    ------
+    BenchError
+        If a parameter makes no sense, or a simulation fails and ``failures`` is ``"raise"``.
+    """
+    out = np.empty((parameter_matrix.shape[0], 1, samples))
+    _fill(parameter_matrix, out, sampling_hz, accuracy_rpm, workers, failures)
+    return out[:, 0, :]
+
+
+def simulate_channels(
+    parameter_matrix: FloatArray,
+    samples: int,
+    sampling_hz: float,
+    *,
+    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    workers: int = 1,
+    failures: str = "raise",
+) -> FloatArray:
+    """As :func:`simulate_speeds`, with position and current: shape (m, 3, n).
+
+    Channels in the order position in rad (continuing from one turn to the next, not yet begun at
+    zero, not quantised), speed in rpm, current in A.
+    """
+    out = np.empty((parameter_matrix.shape[0], 3, samples))
+    _fill(parameter_matrix, out, sampling_hz, accuracy_rpm, workers, failures)
+    return out
+
+
+def simulate_states(
+    parameters: FloatArray,
+    initial_state: FloatArray,
+    samples: int,
+    sampling_hz: float,
+    *,
+    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+) -> FloatArray:
+    """All states from a given one on: free motion, transients, laws. Shape (8, n), SI.
+
+    States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
+    sensed speed, Dahl z; the last three are zero while no effect is on. The position loop's ramp
+    starts at the initial motor angle. No check of the parameters, so gains may be zero here.
+    """
+    c = kernel.constants(parameters, initial_state[0], 0.0)
+    size = STATES if c.effects else kernel.DRIVE_TORQUE
+    state = np.array(initial_state[:size], dtype=float)
+    out = np.zeros((STATES, samples))
+    stop = (samples - 1) / sampling_hz * (1.0 + 1e-12)
+    status, time, _ = kernel.integrate(
+        0.0,
+        state,
+        stop,
+        math.copysign(math.inf, parameters[Slot.reference_speed_rpm]),
+        0.0,
+        1.0 / sampling_hz,
+        out,
+        parameters,
+        c,
+        accuracy_rpm,
+    )
+    if status != kernel.DONE:
+        raise BenchError(f"At {time:.4g} s {_REASONS[status]}.")
+    return out
+
+
+def start_states(
+    parameter_matrix: FloatArray, *, accuracy_rpm: float = DEFAULT_ACCURACY_RPM
+) -> FloatArray:
+    """States at the first sample of a steady rotation, shape (m, 8), SI."""
+    states = np.empty((parameter_matrix.shape[0], STATES))
+    out = np.empty((parameter_matrix.shape[0], 1, 1))
+    _fill(parameter_matrix, out, 1.0, accuracy_rpm, 1, "raise", states)
+    return states
+
+
+def _fill(
+    matrix: FloatArray,
+    out: FloatArray,
+    sampling_hz: float,
+    accuracy_rpm: float,
+    workers: int,
+    failures: str,
+    states: FloatArray | None = None,
+) -> None:
+    if not (accuracy_rpm > 0.0 and sampling_hz > 0.0 and out.shape[2] > 0):
+        raise BenchError(
+            "A simulation needs an accuracy, a sampling rate and a number of samples above zero.",
+            found=f"{accuracy_rpm:g} rpm, {sampling_hz:g} Hz, {out.shape[2]} samples",
+        )
+    matrix = np.ascontiguousarray(matrix, dtype=float)
+    check_parameters(matrix)
+    settling = settling_time_s(matrix, accuracy_rpm)
+    if states is None:
+        states = np.empty((matrix.shape[0], STATES))
+    status = np.empty(matrix.shape[0], dtype=np.int64)
+
+    def run(rows: NDArray[np.int64]) -> None:
+        for row in rows:
+            status[row], _ = kernel.simulate(
+                matrix[row], settling[row], 1.0 / sampling_hz, accuracy_rpm, out[row], states[row]
+            )
+
+    rows = np.arange(matrix.shape[0])
+    if workers <= 1 or rows.size == 1:
+        run(rows)
+    else:
+        # Small pieces, so that slow rows do not leave a core idle; each row is on its own, so
+        # the numbers do not depend on how they are dealt out.
+        pieces = np.array_split(rows, min(rows.size, 8 * workers))
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run, pieces))
+    failed = np.flatnonzero(status != kernel.DONE)
+    if failed.size and failures == "nan":
+        out[failed] = np.nan
+    elif failed.size:
+        raise _failure(matrix, int(failed[0]), int(status[failed[0]]))
+
+
+def _failure(matrix: FloatArray, row: int, status: int) -> BenchError:
+    values = matrix[row]
+    shown = {
+        "gap": (Slot.gap_rad, "rad"),
+        "reference speed": (Slot.reference_speed_rpm, "rpm"),
+        "current limit": (Slot.current_limit_a, "A"),
+    }
+    found = ", ".join(f"{name} {values[slot]:g} {unit}" for name, (slot, unit) in shown.items())
+    number = f"Simulation {row + 1} of {matrix.shape[0]}: " if matrix.shape[0] > 1 else ""
+    return BenchError(f"{number}{_REASONS[status]}.", found=found)

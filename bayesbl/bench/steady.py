@@ -1,0 +1,180 @@
+"""Linear bench in contact: how fast transients die, and what the loop does to sensor noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from bayesbl.bench.kernel import RPM, Slot
+from bayesbl.bench.parameters import rotation_period_s
+from bayesbl.errors import BenchError
+
+FloatArray = NDArray[np.float64]
+
+# The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start
+# is off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this
+# takes longer than twenty rotations are cut there.
+_START_ERROR_RPM = 20.0
+_SHARE_OF_ACCURACY = 0.1
+_MOST_ROTATIONS = 20.0
+# Lags of zero become this short: faster than anything else in the bench.
+_SHORTEST_LAG_S = 1e-6
+_ABSENT = -1e6
+
+SPEED, TWIST, TWIST_SPEED, INTEGRAL, TORQUE, SENSED, ANGLE = range(7)
+
+
+def contact_matrices(matrix: FloatArray) -> FloatArray:
+    """System matrices of the linear bench on one tooth flank.
+
+    States: motor speed, twist, twist speed, integral of the speed error, drive torque, sensed
+    speed, motor angle; friction and gravity are left out. States that a bench does not have decay
+    at once and touch nothing.
+
+    Parameters
+    ----------
+    matrix
+        Parameter vectors, shape (m, SLOTS).
+
+    Returns
+    -------
+    Array of shape (m, 7, 7), 1/s and SI.
+    """
+
+    def column(slot: Slot) -> FloatArray:
+        values: FloatArray = matrix[:, slot]
+        return values
+
+    ratio = column(Slot.gear_ratio)
+    motor = column(Slot.motor_inertia_kg_m2)
+    load = column(Slot.load_inertia_kg_m2)
+    stiffness = column(Slot.shaft_stiffness_nm_per_rad)
+    damping = column(Slot.shaft_damping_nm_s_per_rad)
+    gain = column(Slot.speed_gain_nm_s_per_rad)
+    integral = column(Slot.integral_gain_nm_per_rad)
+    outer = column(Slot.position_gain_per_s)
+    rigid = column(Slot.rigid) != 0.0
+    torque_lag = np.maximum(column(Slot.current_loop_lag__time_s), _SHORTEST_LAG_S)
+    speed_lag = np.maximum(column(Slot.speed_sensor_lag__time_s), _SHORTEST_LAG_S)
+
+    a = np.zeros((matrix.shape[0], 7, 7))
+    a[:, SPEED, TWIST] = np.where(rigid, 0.0, -stiffness / (ratio * motor))
+    a[:, SPEED, TWIST_SPEED] = np.where(rigid, 0.0, -damping / (ratio * motor))
+    a[:, SPEED, TORQUE] = 1.0 / (motor + np.where(rigid, load / ratio**2, 0.0))
+    a[:, TWIST, TWIST_SPEED] = 1.0
+    a[:, TWIST_SPEED] = a[:, SPEED] / ratio[:, None]
+    a[:, TWIST_SPEED, TWIST] -= stiffness / load
+    a[:, TWIST_SPEED, TWIST_SPEED] -= damping / load
+    a[:, INTEGRAL, SENSED] = -1.0
+    a[:, INTEGRAL, ANGLE] = -outer
+    a[:, TORQUE, SENSED] = -gain / torque_lag
+    a[:, TORQUE, ANGLE] = -gain * outer / torque_lag
+    a[:, TORQUE, INTEGRAL] = integral / torque_lag
+    a[:, TORQUE, TORQUE] = -1.0 / torque_lag
+    a[:, SENSED, SPEED] = 1.0 / speed_lag
+    a[:, SENSED, SENSED] = -1.0 / speed_lag
+    a[:, ANGLE, SPEED] = 1.0
+
+    for state, absent in (
+        (INTEGRAL, integral == 0.0),
+        (ANGLE, outer == 0.0),
+        (TWIST, rigid),
+        (TWIST_SPEED, rigid),
+    ):
+        a[absent, state, :] = 0.0
+        a[absent, :, state] = 0.0
+        a[absent, state, state] = _ABSENT
+    return a
+
+
+def settling_time_s(matrix: FloatArray, accuracy_rpm: float) -> FloatArray:
+    """Run-in after which a bench is in steady rotation to a tenth of the accuracy, shape (m,), s.
+
+    A bench whose ringing hardly decays between two flips may rattle on without ever repeating (one
+    in a thousand of random benches did); no run-in changes that.
+
+    Raises
+    ------
+    BenchError
+        If the speed loop is unstable on a tooth flank.
+    """
+    eigenvalues = np.linalg.eigvals(contact_matrices(matrix))
+    slowest = -np.max(eigenvalues.real, axis=1)
+    if np.any(slowest <= 0.0):
+        row = matrix[int(np.argmin(slowest))]
+        raise BenchError(
+            "The speed loop is unstable even without a gap, so there is no steady rotation.",
+            where="speed_gain_nm_s_per_rad, integral_gain_nm_per_rad, shaft_damping_nm_s_per_rad",
+            found=f"{row[Slot.speed_gain_nm_s_per_rad]:g}, "
+            f"{row[Slot.integral_gain_nm_per_rad]:g}, "
+            f"{row[Slot.shaft_damping_nm_s_per_rad]:g}",
+            expected="gains and damping whose transients die out",
+        )
+    period = rotation_period_s(matrix)
+    torque = matrix[:, Slot.gravity_torque_nm] / matrix[:, Slot.gear_ratio]
+    resistance = np.maximum(
+        matrix[:, Slot.speed_gain_nm_s_per_rad],
+        matrix[:, Slot.integral_gain_nm_per_rad] * period / (2.0 * math.pi),
+    )
+    start_error = np.maximum(_START_ERROR_RPM, RPM * torque / resistance)
+    e_folds = np.log(np.maximum(start_error / (_SHARE_OF_ACCURACY * accuracy_rpm), math.e))
+    settling = e_folds / slowest
+    # Ringing that lasts into the next flip is fed on by it and dies more slowly than on a flank.
+    settling *= np.where(settling > 0.25 * period, 3.0, 1.0)
+    settling = np.minimum(settling, _MOST_ROTATIONS * period)
+    # The hysteresis element forgets with travel, not with time: e-fold for each θ_p of twist, and a
+    # rotation winds the shaft from flank to flank and back.
+    gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
+    wound = matrix[:, Slot.gravity_torque_nm] / matrix[:, Slot.shaft_stiffness_nm_per_rad]
+    travel = np.maximum(4.0 * (gap + wound), 1e-9)
+    rotations = e_folds * matrix[:, Slot.shaft_hysteresis__angle_rad] / travel
+    memory = np.where(
+        matrix[:, Slot.shaft_hysteresis__torque_nm] != 0.0,
+        np.clip(rotations, 1.0, _MOST_ROTATIONS) * period,
+        0.0,
+    )
+    result: FloatArray = settling + memory
+    return result
+
+
+def noise_through_loop(
+    parameters: FloatArray, noise_rpm: FloatArray, sampling_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Answer of the closed speed loop, on a tooth flank, to noise of its speed sensor.
+
+    Parameters
+    ----------
+    parameters
+        One parameter vector, shape (SLOTS,).
+    noise_rpm
+        Noise added to the speed that the controller sees, shape (n,), rpm, held between samples.
+    sampling_s
+        Time between samples, s.
+
+    Returns
+    -------
+    Motion of the motor in rpm and change of the current in A that the noise causes, each (n,).
+    """
+    a = contact_matrices(parameters[None, :])[0]
+    gain = parameters[Slot.speed_gain_nm_s_per_rad]
+    lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
+    b = np.zeros(7)
+    b[TORQUE] = -gain / lag
+    b[INTEGRAL] = -1.0 if parameters[Slot.integral_gain_nm_per_rad] > 0.0 else 0.0
+    held = np.zeros((8, 8))
+    held[:7, :7] = a
+    held[:7, 7] = b
+    transition = linalg.expm(held * sampling_s)
+    state = np.zeros(7)
+    states = np.empty((noise_rpm.size, 7))
+    for index, value in enumerate(noise_rpm / RPM):
+        states[index] = state
+        state = transition[:7, :7] @ state + transition[:7, 7] * value
+    torque = states[:, TORQUE].copy()
+    if parameters[Slot.current_loop_lag__time_s] == 0.0:
+        # Without lag the controller's proportional part answers in the sample itself.
+        torque += -gain * (noise_rpm / RPM - np.concatenate(([0.0], noise_rpm[:-1] / RPM)))
+    return states[:, SENSED] * RPM, torque / parameters[Slot.torque_constant_nm_per_a]

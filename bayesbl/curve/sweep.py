@@ -1,0 +1,217 @@
+"""The amplitude that a measured recording would show, at every gap of a virtual bench.
+
+Each simulated recording goes through the estimator that the measured ones get (model, window,
+baseline, sampling), so that curve and measurement mean the same A. The search is warm-started
+along the gap; what is found is the same least-squares optimum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.optimum import exchanged, find_optimum
+from bayesbl.ringing.refine import refine
+from bayesbl.ringing.symbols import (
+    START,
+    DisturbanceModel,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SweepSettings:
+    """Over which gaps and start angles a bench is simulated, and how it is sampled.
+
+    Attributes
+    ----------
+    low_rad, high_rad, count, spacing
+        The gaps, ``log`` or ``linear``.
+    start_angles
+        Number of load angles at the first sample.
+    rotations, sampling_hz
+        Length in load rotations and rate of each simulated recording.
+    """
+
+    low_rad: float = 1e-4
+    high_rad: float = 4e-3
+    count: int = 40
+    spacing: Literal["log", "linear"] = "log"
+    start_angles: int = 4
+    rotations: float = 5.0
+    sampling_hz: float = 1000.0
+
+    @property
+    def gap_rad(self) -> FloatArray:
+        """The gaps, increasing, shape (g,), rad."""
+        spread = np.geomspace if self.spacing == "log" else np.linspace
+        return np.asarray(spread(self.low_rad, self.high_rad, self.count))
+
+    @property
+    def start_angle_rad(self) -> FloatArray:
+        """The start angles at each gap, shape (g, s), rad.
+
+        All different, spread by the golden ratio: equal parts of a rotation are often whole numbers
+        of samples, and then every recording would meet the window's end at the same point between
+        samples.
+        """
+        number = np.arange(self.count * self.start_angles)
+        turns = (0.05 + number * (math.sqrt(5.0) - 1.0) / 2.0) % 1.0
+        return np.asarray(2.0 * math.pi * turns).reshape(self.count, self.start_angles)
+
+
+@dataclass(frozen=True, slots=True)
+class SweepRow:
+    """One bench over all gaps and some start angles.
+
+    Attributes
+    ----------
+    gap_rad, start_angle_rad
+        Shapes (g,) and (g, s), rad.
+    searched
+        Optimum of the searched symbols, shape (g, s, d), in the order of ``model.searched``.
+    amplitude_rpm, rmse_rpm
+        Shape (g, s), rpm.
+    names
+        The searched symbols.
+    """
+
+    gap_rad: FloatArray
+    start_angle_rad: FloatArray
+    searched: FloatArray
+    amplitude_rpm: FloatArray
+    rmse_rpm: FloatArray
+    names: tuple[str, ...]
+
+    def symbol(self, name: str, fixed: Mapping[str, float]) -> FloatArray:
+        """A searched or fixed symbol, shape (g, s)."""
+        if name in fixed:
+            return np.full_like(self.amplitude_rpm, fixed[name])
+        return np.asarray(self.searched[:, :, self.names.index(name)])
+
+
+def sweep_nominal(
+    bench: Bench,
+    model: DisturbanceModel,
+    settings: SweepSettings,
+    generator: np.random.Generator,
+    workers: int = 1,
+) -> SweepRow:
+    """The nominal bench: a full search at the largest gap, then down the gaps.
+
+    At every gap the optimum is also sought where both pulses start half a ringing off and change
+    places, the other candidate for the least sum of squares.
+
+    Raises
+    ------
+    BenchError
+        If a simulation fails.
+    """
+    angles = settings.start_angle_rad
+    objectives = _objectives(bench, model, settings, angles, workers)
+    row = _Row(model, settings.gap_rad, angles)
+    point = find_optimum(objectives[-1][0], "guess", generator).searched
+    trend = np.zeros_like(point)
+    for g in reversed(range(settings.count)):
+        first, last = objectives[g][0], point
+        if g < settings.count - 1:
+            point = _turned(model, point, angles[g, 0] - angles[g + 1, 0], bench)
+            last = point
+        starts = [point + trend, *exchanged(model, point + trend)]
+        ends = np.array([refine(first, start) for start in starts])
+        best = int(np.argmin(first.sum_of_squares(ends)))
+        point = ends[best]
+        trend = point - last if best == 0 and g < settings.count - 1 else trend
+        for s, angle in enumerate(angles[g]):
+            start = _turned(model, point, angle - angles[g, 0], bench)
+            row.set(g, s, objectives[g][s], point if s == 0 else refine(objectives[g][s], start))
+    return row.done()
+
+
+def sweep_like(
+    bench: Bench,
+    nominal: SweepRow,
+    model: DisturbanceModel,
+    settings: SweepSettings,
+) -> SweepRow:
+    """A bench near the nominal one, first start angles only, warm-started from the nominal sweep.
+
+    At the nominal sweep's own start angles, whose scatter then cancels in the difference.
+    """
+    angles = nominal.start_angle_rad[:, :1]
+    objectives = _objectives(bench, model, settings, angles, 1)
+    row = _Row(model, settings.gap_rad, angles)
+    shift = np.zeros(nominal.searched.shape[2])
+    for g in reversed(range(settings.count)):
+        there = nominal.searched[g, 0]
+        point = refine(objectives[g][0], there + shift)
+        shift = point - there
+        row.set(g, 0, objectives[g][0], point)
+    return row.done()
+
+
+class _Row:
+    """A sweep row being filled."""
+
+    def __init__(
+        self, model: DisturbanceModel, gap_rad: FloatArray, start_angle_rad: FloatArray
+    ) -> None:
+        shape = start_angle_rad.shape
+        self._gap, self._angles, self._model = gap_rad, start_angle_rad, model
+        self._searched = np.empty((*shape, len(model.searched)))
+        self._amplitude, self._rmse = np.empty(shape), np.empty(shape)
+
+    def set(self, g: int, s: int, objective: Objective, point: FloatArray) -> None:
+        solution = objective.solve(point[None])
+        self._searched[g, s] = point
+        self._amplitude[g, s] = abs(solution.coefficients[0, -1])
+        self._rmse[g, s] = math.sqrt(solution.sum_of_squares[0] / objective.samples_used)
+
+    def done(self) -> SweepRow:
+        return SweepRow(
+            self._gap,
+            self._angles,
+            self._searched,
+            self._amplitude,
+            self._rmse,
+            self._model.searched,
+        )
+
+
+def _objectives(
+    bench: Bench,
+    model: DisturbanceModel,
+    settings: SweepSettings,
+    start_angle_rad: FloatArray,
+    workers: int,
+) -> list[list[Objective]]:
+    width = start_angle_rad.shape[1]
+    speeds = bench.simulate_many(
+        np.repeat(settings.gap_rad, width),
+        rotations=settings.rotations,
+        sampling_hz=settings.sampling_hz,
+        start_angle_rad=start_angle_rad.ravel(),
+        workers=workers,
+    )
+    time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
+    flat = [Objective(model, time_s, speed) for speed in speeds]
+    return [flat[i : i + width] for i in range(0, len(flat), width)]
+
+
+def _turned(
+    model: DisturbanceModel, point: FloatArray, angle_rad: float, bench: Bench
+) -> FloatArray:
+    """The point as it looks when the recording begins ``angle_rad`` further on."""
+    if START not in model.searched:
+        return point
+    turned = point.copy()
+    direction = math.copysign(1.0, bench.value("reference_speed_rpm"))
+    period = bench.rotation_period_s()
+    turned[model.searched.index(START)] -= direction * angle_rad / (2.0 * math.pi) * period
+    return turned

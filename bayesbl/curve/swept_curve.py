@@ -1,0 +1,215 @@
+"""A gap curve from a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from bayesbl.curve.bench_draws import SweptDraws, virtual_departures
+from bayesbl.curve.gap_curve import KNOTS, GapCurve, Ringing
+from bayesbl.curve.regression import Regression, regress, relative_fit
+from bayesbl.curve.sweep import SweepRow
+from bayesbl.errors import CurveError
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
+
+REGRESSION_DRAWS = 2000
+DEGREES = (1, 2, 3, 4, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class DegreeReport:
+    """How well a polynomial of one degree describes the sweep.
+
+    Attributes
+    ----------
+    rms_departure, largest_departure
+        Of δ from the polynomial alone, relative, over the gaps' mean amplitudes.
+    log_evidence
+        Restricted log likelihood with the smooth lack of fit beside the polynomial.
+    """
+
+    degree: int
+    rms_departure: float
+    largest_departure: float
+    log_evidence: float
+
+
+def swept_curve(
+    name: str,
+    nominal: SweepRow,
+    model: DisturbanceModel,
+    degree: int,
+    fingerprint: str,
+    seed: np.random.SeedSequence,
+    draws: SweptDraws | None = None,
+) -> tuple[GapCurve, Regression]:
+    """Regress δ on A over a nominal sweep, with the bench's own uncertainty beside it.
+
+    Raises
+    ------
+    CurveError
+        If A does not grow with δ, or the curve does not grow with A.
+    """
+    regression_seed, bench_seed = seed.spawn(2)
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    _require_growing(name, nominal.gap_rad, mean)
+    knots = np.geomspace(mean[0], mean[-1], KNOTS)
+    sd = start_angle_scatter(nominal.amplitude_rpm)
+    regression = _regression(nominal, sd, knots, degree)
+    by_coefficients, by_lack_of_fit = regression.draws(
+        REGRESSION_DRAWS, np.random.default_rng(regression_seed)
+    )
+    coefficients = relative_fit(mean, nominal.gap_rad, degree)
+    sources = {"regression": by_coefficients, "lack_of_fit": by_lack_of_fit}
+    values = _log_values(nominal, model)
+    departures = np.zeros((1, *values.shape[:1], 3))
+    if draws is not None:
+        departures = virtual_departures(draws, np.random.default_rng(bench_seed))
+    by_bench, ringing = _bench_source(nominal, values, departures, knots)
+    if draws is not None:
+        sources["bench"] = by_bench
+    curve = GapCurve(
+        name=name,
+        coefficients=coefficients,
+        knots_rpm=knots,
+        correction=regression.log_gap - np.log(polynomial.polyval(knots, coefficients)),
+        sources=sources,
+        start_angle_sd_rpm=np.interp(knots, mean, sd),
+        fingerprint=fingerprint,
+        ringing=ringing,
+    )
+    return curve, regression
+
+
+def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
+    """Polynomials of other degrees beside the cubic, so that its fit is a result."""
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    knots = np.geomspace(mean[0], mean[-1], KNOTS)
+    sd = start_angle_scatter(nominal.amplitude_rpm)
+    reports = []
+    for degree in DEGREES:
+        if nominal.gap_rad.size < degree + 3:
+            break
+        coefficients = relative_fit(mean, nominal.gap_rad, degree)
+        departure = polynomial.polyval(mean, coefficients) / nominal.gap_rad - 1.0
+        evidence = _regression(nominal, sd, knots, degree).log_evidence
+        reports.append(
+            DegreeReport(
+                degree,
+                float(np.sqrt(np.mean(departure**2))),
+                float(np.abs(departure).max()),
+                evidence,
+            )
+        )
+    return reports
+
+
+def start_angle_scatter(values: FloatArray) -> FloatArray:
+    """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
+
+    Variances are averaged over five neighbouring gaps: a few start angles alone tell a standard
+    deviation badly.
+    """
+    if values.shape[1] < 2:
+        return np.zeros(len(values))
+    variance = np.pad(values.var(axis=1, ddof=1), 2, mode="edge")
+    return np.asarray(np.sqrt(np.convolve(variance, np.full(5, 0.2), "valid") + 1e-18))
+
+
+def _regression(
+    nominal: SweepRow, sd_rpm: FloatArray, knots_rpm: FloatArray, degree: int
+) -> Regression:
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    slope = np.gradient(np.log(nominal.gap_rad), mean)
+    shape = nominal.amplitude_rpm.shape
+    return regress(
+        nominal.amplitude_rpm.ravel(),
+        np.broadcast_to(nominal.gap_rad[:, None], shape).ravel(),
+        np.broadcast_to((slope * sd_rpm)[:, None], shape).ravel(),
+        knots_rpm,
+        degree,
+    )
+
+
+def _require_growing(name: str, gap_rad: FloatArray, amplitude_rpm: FloatArray) -> None:
+    falls = np.flatnonzero(np.diff(amplitude_rpm) <= 0.0)
+    if falls.size:
+        i = int(falls[0])
+        raise CurveError(
+            "The amplitude does not grow with the gap, so it does not tell the gap.",
+            file=name,
+            where=f"δ = {gap_rad[i]:.3g} to {gap_rad[i + 1]:.3g} rad",
+            found=f"A = {amplitude_rpm[i]:.4g} to {amplitude_rpm[i + 1]:.4g} rpm",
+            expected="A that grows with δ; a narrower range of gaps, or another bench",
+        )
+
+
+def _log_values(row: SweepRow, model: DisturbanceModel) -> FloatArray:
+    """(ln A, ln ω, ln τ) at each gap and start angle, shape (g, s, 3)."""
+    return np.log(
+        np.stack(
+            [
+                row.amplitude_rpm,
+                row.symbol(FREQUENCY, model.fixed),
+                row.symbol(DECAY, model.fixed),
+            ],
+            axis=-1,
+        )
+    )
+
+
+def departures(row: SweepRow, nominal: SweepRow, model: DisturbanceModel) -> FloatArray:
+    """Departure of (ln A, ln ω, ln τ) of a drawn bench from the nominal sweep, shape (g, 3)."""
+    return np.asarray(_log_values(row, model)[:, 0] - _log_values(nominal, model)[:, 0])
+
+
+def _bench_source(
+    nominal: SweepRow, values: FloatArray, departures: FloatArray, knots_rpm: FloatArray
+) -> tuple[FloatArray, Ringing]:
+    """Departures at given gaps turned into departures at given amplitudes."""
+    log_gap, centre = np.log(nominal.gap_rad), values.mean(axis=1)
+    at_knots = np.log(knots_rpm)
+    nominal_gap = _interpolate(at_knots, centre[:, 0], log_gap)
+    nominal_ringing = [_interpolate(at_knots, centre[:, 0], centre[:, k]) for k in (1, 2)]
+    shape = (len(departures), knots_rpm.size)
+    gap, ringing = np.empty(shape), [np.empty(shape), np.empty(shape)]
+    for i, departure in enumerate(departures):
+        moved = centre + departure
+        order = np.maximum.accumulate(moved[:, 0] + 1e-9 * np.arange(len(moved)))
+        gap[i] = _interpolate(at_knots, order, log_gap) - nominal_gap
+        for k in (0, 1):
+            ringing[k][i] = _interpolate(at_knots, order, moved[:, k + 1]) - nominal_ringing[k]
+    frequency, decay = nominal_ringing
+    scatter = _scatter(nominal, values, knots_rpm)
+    return gap, Ringing(frequency, decay, ringing[0], ringing[1], scatter)
+
+
+def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+    """Linear interpolation, continued with the slope over the outer tenth at either end."""
+    inside = np.interp(x, known, values)
+    outer = max(1, known.size // 10)
+    low = (values[outer] - values[0]) / (known[outer] - known[0])
+    high = (values[-1] - values[-1 - outer]) / (known[-1] - known[-1 - outer])
+    inside = np.where(x < known[0], values[0] + low * (x - known[0]), inside)
+    return np.where(x > known[-1], values[-1] + high * (x - known[-1]), inside)
+
+
+def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:
+    """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3).
+
+    Correlations are pooled over all gaps, standard deviations over neighbouring ones.
+    """
+    columns = np.stack([nominal.amplitude_rpm, values[:, :, 1], values[:, :, 2]], axis=-1)
+    sds = np.stack([start_angle_scatter(columns[:, :, k]) for k in range(3)], axis=-1)
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    at_knots = np.stack([np.interp(knots_rpm, mean, sds[:, k]) for k in range(3)], axis=-1)
+    if values.shape[1] < 2:
+        return np.zeros((knots_rpm.size, 3, 3))
+    standard = (columns - columns.mean(axis=1, keepdims=True)) / sds[:, None, :]
+    flat = standard.reshape(-1, 3)
+    root = np.sqrt((flat**2).mean(axis=0))
+    correlation = (flat.T @ flat) / len(flat) / np.outer(root, root)
+    return np.asarray(at_knots[:, :, None] * at_knots[:, None, :] * correlation)

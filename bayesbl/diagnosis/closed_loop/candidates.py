@@ -1,0 +1,226 @@
+"""What could be missing: the catalogue's effects and wrong bench parameters, made ready to fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.effects import EFFECTS, Effect, EffectParameter, effect_named
+from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
+from bayesbl.matching.signals import Observed, Unknown
+from bayesbl.recording.types import FloatArray
+
+Kind = Literal["effect", "parameter"]
+
+BENCH_PARAMETERS = (
+    "motor_inertia_kg_m2",
+    "load_inertia_kg_m2",
+    "shaft_stiffness_nm_per_rad",
+    "shaft_damping_nm_s_per_rad",
+    "gravity_torque_nm",
+    "torque_constant_nm_per_a",
+    "speed_gain_nm_s_per_rad",
+    "integral_gain_nm_per_rad",
+)
+"""Whose wrong values are a class of explanations of their own (design.md section 9)."""
+
+PARAMETER_RANGE = 0.5
+"""Half-width of the range a wrong parameter is sought in, as a share of its value."""
+
+SHORTEST_LAG_S = 2e-4
+"""Shorter ones are not sought: they hardly show and cost the simulator tiny steps."""
+
+_PERIODIC = ("motor_torque_ripple", "gear_transmission_error", "encoder_eccentricity")
+_SCANNED_SHARES = (0.0, 0.03, 0.1, 0.3)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One explanation: unknowns to free beside those of the nominal comparison.
+
+    Attributes
+    ----------
+    name
+        Of the effect or of the bench parameter.
+    unknowns
+        Named as :meth:`Bench.vector` takes them.
+    starts
+        Coordinates to start from besides neutral ones, shape (s, k).
+    neutral
+        Coordinates at which nothing is added, shape (k,).
+    scanned
+        Coordinates of unknowns, by index, whose combinations are tried where the nominal fit may be
+        far off.
+    """
+
+    name: str
+    kind: Kind
+    unknowns: tuple[Unknown, ...]
+    neutral: FloatArray
+    starts: tuple[FloatArray, ...] = ()
+    scanned: Mapping[int, FloatArray] = field(default_factory=dict)
+    effect: BenchEffect | None = field(default=None)
+
+    @property
+    def key(self) -> tuple[str, float | None]:
+        """Name and, of what turns with the motor, the order: what tells candidates apart."""
+        order = None if self.effect is None else self.effect.parameters.get("order")
+        return self.name, None if order is None else order.value
+
+    def bench(self, bench: Bench) -> Bench:
+        """The bench with this effect at its neutral value."""
+        if self.effect is None:
+            return bench
+        return bench.with_effects(*bench.effects, self.effect)
+
+
+def candidates(
+    bench: Bench,
+    recordings: Sequence[Observed],
+    effects: Sequence[str] | Literal["all"] = "all",
+    peaks: Sequence[OrderPeak] = (),
+    *,
+    declared: Sequence[str] = (),
+    load_angle_known: bool = False,
+    motor_angle_known: bool = False,
+    gap_is_unknown: bool = True,
+) -> list[Candidate]:
+    """Every explanation that these recordings could speak for.
+
+    Parameters
+    ----------
+    effects
+        Names from the catalogue, or all of it.
+    peaks
+        Motor orders that stand out of what a fit leaves: where the periodic effects start. Without
+        any they are no candidates.
+    declared
+        Bench parameters that are unknown anyway, and so no candidates.
+    """
+    present = {effect.name for effect in bench.effects}
+    found = []
+    for effect in EFFECTS:
+        if effect.name in present or not (effects == "all" or effect.name in effects):
+            continue
+        if effect.name == "backlash" and gap_is_unknown:
+            continue
+        if effect.name == "gravity_phase" and not load_angle_known:
+            continue
+        if effect.name in _PERIODIC:
+            found += _periodic(effect, recordings, peaks, motor_angle_known)
+        elif effect.name == "channel_time_skew":
+            if all(len(seen.signals) > 1 for seen in recordings):
+                found.append(_skew(effect))
+        else:
+            found.append(_plain(effect))
+    found += [_parameter(bench, name) for name in BENCH_PARAMETERS if name not in declared]
+    return found
+
+
+def _plain(effect: Effect) -> Candidate:
+    unknowns = tuple(
+        _unknown(effect, p, SHORTEST_LAG_S if p.name == "time_s" else p.low, p.high)
+        for p in effect.parameters
+    )
+    neutral = np.array([p.neutral for p in effect.parameters])
+    starts: tuple[FloatArray, ...] = ()
+    scanned: dict[int, FloatArray] = {}
+    if effect.enters in ("load", "shaft"):
+        main = effect.parameters[0]
+        grid = main.high * np.array(_SCANNED_SHARES)
+        scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
+    shape = [i for i, p in enumerate(effect.parameters) if p.shape_only]
+    if shape:
+        i = shape[0]
+        middle = np.geomspace(effect.parameters[i].low, effect.parameters[i].high, 7)[2:6]
+        starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
+        if scanned:
+            scanned[i] = middle
+    return Candidate(
+        effect.name, "effect", unknowns, neutral, starts, scanned, _neutral_effect(effect)
+    )
+
+
+def _skew(effect: Effect) -> Candidate:
+    """The current against the speed; both together are a start angle in disguise."""
+    parameter = next(p for p in effect.parameters if p.name == "current_s")
+    unknown = _unknown(effect, parameter, parameter.low, parameter.high)
+    return Candidate(effect.name, "effect", (unknown,), np.zeros(1), effect=_neutral_effect(effect))
+
+
+def _periodic(
+    effect: Effect,
+    recordings: Sequence[Observed],
+    peaks: Sequence[OrderPeak],
+    motor_angle_known: bool,
+) -> list[Candidate]:
+    """One candidate per whole order seen: what turns with the motor repeats with it."""
+    amplitude = next(p for p in effect.parameters if not p.shape_only)
+    has_order = any(p.name == "order" for p in effect.parameters)
+    owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
+    found = []
+    for peak in peaks:
+        if peak.order != round(peak.order) or (not has_order and peak.order != 1.0):
+            continue
+        unknowns = [_unknown(effect, amplitude, 0.0, amplitude.high)]
+        unknowns += [Unknown(f"{effect.name}__phase_rad", recording=owner) for owner in owners]
+        at_peak = _neutral_effect(effect, order=peak.order)
+        neutral = np.zeros(len(unknowns))
+        found.append(Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak))
+    return found
+
+
+def _parameter(bench: Bench, name: str) -> Candidate:
+    value = bench.value(name)
+    unknown = Unknown(name, (1.0 - PARAMETER_RANGE) * value, (1.0 + PARAMETER_RANGE) * value)
+    return Candidate(name, "parameter", (unknown,), np.array([value]))
+
+
+def _unknown(effect: Effect, parameter: EffectParameter, low: float, high: float) -> Unknown:
+    return Unknown(f"{effect.name}__{parameter.name}", low, high)
+
+
+def _neutral_effect(effect: Effect, **given: float) -> BenchEffect:
+    values = {p.name: p.neutral for p in effect.parameters}
+    values |= {name: value for name, value in given.items() if name in values}
+    return BenchEffect(
+        effect.name, {name: EffectParameterValue(value) for name, value in values.items()}
+    )
+
+
+def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | None:
+    """A constant torque in each recording; ``None`` if the bench has such an offset already.
+
+    At constant speed all friction of the motor is one, whatever its law: no explanation, but what
+    stands in for one while the rest is sought.
+    """
+    effect = effect_named("motor_torque_offset")
+    if any(present.name == effect.name for present in bench.effects):
+        return None
+    (torque,) = effect.parameters
+    name = f"{effect.name}__{torque.name}"
+    unknowns = tuple(
+        Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings
+    )
+    neutral = np.zeros(len(unknowns))
+    return Candidate(effect.name, "effect", unknowns, neutral, effect=_neutral_effect(effect))
+
+
+def is_periodic(candidate: Candidate) -> bool:
+    """Whether the candidate repeats with the motor angle, its phases to be found first."""
+    return candidate.name in _PERIODIC
+
+
+def quadrant_phases(candidate: Candidate) -> list[int]:
+    """Places of the phases among the candidate's unknowns."""
+    return [i for i, u in enumerate(candidate.unknowns) if u.name.endswith("__phase_rad")]
+
+
+def wrapped(phase_rad: float) -> float:
+    """Phase in [−π, π)."""
+    return (phase_rad + math.pi) % (2.0 * math.pi) - math.pi

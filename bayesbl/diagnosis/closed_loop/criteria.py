@@ -1,0 +1,127 @@
+"""What speaks for an explanation: gains in every rotation, and how much of what repeats is gone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.diagnosis.closed_loop.explain import Explanation
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.predictive_check import Disagreement, agrees
+from bayesbl.recording.types import FloatArray
+
+Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
+
+ENOUGH_CLOSED = 0.95
+ENOUGH_CLOSED_BY_PARAMETERS = 0.99
+"""Share of what repeats that an explanation must remove where something still repeats after it.
+
+Several parameters, each a little wrong, imitate much: more is asked of an explanation with them.
+"""
+
+GROSS = 1.05
+"""χ² per sample that counts as far off."""
+
+BEYOND_CHANCE = 2.0
+"""Standard deviations of noise that what is left is lessened by before it speaks against a name."""
+
+CHANCE_LOSS = 6.6
+"""χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
+
+
+def is_gross(explanation: Explanation) -> bool:
+    """Whether the simulation is far off, so that other optima of the gap come into question."""
+    return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
+
+
+def verdict_on(
+    nominal: Explanation,
+    final: Explanation,
+    before: Sequence[Disagreement],
+    remaining: Sequence[Disagreement],
+    false_alarm: float,
+) -> Verdict:
+    """What may be said of the best explanation found.
+
+    Parameters
+    ----------
+    before, remaining
+        What repeats with nothing added and with the explanation.
+    false_alarm
+        Probability of finding that something repeats where nothing does.
+    """
+    if not final.candidates:
+        return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
+    if not agrees(list(remaining), false_alarm):
+        known = _squares(nominal.fit.deviations) - _squares(final.fit.deviations)
+        if _leaves(before, remaining, known) > 1.0 - enough_closed(final):
+            return "unexplained"
+    effects = any(c.kind == "effect" for c in final.candidates)
+    return "named" if effects else "parameter_error"
+
+
+def enough_closed(explanation: Explanation) -> float:
+    """Share that must be gone if not all of it is."""
+    effects = all(c.kind == "effect" for c in explanation.candidates)
+    return ENOUGH_CLOSED if effects else ENOUGH_CLOSED_BY_PARAMETERS
+
+
+def _leaves(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
+    """Share of the χ² that repeats beyond noise which surely is left, over mean and widest band.
+
+    ``known`` is what the prior gained besides, as of a known start angle.
+    """
+    widest = max(entry.highest_order for entry in before)
+    first, last = (
+        sum(_degrees(e) * (e.ratio - 1.0) for e in entries if e.highest_order in (0, widest))
+        for entries in (before, after)
+    )
+    degrees = sum(_degrees(e) for e in after if e.highest_order in (0, widest))
+    there = first + max(known, 0.0)
+    return (last - BEYOND_CHANCE * math.sqrt(2.0 * degrees)) / there if there > 0.0 else 1.0
+
+
+def _degrees(entry: Disagreement) -> float:
+    return 2.0 * entry.highest_order if entry.highest_order else 1.0
+
+
+def consistency(base: SimulatedFit, more: SimulatedFit) -> float:
+    """Mean gain of χ² per rotation over its standard error.
+
+    An effect may show in one recording more than in another: where no recording loses, the gains
+    scatter about their own recording's mean, else about the mean of all. What a normal prior gains,
+    as of a known start angle, holds in all rotations alike.
+    """
+    gains = gains_per_rotation(base, more)
+    values = np.concatenate(gains)
+    none_loses = all(part.sum() > -CHANCE_LOSS for part in gains)
+    if not none_loses or min(part.size for part in gains) < 2:
+        gains = [values]
+    squares = sum(_squares(part - part.mean()) for part in gains)
+    error = math.sqrt(squares / max(values.size - len(gains), 1) / values.size)
+    known = _squares(base.deviations) - _squares(more.deviations)
+    mean = float(values.mean()) + known / values.size
+    return mean / error if error > 0.0 else math.inf
+
+
+def gains_per_rotation(base: SimulatedFit, more: SimulatedFit) -> list[FloatArray]:
+    """Drop of χ² in each whole rotation, a vector for each recording."""
+    gains = []
+    begin = 0
+    for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
+        n = seen.samples - noise.order
+        size = len(seen.signals) * n
+        part = slice(begin, begin + size)
+        begin += size
+        change = base.residual[part] ** 2 - more.residual[part] ** 2
+        rows = change.reshape(len(seen.signals), n).sum(axis=0)
+        whole = n // seen.lag
+        gains.append(rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1))
+    return gains
+
+
+def _squares(values: FloatArray) -> float:
+    return float(values @ values)

@@ -1,0 +1,317 @@
+"""Fits of candidate explanations, jointly with everything declared unknown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesbl.diagnosis.closed_loop.candidates import (
+    Candidate,
+    is_periodic,
+    quadrant_phases,
+    wrapped,
+)
+from bayesbl.errors import BenchError
+from bayesbl.matching.alignment import aligned_starts
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.recording.types import FloatArray
+
+SCANNED_GAPS = 10
+ROUGHLY_CONVERGED = 0.01
+"""A fit that closes less than this share of what is left in a round is no contender as it stands;
+those that are the best none the less are fitted to the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """The recordings fitted with some candidates added to the nominal comparison.
+
+    Attributes
+    ----------
+    candidates
+        In the order they were added.
+    log_evidence
+        Laplace approximation, flat priors over the candidates' ranges.
+    """
+
+    candidates: tuple[Candidate, ...]
+    fit: SimulatedFit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what is added."""
+        return tuple(c.name for c in self.candidates)
+
+    @property
+    def parameters(self) -> int:
+        """Number of unknowns."""
+        return len(self.fit.model.unknowns)
+
+    @property
+    def log_evidence(self) -> float:
+        """ln Z up to a constant that all explanations of the same recordings share."""
+        fit = self.fit
+        d = fit.point.size
+        volume = 0.5 * d * math.log(2.0 * math.pi) + 0.5 * float(
+            np.linalg.slogdet(fit.covariance)[1]
+        )
+        width = sum(math.log(_width(u)) for u in fit.model.unknowns)
+        return -0.5 * fit.chi_square + volume - width
+
+
+def nominal_explanation(fit: SimulatedFit) -> Explanation:
+    """Nothing added."""
+    return Explanation((), fit)
+
+
+def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Explanation:
+    """The same explanation, fitted again under another noise."""
+    old = explanation.fit.model
+    model = SimulatedSignals(
+        old.bench, old.recordings, old.unknowns, noise, old.workers, old.settings, old.recent
+    )
+    fit = fit_simulated(model, explanation.fit.point, explanation.fit.steps)
+    return replace(explanation, fit=fit)
+
+
+def distance(a: Explanation, b: Explanation) -> float:
+    """|z| between the best fits of two explanations: their difference in units of noise."""
+    apart = np.linalg.norm(a.fit.residual - b.fit.residual)
+    return float(np.hypot(apart, np.linalg.norm(a.fit.deviations - b.fit.deviations)))
+
+
+def gain_threshold(parameters: int, trials: int, false_alarm: float) -> float:
+    """χ² that adding so many parameters must gain, at a false-alarm rate over all trials."""
+    return float(chi2.isf(false_alarm / max(trials, 1), max(parameters, 1)))
+
+
+def explain(base: Explanation, candidate: Candidate) -> Explanation | None:
+    """Fit roughly with one candidate more; ``None`` if its bench cannot be simulated."""
+    model = extended(base.fit.model, candidate)
+    own = len(base.fit.point)
+    starts = [np.concatenate([base.fit.point, candidate.neutral])]
+    starts += [np.concatenate([base.fit.point, start]) for start in candidate.starts]
+    if is_periodic(candidate):
+        starts = [_phased(model, candidate, start) for start in starts]
+    elif len(starts) > 1:
+        starts = [_nudged(model, start, own) for start in starts]
+        starts = sorted(starts, key=lambda s: _chi_square(model, s))[:2]
+    return _best(base, candidate, model, starts)
+
+
+def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
+    """As :func:`explain`, but from the best places in the candidate's whole range."""
+    model = extended(base.fit.model, candidate)
+    return _best(base, candidate, model, _scanned_starts(model, base, candidate))
+
+
+def _best(
+    base: Explanation,
+    candidate: Candidate,
+    model: SimulatedSignals,
+    starts: Sequence[FloatArray],
+) -> Explanation | None:
+    """The best of rough fits from several starts; ``None`` if none of them can be simulated."""
+    fits = []
+    for start in starts:
+        with suppress(BenchError):
+            fits.append(fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED))
+    best = min(fits, key=lambda fit: fit.chi_square, default=None)
+    return None if best is None else Explanation((*base.candidates, candidate), best)
+
+
+def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
+    """An explanation with all candidates but the last taken away and nothing fitted again."""
+    last = full.candidates[-1]
+    size = full.fit.point.size
+    kept = np.r_[: nominal.fit.point.size, size - len(last.unknowns) : size]
+    found = replace(full.fit, point=full.fit.point[kept], steps=full.fit.steps[kept])
+    return Explanation((last,), with_model(found, extended(nominal.fit.model, last)))
+
+
+def refitted(explanation: Explanation) -> Explanation:
+    """The same explanation, fitted roughly from where it stands."""
+    fit = explanation.fit
+    return replace(
+        explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, ROUGHLY_CONVERGED)
+    )
+
+
+def polished(explanation: Explanation) -> Explanation:
+    """The same explanation, fitted to the end."""
+    fit = explanation.fit
+    return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps))
+
+
+def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanation | None:
+    """An explanation less one of its candidates, fitted from where it stands."""
+    model, own = nominal.fit.model, nominal.fit.point.size
+    kept, parts = [], [full.fit.point[:own]]
+    for k, candidate in enumerate(full.candidates):
+        part = full.fit.point[own : own + len(candidate.unknowns)]
+        own += part.size
+        if k != without:
+            model = extended(model, candidate)
+            kept.append(candidate)
+            parts.append(part)
+    try:
+        return Explanation(tuple(kept), fit_simulated(model, np.concatenate(parts)))
+    except BenchError:
+        return None
+
+
+def linear_gain(base: Explanation, candidate: Candidate) -> float:
+    """Drop of χ² that the derivatives at the base promise, however far that extrapolates."""
+    model = extended(base.fit.model, candidate)
+    starts = [candidate.neutral, *candidate.starts]
+    best = 0.0
+    for start in starts:
+        point = np.concatenate([base.fit.point, start])
+        columns = []
+        for i in _amplitudes(candidate):
+            for phase in (0.0, 0.5 * math.pi) if is_periodic(candidate) else (None,):
+                columns += _difference(model, point, len(base.fit.point) + i, phase, candidate)
+        best = max(best, _projected(base.fit, columns))
+    return best
+
+
+def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
+    """The comparison with a candidate's unknowns beside its own."""
+    return SimulatedSignals(
+        candidate.bench(model.bench),
+        model.recordings,
+        (*model.unknowns, *candidate.unknowns),
+        model.noise,
+        model.workers,
+        model.settings,
+        model.recent,
+    )
+
+
+def _amplitudes(candidate: Candidate) -> list[int]:
+    """Unknowns that change something at the neutral point."""
+    if candidate.effect is None or candidate.kind == "parameter":
+        return list(range(len(candidate.unknowns)))
+    shape = ("__phase_rad", "__order", "__speed_rad_per_s")
+    hysteresis = "shaft_hysteresis__angle_rad"
+    return [
+        i
+        for i, u in enumerate(candidate.unknowns)
+        if not u.name.endswith(shape) and u.name != hysteresis
+    ]
+
+
+def _small(unknown: Unknown, coordinate: float) -> float:
+    """A thousandth of the range; to its lower end from a neutral value below it."""
+    return max(1e-3 * (unknown.high - unknown.low), unknown.low - coordinate)
+
+
+def _difference(
+    model: SimulatedSignals, point: FloatArray, i: int, phase: float | None, candidate: Candidate
+) -> list[FloatArray]:
+    """Change of the whitened signals by a small amount of one unknown; a column per phase owner."""
+    moved = np.stack([point, point])
+    amount = _small(model.unknowns[i], float(point[i]))
+    moved[1, i] += amount
+    if phase is not None:
+        for k in quadrant_phases(candidate):
+            moved[:, point.size - len(candidate.unknowns) + k] = phase
+    z = model.whitened(moved)
+    change = (z[0] - z[1]) / amount
+    if not np.all(np.isfinite(change)):
+        return []
+    if phase is None:
+        return [change]
+    parts, begin = [], 0
+    for seen, noise in zip(model.recordings, model.noise, strict=True):
+        size = len(seen.signals) * (seen.samples - noise.order)
+        part = np.zeros_like(change)
+        part[begin : begin + size] = change[begin : begin + size]
+        parts.append(part)
+        begin += size
+    return parts
+
+
+def _projected(fit: SimulatedFit, columns: list[FloatArray]) -> float:
+    if not columns:
+        return 0.0
+    known = [i for i, u in enumerate(fit.model.unknowns) if math.isfinite(u.sd)]
+    rows = np.zeros((len(known), fit.point.size))
+    rows[np.arange(len(known)), known] = [1.0 / fit.model.unknowns[i].sd for i in known]
+    jacobian = np.concatenate([fit.jacobian, rows])
+    residual = np.concatenate([fit.residual, fit.deviations])
+    more = np.pad(np.column_stack(columns), ((0, len(known)), (0, 0)))
+    basis, _ = np.linalg.qr(np.column_stack([jacobian, more]))
+    own, _ = np.linalg.qr(jacobian)
+    return float(np.sum((basis.T @ residual) ** 2) - np.sum((own.T @ residual) ** 2))
+
+
+def _phased(model: SimulatedSignals, candidate: Candidate, start: FloatArray) -> FloatArray:
+    """Amplitude and phases of a periodic candidate by linear least squares at the start."""
+    own = start.size - len(candidate.unknowns)
+    cosine = _difference(model, start, own, 0.5 * math.pi, candidate)
+    sine = _difference(model, start, own, 0.0, candidate)
+    if not cosine or not sine:
+        return start
+    residual = model.whitened(start)[0]
+    amplitudes, phases = [], []
+    for s, c in zip(sine, cosine, strict=True):
+        # a sin(nθ + φ) = a cos φ · (phase 0) + a sin φ · (phase π/2)
+        (in_phase, quadrature), *_ = np.linalg.lstsq(np.column_stack([s, c]), residual, rcond=None)
+        amplitudes.append(math.hypot(in_phase, quadrature))
+        phases.append(wrapped(math.atan2(quadrature, in_phase)))
+    phased = start.copy()
+    phased[own] = float(np.clip(np.median(amplitudes), 0.0, model.unknowns[own].high))
+    for k, place in enumerate(quadrant_phases(candidate)):
+        phased[own + place] = phases[k] if len(quadrant_phases(candidate)) > 1 else phases[0]
+    return phased
+
+
+def _nudged(model: SimulatedSignals, start: FloatArray, own: int) -> FloatArray:
+    """A little of the effect, so that its shape parameters have a derivative to follow."""
+    unknown = model.unknowns[own]
+    amounts = [0.003, 0.03, 0.2]
+    if unknown.low < 0.0:
+        amounts += [-a for a in amounts]
+    trials = np.repeat(start[None], len(amounts), axis=0)
+    trials[:, own] = [a * unknown.high for a in amounts]
+    values = np.einsum("ij,ij->i", z := model.whitened(trials), z)
+    return np.asarray(trials[int(np.nanargmin(np.where(np.isfinite(values), values, np.inf)))])
+
+
+def _chi_square(model: SimulatedSignals, point: FloatArray) -> float:
+    z = model.whitened(point)[0]
+    value = float(z @ z)
+    return value if math.isfinite(value) else math.inf
+
+
+def _scanned_starts(
+    model: SimulatedSignals, base: Explanation, candidate: Candidate
+) -> list[FloatArray]:
+    own = len(base.fit.point)
+    grids = {own + place: grid for place, grid in candidate.scanned.items()}
+    names = [u.name for u in model.unknowns]
+    if GAP in names:
+        gap = names.index(GAP)
+        grids[gap] = np.linspace(model.low[gap], model.high[gap], SCANNED_GAPS)
+    starts = aligned_starts(model, grids)
+    for start in starts:
+        for i in range(len(candidate.unknowns)):
+            if i not in candidate.scanned:
+                start[own + i] = candidate.neutral[i]
+    return starts
+
+
+def _width(unknown: Unknown) -> float:
+    if math.isfinite(unknown.sd):
+        return unknown.sd * math.sqrt(2.0 * math.pi)
+    if math.isfinite(unknown.low) and math.isfinite(unknown.high):
+        return unknown.high - unknown.low
+    return 2.0 * math.pi

@@ -1,0 +1,431 @@
+"""Which effect is missing: candidates added one at a time, compared by evidence and by distance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.diagnosis.closed_loop.candidates import Candidate, steady_torque
+from bayesbl.diagnosis.closed_loop.criteria import Verdict, consistency, is_gross, verdict_on
+from bayesbl.diagnosis.closed_loop.explain import (
+    Explanation,
+    distance,
+    explain,
+    from_afar,
+    gain_threshold,
+    last_alone,
+    linear_gain,
+    nominal_explanation,
+    polished,
+    reduced,
+    refitted,
+)
+from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak, order_peaks
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.predictive_check import Disagreement, agrees, disagreements
+from bayesbl.recording.types import FloatArray
+
+Progress = Callable[[int, int], None]
+
+INDISTINGUISHABLE = 5.0
+"""Best fits closer than this, in units of noise, are one set (design.md, issue of diagnose)."""
+
+WORTH_FITTING = 0.5
+"""Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
+
+BEAMS = 3
+"""Explanations that another candidate is added to."""
+BEAMS_ALONE = 5
+"""The same of explanations by one candidate, if none of them agrees."""
+MOST_EXCHANGES = 4
+CLEARLY_BETTER = 1.0
+"""Gain of log evidence for which one candidate is exchanged for another."""
+FITTED_AFTER_SCREENING = 5
+CONTENDERS = 5
+LEAST_CONSISTENCY = 3.0
+"""Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """One explanation found, with those that these recordings cannot tell from it."""
+
+    candidate: Candidate
+    gain: float
+    indistinguishable: tuple[Explanation, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the effect or parameter."""
+        return self.candidate.name
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The set of names, the most probable first."""
+        return (self.name, *(e.candidates[-1].name for e in self.indistinguishable))
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """What was found.
+
+    Attributes
+    ----------
+    nominal, final
+        Before and after adding what is named.
+    ranking
+        Fits with one candidate added to the nominal bench, most probable first.
+    remaining
+        What still repeats after naming.
+    """
+
+    verdict: Verdict
+    nominal: Explanation
+    final: Explanation
+    effects: tuple[NamedEffect, ...]
+    ranking: tuple[Explanation, ...]
+    before: tuple[Disagreement, ...]
+    remaining: tuple[Disagreement, ...]
+
+
+def name_missing(
+    nominal_fit: SimulatedFit,
+    candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+    *,
+    max_effects: int = 3,
+    false_alarm: float = 0.01,
+    progress: Progress | None = None,
+) -> Naming:
+    """Add candidates until nothing significant is left, nothing generalises or the limit is met.
+
+    Decisions rest on fits of all recordings jointly with every unknown; derivatives choose which
+    second and third candidates are fitted, and the first where nothing seems to be missing.
+
+    Parameters
+    ----------
+    candidates
+        All that come into question, given the motor orders that stand out. Orders are looked for
+        again in what is left beside the first that are named: they may have stood behind these.
+    false_alarm
+        Probability of naming anything where nothing is missing, over all candidates.
+    progress
+        Called with (fits made, fits expected).
+    """
+    search = _Search(candidates(order_peaks(nominal_fit)), false_alarm, max_effects, progress)
+    nominal = nominal_explanation(nominal_fit)
+    before = disagreements(nominal_fit)
+    first = search.first(nominal)
+    far: list[Explanation] = []
+    if first and is_gross(first[0]):
+        # What is missing may have drawn the gap to another optimum.
+        far = search.from_afar(nominal)
+        first = search.first_from_afar(first, far)
+    final = search.extended(nominal, first, most=2)
+    if first and is_gross(first[0]) and not search.agrees(final):
+        final = _better(final, search.extended(nominal, search.beside(far)))
+    if final.candidates and search.takes_in(candidates(order_peaks(final.fit)), final):
+        final = search.continued(final)
+    if len(final.candidates) == 2 and not search.is_done(final):
+        final = _better(final, search.extended(nominal, first))
+    final = search.settled(nominal, final, first)
+    remaining = disagreements(final.fit)
+    verdict = verdict_on(nominal, final, before, remaining, false_alarm)
+    named = verdict in ("named", "parameter_error")
+    effects = tuple(search.named(nominal, final, first)) if named else ()
+    return Naming(
+        verdict,
+        nominal,
+        final if named else nominal,
+        effects,
+        tuple(first),
+        tuple(before),
+        tuple(remaining if named else before),
+    )
+
+
+class _Search:
+    """Fits of candidates with their thresholds; counts them for the progress bar."""
+
+    def __init__(
+        self,
+        candidates: Sequence[Candidate],
+        false_alarm: float,
+        max_effects: int,
+        progress: Progress | None,
+    ) -> None:
+        self._candidates = tuple(candidates)
+        self._false_alarm = false_alarm
+        self._max_effects = max_effects
+        self._progress = progress
+        self._made = 0
+        self._fits: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
+        self._rests: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
+        self._promises: dict[int, tuple[Explanation, FloatArray]] = {}
+        self._polished: dict[int, tuple[Explanation, Explanation]] = {}
+
+    def first(self, nominal: Explanation) -> list[Explanation]:
+        """All candidates that come into question, one at a time, most probable first.
+
+        Where the bench as believed agrees with the recordings, what is missing is small and its
+        derivatives tell what it could gain: what promises nothing is not fitted.
+        """
+        tried = self._candidates
+        if self.agrees(nominal) and not is_gross(nominal):
+            least = WORTH_FITTING * self._threshold(1)
+            promised = zip(tried, self._promised(nominal), strict=True)
+            tried = tuple(c for c, gain in promised if gain > least)
+        return self._contenders([self._fit(nominal, c) for c in tried])
+
+    def from_afar(self, nominal: Explanation) -> list[Explanation]:
+        """Candidates that move the gap, each sought in its whole range, most probable first.
+
+        They are sought with a constant torque free in every recording, so that friction of the
+        motor does not draw the gap away, and then stand without it, not fitted again.
+        """
+        model = nominal.fit.model
+        steady = steady_torque(model.bench, model.recordings)
+        free = (None if steady is None else self._fit(nominal, steady)) or nominal
+        found = [from_afar(free, c) for c in self._candidates if c.scanned]
+        best = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
+        return [last_alone(nominal, e) for e in best]
+
+    def first_from_afar(
+        self, first: Sequence[Explanation], far: Sequence[Explanation]
+    ) -> list[Explanation]:
+        """All candidates one at a time, those from afar fitted from where they stand too."""
+        return _distinct(self._contenders([*first, *map(refitted, far)]))
+
+    def beside(self, far: Sequence[Explanation]) -> list[Explanation]:
+        """Pairs of the best candidates from afar with another."""
+        pairs: list[Explanation] = []
+        for explanation in far[:BEAMS]:
+            pairs += self.next(explanation)
+            if any(self.is_done(pair) for pair in pairs):
+                break
+        return self._contenders(pairs)
+
+    def extended(
+        self, nominal: Explanation, first: Sequence[Explanation], most: int | None = None
+    ) -> Explanation:
+        """The most probable explanation by as many candidates as it takes, at most so many."""
+        most = self._max_effects if most is None else min(most, self._max_effects)
+        beams = [e for e in first if self.is_significant(nominal, e)]
+        final = beams[0] if beams else nominal
+        if not self.agrees(nominal):
+            # One of two effects alone may fit one recording better and another worse.
+            beams = [e for e in first if self._gains_enough(nominal, e)]
+        beams = beams[: BEAMS if self.agrees(final) else BEAMS_ALONE]
+        while beams and len(final.candidates) < most and not self.is_done(final):
+            following: list[Explanation] = []
+            for beam in beams:
+                following += self.next(beam)
+                if any(self.is_done(e) for e in following):
+                    break
+            following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
+            if not following or following[0].log_evidence <= final.log_evidence:
+                break
+            beams, final = following[:BEAMS], following[0]
+        return final
+
+    def continued(self, base: Explanation) -> Explanation:
+        """An explanation with the candidates that it still takes, one after the other."""
+        while len(base.candidates) < self._max_effects and not self.is_done(base):
+            more = self.next(base)
+            if not more or more[0].log_evidence <= base.log_evidence:
+                break
+            base = more[0]
+        return base
+
+    def next(self, base: Explanation) -> list[Explanation]:
+        """The few candidates that the derivatives speak for, added to ``base`` and significant."""
+        fits = self._contenders([self._fit(base, c) for c in self._screened(base)])
+        return [f for f in fits if self.is_significant(base, f)]
+
+    def takes_in(self, found: Sequence[Candidate], beside: Explanation) -> bool:
+        """Add candidates not known before that can stand beside an explanation; whether any are."""
+        known = {c.key for c in self._candidates}
+        late = [c for c in found if c.key not in known and c.name not in beside.names]
+        self._candidates += tuple(late)
+        if late:
+            self._promises.clear()
+        return bool(late)
+
+    def agrees(self, explanation: Explanation) -> bool:
+        """Whether nothing repeats any more."""
+        return agrees(disagreements(explanation.fit), self._false_alarm)
+
+    def is_significant(self, base: Explanation, more: Explanation) -> bool:
+        """Whether χ² falls by more than chance, and in the rotations alike."""
+        enough = self._gains_enough(base, more)
+        return enough and consistency(base.fit, more.fit) > LEAST_CONSISTENCY
+
+    def _gains_enough(self, base: Explanation, more: Explanation) -> bool:
+        gain = base.fit.chi_square - more.fit.chi_square
+        return gain > self._threshold(more.parameters - base.parameters)
+
+    def is_done(self, explanation: Explanation) -> bool:
+        """Whether nothing repeats any more and no further candidate promises anything."""
+        return self.agrees(explanation) and self._best_promise(explanation) < self._threshold(1)
+
+    def settled(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> Explanation:
+        """Leave out and exchange candidates until neither helps.
+
+        What came first was chosen alone, and may only have stood in for what was to follow.
+        """
+        for _ in range(MOST_EXCHANGES):
+            final = self.without_idle(nominal, final, first)
+            better = self._exchanged(nominal, final, first)
+            if better is None:
+                break
+            final = better
+        return final
+
+    def _exchanged(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> Explanation | None:
+        """The most probable explanation with one candidate replaced, if that is a better one."""
+        if len(final.candidates) < 2:
+            return None
+        others = [
+            e
+            for k in range(len(final.candidates))
+            for e in self._alternatives(nominal, final, k, first)
+        ]
+        best = max(others, key=lambda e: e.log_evidence, default=final)
+        return best if best.log_evidence > final.log_evidence + CLEARLY_BETTER else None
+
+    def without_idle(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> Explanation:
+        """Leave out what the others have made superfluous."""
+        if len(final.candidates) < 2:
+            return final
+        for k in range(len(final.candidates)):
+            rest = self._rebuilt(nominal, final, k, first)
+            if rest is not None and not self.is_significant(rest, final):
+                return self.without_idle(nominal, rest, first)
+        return final
+
+    def named(
+        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
+    ) -> list[NamedEffect]:
+        """Each effect with the set that it belongs to."""
+        found = []
+        for k, candidate in enumerate(final.candidates):
+            rest = self._rebuilt(nominal, final, k, first)
+            if rest is not None:
+                gain = rest.fit.chi_square - final.fit.chi_square
+                rivals = self._rivals(
+                    final, candidate, self._alternatives(nominal, final, k, first)
+                )
+                found.append(NamedEffect(candidate, gain, rivals))
+        return found
+
+    def _alternatives(
+        self, nominal: Explanation, final: Explanation, k: int, first: Sequence[Explanation]
+    ) -> list[Explanation]:
+        """Explanations with another candidate in place of the ``k``-th."""
+        candidate = final.candidates[k]
+        if len(final.candidates) == 1:
+            return [e for e in first if e.candidates[-1] is not candidate]
+        rest = self._rebuilt(nominal, final, k, first)
+        if rest is None:
+            return []
+        tried = [c for c in self._screened(rest) if c is not candidate]
+        return self._contenders([self._fit(rest, c) for c in tried])
+
+    def _rivals(
+        self, final: Explanation, candidate: Candidate, alternatives: Sequence[Explanation]
+    ) -> tuple[Explanation, ...]:
+        """Alternatives that look alike; larger ones that hold this one and gain nothing are not."""
+        near = []
+        for other in alternatives:
+            if other.candidates[-1].name == candidate.name:
+                continue
+            if distance(final, other) >= INDISTINGUISHABLE:
+                continue
+            more = other.parameters - final.parameters
+            gain = final.fit.chi_square - other.fit.chi_square
+            if more > 0 and gain < gain_threshold(more, 1, self._false_alarm):
+                continue
+            near.append(other)
+        return tuple(sorted(near, key=lambda e: -e.log_evidence))
+
+    def _rebuilt(
+        self, nominal: Explanation, final: Explanation, without: int, first: Sequence[Explanation]
+    ) -> Explanation | None:
+        """The explanation without one of its candidates, fitted again."""
+        rest = [c for k, c in enumerate(final.candidates) if k != without]
+        if not rest:
+            return nominal
+        key = id(final), without
+        if key not in self._rests:
+            found = [reduced(nominal, final, without)]
+            found += [e for e in first if len(rest) == 1 and e.candidates[-1] is rest[0]]
+            known = [e for e in found if e is not None]
+            best = min(known, key=lambda e: e.fit.chi_square, default=None)
+            self._rests[key] = final, best
+        return self._rests[key][1]
+
+    def _threshold(self, parameters: int) -> float:
+        return gain_threshold(parameters, len(self._candidates), self._false_alarm)
+
+    def _screened(self, base: Explanation) -> list[Candidate]:
+        gains = self._promised(base)
+        order = np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]
+        return [self._candidates[int(i)] for i in order if gains[int(i)] > 0.0]
+
+    def _best_promise(self, base: Explanation) -> float:
+        return float(np.max(self._promised(base), initial=0.0))
+
+    def _promised(self, base: Explanation) -> FloatArray:
+        """Gain that the derivatives promise, of each candidate; 0 of those that are in already."""
+        if id(base) not in self._promises:
+            gains = [
+                0.0 if c.name in base.names else linear_gain(base, c) for c in self._candidates
+            ]
+            self._promises[id(base)] = base, np.array(gains)
+        return self._promises[id(base)][1]
+
+    def _fit(self, base: Explanation, candidate: Candidate) -> Explanation | None:
+        key = id(base), id(candidate)
+        if key not in self._fits:
+            self._fits[key] = base, explain(base, candidate)
+            self._made += 1
+            if self._progress is not None:
+                self._progress(self._made, max(self._made, len(self._candidates)))
+        return self._fits[key][1]
+
+    def _contenders(self, fits: Sequence[Explanation | None]) -> list[Explanation]:
+        """Most probable first, the first few fitted to the end."""
+        found = sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
+        best = [self._to_the_end(e) for e in found[:CONTENDERS]]
+        return sorted([*best, *found[CONTENDERS:]], key=lambda e: -e.log_evidence)
+
+    def _to_the_end(self, rough: Explanation) -> Explanation:
+        if id(rough) not in self._polished:
+            fine = polished(rough)
+            self._polished[id(rough)] = rough, fine
+            self._polished[id(fine)] = fine, fine
+        return self._polished[id(rough)][1]
+
+
+def _better(a: Explanation, b: Explanation) -> Explanation:
+    """The more probable one, the first if neither is."""
+    return max(a, b, key=lambda e: e.log_evidence)
+
+
+def _distinct(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """One explanation for each set of names, the most probable."""
+    seen: set[frozenset[str]] = set()
+    kept = []
+    for explanation in explanations:
+        key = frozenset(explanation.names)
+        if key not in seen:
+            seen.add(key)
+            kept.append(explanation)
+    return kept

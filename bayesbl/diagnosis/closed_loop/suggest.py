@@ -1,0 +1,99 @@
+"""The recording that would tell apart what these recordings cannot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.kernel import CURRENT, SPEED
+from bayesbl.bench.simulation import simulate_channels
+from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
+from bayesbl.diagnosis.closed_loop.explain import Explanation
+from bayesbl.matching.signals import START_ANGLE, Observed
+from bayesbl.recording.types import FloatArray
+
+SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
+PAYLOAD = 1.3
+ANGLE_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A recording worth making.
+
+    Attributes
+    ----------
+    reference_speed_rpm
+        Of the motor, negative for reverse.
+    payload_share
+        Gravity torque and load inertia over the present ones.
+    distance
+        |z| between the best fits of the two explanations that come closest in it.
+    """
+
+    reference_speed_rpm: float
+    payload_share: float
+    distance: float
+
+
+def suggested_recording(
+    final: Explanation, rivals: Sequence[Explanation], rotations: float = 5.0
+) -> Suggestion | None:
+    """Of some simple recordings the one in which the rivals differ most; ``None`` without rivals.
+
+    Every explanation is simulated with what it was fitted to; what a start angle or an offset of
+    the phase could hide is projected out. Noise as in the first recording.
+    """
+    if not rivals:
+        return None
+    first = final.fit.model.recordings[0]
+    best: Suggestion | None = None
+    for speed, payload in _options(final.fit.model.recordings):
+        seen = [_seen(e, first, speed, payload) for e in (final, *rivals)]
+        if any(s is None for s in seen):
+            continue
+        signals = [s for s in seen if s is not None]
+        noise = final.fit.model.noise[0]
+        turn, shift = noise.whiten(signals[0][0]).ravel(), noise.whiten(signals[0][1]).ravel()
+        least = math.inf
+        for other, _ in signals[1:]:
+            difference = noise.whiten(other).ravel() - turn
+            difference -= shift * float(difference @ shift) / float(shift @ shift)
+            least = min(least, float(np.linalg.norm(difference)) * math.sqrt(rotations))
+        if best is None or least > best.distance:
+            best = Suggestion(speed, payload, least)
+    return best
+
+
+def _options(recordings: Sequence[Observed]) -> Iterator[tuple[float, float]]:
+    """(reference speed, payload share) of recordings that are not there yet."""
+    there = {round(seen.reference_speed_rpm) for seen in recordings}
+    top = max(abs(seen.reference_speed_rpm) for seen in recordings)
+    for share in SPEED_SHARES:
+        for direction in (1.0, -1.0):
+            if round(direction * share * top) not in there:
+                yield direction * share * top, 1.0
+    yield top, PAYLOAD
+
+
+def _seen(
+    explanation: Explanation, first: Observed, speed_rpm: float, payload: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """One rotation and its derivative by the start angle, (c, n) each; ``None`` if it fails."""
+    bench: Bench = augmented_bench(explanation)
+    bench = bench.with_parameters(
+        gravity_torque_nm=payload * bench.value("gravity_torque_nm"),
+        load_inertia_kg_m2=payload * bench.value("load_inertia_kg_m2"),
+    )
+    settings = known_settings(explanation) | {"reference_speed_rpm": speed_rpm}
+    matrix = bench.vector(**{START_ANGLE: np.array([0.0, ANGLE_STEP])}, **settings)
+    samples = round(bench.rotation_period_s(speed_rpm) * first.sampling_hz)
+    everything = simulate_channels(matrix, samples, first.sampling_hz, failures="nan")
+    both = everything[:, [SPEED, CURRENT][: len(first.signals)]]
+    if not np.all(np.isfinite(both)):
+        return None
+    return both[0], (both[1] - both[0]) / ANGLE_STEP

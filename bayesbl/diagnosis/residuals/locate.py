@@ -1,0 +1,364 @@
+"""Where recording and simulation disagree: per channel, with which angle or time, how surely.
+
+What a simulation leaves is split by averaging over load rotations into what repeats and what does
+not; in the latter, lines that are no whole load order and drift are told from noise. A line belongs
+to the load angle, the motor angle or time by its order, by how it stands out of its neighbours,
+and, where recordings were made at different speeds, by what stays the same between them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from bayesbl.diagnosis.residuals.attribution import (
+    Line,
+    OffsetDependence,
+    load_lines,
+    offset_dependence,
+    over_speeds,
+    wave_lines,
+)
+from bayesbl.diagnosis.residuals.decomposition import (
+    LeftOver,
+    WholeRotations,
+    against_load_angle,
+    band_probability,
+    map_error,
+    mean_over_rotations,
+    order_probabilities,
+    take_apart,
+)
+from bayesbl.diagnosis.residuals.line_search import Scales, scales
+from bayesbl.diagnosis.residuals.skew import Skew
+from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg
+from bayesbl.errors import RecordingError
+from bayesbl.matching.signals import Observed
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray
+
+FALSE_DISCOVERY_RATE = 0.01
+FEWEST_ROTATIONS = 2
+MAIN_SHARE = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Mean squares that add up to that of the whole difference, the channel's unit squared.
+
+    ``other``: lines of the motor angle and of time, drift. ``noise``: what is left when all else is
+    taken off, so without the share of the noise that repeats by chance, which is in ``load_angle``.
+    """
+
+    offset: float
+    load_angle: float
+    other: float
+    noise: float
+
+    @property
+    def total(self) -> float:
+        """Mean square of recording − simulation over the whole rotations."""
+        return self.offset + self.load_angle + self.other + self.noise
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Amplitude of what is left at every bin, and what noise alone would have there (RMS), (b,)."""
+
+    frequency_hz: FloatArray
+    amplitude: FloatArray
+    noise_amplitude: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelLeft:
+    """What is left of one channel of one recording, in the unit that the channel's name ends in.
+
+    Attributes
+    ----------
+    offset, offset_error, offset_significant
+        Mean of recording − simulation, its standard error, whether noise explains it.
+    repeating_rms
+        RMS of what repeats with the load angle, without the offset, lines of the motor angle and
+        what noise alone would leave; up to the load order ``repeating_band``.
+    repeating_probability
+        That noise alone repeats as much (bands of load orders, Bonferroni).
+    main_orders
+        Load orders between which 80 % of the significant power lies; ``None`` if none is
+        significant.
+    lines
+        Significant lines, strongest first.
+    load_map, load_map_error
+        What repeats, offset included, at load angles 2π j/720, shape (720,); its standard error.
+    recorded, simulated
+        Averages over the rotations at the same angles.
+    noise_sd
+        Of the noise.
+    drift_per_s, drift_error_per_s
+        Slope over the recording and its standard error.
+    outliers
+        Samples that no noise explains (six standard deviations of the whitened noise).
+    skew
+        Fixed time by which the recording lags the simulation; means something only beside the
+        other channels'.
+    """
+
+    channel: str
+    offset: float
+    offset_error: float
+    offset_significant: bool
+    repeating_rms: float
+    repeating_band: int
+    repeating_probability: float
+    main_orders: tuple[int, int] | None
+    lines: tuple[Line, ...]
+    load_map: FloatArray
+    load_map_error: float
+    recorded: FloatArray
+    simulated: FloatArray
+    spectrum: Spectrum
+    noise_sd: float
+    drift_per_s: float
+    drift_error_per_s: float
+    outliers: int
+    skew: Skew
+    split: Split
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingLeft:
+    """What is left of one recording, channel by channel."""
+
+    name: str
+    whole: WholeRotations
+    channels: tuple[ChannelLeft, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """What is left of all recordings.
+
+    Attributes
+    ----------
+    offsets
+        How each channel's offset depends on direction and speed.
+    false_discovery_rate
+        Expected share of false ones among the significant lines; if nothing is left, the chance
+        that any line is called significant.
+    """
+
+    recordings: tuple[RecordingLeft, ...]
+    offsets: tuple[OffsetDependence, ...]
+    false_discovery_rate: float
+
+
+def locate(
+    recordings: Sequence[Observed],
+    simulated: Sequence[FloatArray],
+    start_angles_rad: Sequence[float] | None = None,
+    *,
+    false_discovery_rate: float = FALSE_DISCOVERY_RATE,
+) -> Located:
+    """Split what the simulation leaves of every channel and test every line of its spectrum.
+
+    Parameters
+    ----------
+    recordings
+        Recordings in steady rotation.
+    simulated
+        Prediction for each, shape (c, n) as its ``signals``.
+    start_angles_rad
+        Load angle at each recording's first sample; if not given, maps count from there.
+    false_discovery_rate
+        Over all lines: Benjamini and Hochberg for each channel of each recording, and there apart
+        for motor orders, load orders and what lies between them, each at its equal share of the
+        rate. (All at once would let thousands of true lines in one channel buy false ones in
+        another.)
+
+    Raises
+    ------
+    RecordingError
+        If a recording holds less than two load rotations, or a prediction is not finite or not of
+        the recording's shape.
+    """
+    starts = start_angles_rad if start_angles_rad is not None else [0.0] * len(recordings)
+    tests = 3 * sum(len(seen.signals) for seen in recordings)
+    located = [
+        _recording(seen, made, start, false_discovery_rate / tests)
+        for seen, made, start in zip(recordings, simulated, starts, strict=True)
+    ]
+    return Located(_attributed(located), _offsets(located), false_discovery_rate)
+
+
+def _recording(
+    seen: Observed, simulated: FloatArray, start_angle_rad: float, rate: float
+) -> RecordingLeft:
+    if simulated.shape != seen.signals.shape or not np.all(np.isfinite(simulated)):
+        raise RecordingError(
+            "The prediction does not fit the recording.",
+            file=seen.name,
+            found=f"shape {simulated.shape}, {int(np.isfinite(simulated).sum())} finite values",
+            expected=f"shape {seen.signals.shape}, all finite",
+        )
+    rotation = seen.rotation_period_s * seen.sampling_hz
+    rotations = int(seen.samples / rotation + 1e-6)
+    if rotations < FEWEST_ROTATIONS:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            file=seen.name,
+            found=f"{seen.samples / rotation:.2g} load rotations",
+            expected="at least two",
+        )
+    whole = WholeRotations(
+        rotations=rotations,
+        samples=min(round(rotations * rotation), seen.samples),
+        sampling_hz=seen.sampling_hz,
+        reference_speed_rpm=seen.reference_speed_rpm,
+        gear_ratio=seen.rotation_period_s * abs(seen.reference_speed_rpm) / 60.0,
+        start_angle_rad=start_angle_rad,
+    )
+    scale = _scales(seen.channels, simulated[:, : whole.samples], whole)
+    channels = tuple(
+        _channel(name, recorded[: whole.samples], made[: whole.samples], whole, scale, rate)
+        for name, recorded, made in zip(seen.channels, seen.signals, simulated, strict=True)
+    )
+    return RecordingLeft(seen.name, whole, channels)
+
+
+def _scales(channels: Sequence[str], simulated: FloatArray, whole: WholeRotations) -> Scales:
+    """Time, and the motor angle that the simulated speed makes: it has no noise."""
+    speed_hz = np.full(whole.samples, whole.motor_hz)
+    if MOTOR_SPEED in channels:
+        speed_hz = np.abs(simulated[channels.index(MOTOR_SPEED)]) / 60.0
+    turned = cumulative_trapezoid(speed_hz, dx=1.0 / whole.sampling_hz, initial=0.0)
+    return scales(2.0 * math.pi * turned, whole.motor_hz, whole.sampling_hz)
+
+
+def _channel(
+    name: str,
+    recorded: FloatArray,
+    simulated: FloatArray,
+    whole: WholeRotations,
+    scale: Scales,
+    rate: float,
+) -> ChannelLeft:
+    left = take_apart(recorded, simulated, whole, scale, rate)
+    probability = order_probabilities(left, whole.rotations)
+    threshold = benjamini_hochberg(probability, rate)
+    repeats, highest = band_probability(left, whole.rotations)
+    harmonics = left.repeating[:: whole.rotations] / whole.samples
+    mean_square = 2.0 * np.abs(harmonics) ** 2
+    by_noise = 2.0 * left.floor.at_bins(whole.samples)[:: whole.rotations] / whole.samples
+    highest = max(highest, int(np.flatnonzero(probability <= threshold).max(initial=0)))
+    excess = float((mean_square - by_noise)[1 : highest + 1].sum())
+    lines = load_lines(left, whole, probability, threshold) + wave_lines(left, whole)
+    return ChannelLeft(
+        channel=name,
+        offset=left.offset,
+        offset_error=left.offset_error,
+        offset_significant=bool(probability[0] <= threshold),
+        repeating_rms=math.sqrt(max(excess, 0.0)),
+        repeating_band=highest,
+        repeating_probability=repeats,
+        main_orders=_main_orders(np.where(probability <= threshold, mean_square, 0.0)),
+        lines=tuple(sorted(lines, key=lambda line: -line.amplitude)),
+        load_map=against_load_angle(harmonics, whole),
+        load_map_error=map_error(left, whole),
+        recorded=mean_over_rotations(recorded, whole),
+        simulated=mean_over_rotations(simulated, whole),
+        spectrum=_spectrum(recorded - simulated, left, whole),
+        noise_sd=left.floor.sd,
+        drift_per_s=left.drift_per_s,
+        drift_error_per_s=left.drift_error_per_s,
+        outliers=left.outliers,
+        skew=left.skew,
+        split=_split(recorded - simulated, left),
+    )
+
+
+def _main_orders(power: FloatArray) -> tuple[int, int] | None:
+    """Orders that cut off a tenth of the power below and above them."""
+    total = power[1:].sum()
+    if total == 0.0:
+        return None
+    below = np.cumsum(power[1:]) / total
+    aside = 0.5 * (1.0 - MAIN_SHARE)
+    return int(np.argmax(below >= aside)) + 1, int(np.argmax(below >= 1.0 - aside)) + 1
+
+
+def _spectrum(difference: FloatArray, left: LeftOver, whole: WholeRotations) -> Spectrum:
+    transform = np.abs(np.fft.rfft(difference - difference.mean()))
+    return Spectrum(
+        whole.frequency_hz,
+        2.0 * transform / whole.samples,
+        2.0 * np.sqrt(left.floor.at_bins(whole.samples) / whole.samples),
+    )
+
+
+def _split(difference: FloatArray, left: LeftOver) -> Split:
+    repeating = float(np.mean(np.fft.irfft(left.repeating, difference.size) ** 2))
+    noise = float(np.mean(left.noise**2))
+    return Split(
+        offset=left.offset**2,
+        load_angle=repeating - left.offset**2,
+        other=float(np.mean(difference**2)) - repeating - noise,
+        noise=noise,
+    )
+
+
+def _attributed(located: Sequence[RecordingLeft]) -> tuple[RecordingLeft, ...]:
+    """Lines attributed by all recordings together."""
+    result = []
+    for i, recording in enumerate(located):
+        channels = []
+        for c, channel in enumerate(recording.channels):
+            others = [
+                (other.whole, other.channels[c].lines)
+                for j, other in enumerate(located)
+                if j != i and c < len(other.channels)
+            ]
+            lines = tuple(over_speeds(line, recording.whole, others) for line in channel.lines)
+            channels.append(_without_reattributed(channel, lines))
+        result.append(dataclasses.replace(recording, channels=tuple(channels)))
+    return tuple(result)
+
+
+def _without_reattributed(channel: ChannelLeft, lines: tuple[Line, ...]) -> ChannelLeft:
+    """The channel with its lines anew; whole load orders that belong to time repeat no more."""
+    moved = [
+        old
+        for old, new in zip(channel.lines, lines, strict=True)
+        if old.dependence == "load angle" != new.dependence
+    ]
+    if not moved:
+        return dataclasses.replace(channel, lines=lines)
+    kept = [line for line in lines if line.dependence == "load angle"]
+    power = np.zeros(1 + int(max((line.load_order for line in kept), default=0.0)))
+    for line in kept:
+        power[round(line.load_order)] = line.amplitude**2
+    left = channel.repeating_rms**2 - 0.5 * sum(line.amplitude**2 for line in moved)
+    return dataclasses.replace(
+        channel,
+        lines=lines,
+        repeating_rms=math.sqrt(max(left, 0.0)),
+        repeating_probability=channel.repeating_probability if kept else 1.0,
+        main_orders=_main_orders(power),
+    )
+
+
+def _offsets(located: Sequence[RecordingLeft]) -> tuple[OffsetDependence, ...]:
+    names = dict.fromkeys(c.channel for recording in located for c in recording.channels)
+    found = []
+    for name in names:
+        rows = [
+            (recording.whole.reference_speed_rpm, channel.offset, channel.offset_error)
+            for recording in located
+            for channel in recording.channels
+            if channel.channel == name
+        ]
+        found.append(offset_dependence(name, *np.array(rows).T))
+    return tuple(found)

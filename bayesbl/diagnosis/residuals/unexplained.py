@@ -1,0 +1,184 @@
+"""What is left, in a few entries: channel, order or frequency, amplitude, what it depends on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from scipy.stats import norm
+
+from bayesbl.diagnosis.residuals.attribution import Line
+from bayesbl.diagnosis.residuals.locate import ChannelLeft, Located, RecordingLeft
+from bayesbl.units import unit_of
+
+What = Literal[
+    "load angle", "motor angle", "time", "angle or time", "offset", "drift", "skew", "outliers"
+]
+
+SURE = 1e-3
+"""Family-wise false-alarm rate of what is no line: repeating bands, drift, skew."""
+SKEW_EXPLAINS = 0.8
+"""Share of what a channel leaves that a fixed lag must explain to be called one."""
+SAME_ORDER = 2e-3
+FEWEST_OUTLIERS = 3
+MOST_LINES = 6
+"""Of a channel: what is beyond them is weaker, mostly side bands."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """One thing that the simulation leaves, over all recordings that show it.
+
+    Attributes
+    ----------
+    dependence
+        What it repeats with, or ``offset``, ``drift`` (over a recording), ``skew`` (the channel
+        lags by a fixed time), ``outliers`` (samples that no noise explains).
+    amplitude
+        Largest over the recordings, in ``unit``: of the line; for the load angle that of a sine
+        of the same RMS; the offset; the drift per second; the lag; the number of samples.
+    lowest_order, highest_order
+        Of the load for the load angle, else of the motor; ``nan`` where it has none.
+    frequency_hz
+        Of a line periodic in time, or of one that may be; else ``nan``.
+    recordings
+        Names of those that show it.
+    """
+
+    channel: str
+    dependence: What
+    amplitude: float
+    unit: str
+    lowest_order: float
+    highest_order: float
+    frequency_hz: float
+    recordings: tuple[str, ...]
+
+
+Found = tuple[RecordingLeft, ChannelLeft]
+
+
+def describe_unexplained(located: Located) -> list[Unexplained]:
+    """What is significant, channel by channel: strongest lines first, then all else."""
+    names = dict.fromkeys(c.channel for r in located.recordings for c in r.channels)
+    every = [(r, c) for r in located.recordings for c in r.channels]
+    entries: list[Unexplained] = []
+    for name in names:
+        seen = [(r, c) for r, c in every if c.channel == name]
+        unit = unit_of(name)
+        entries += _with_load_angle(name, unit, seen, len(every))
+        entries += _lines(name, unit, seen)
+        entries += _number(name, "offset", unit, seen, lambda c: c.offset, _has_offset)
+        entries += _number(
+            name,
+            "drift",
+            f"{unit}/s",
+            seen,
+            lambda c: c.drift_per_s,
+            lambda c: _sure(c.drift_per_s / c.drift_error_per_s, len(every)),
+        )
+        entries += _number(
+            name,
+            "skew",
+            "s",
+            seen,
+            lambda c: c.skew.lag_s,
+            lambda c: c.skew.explained >= SKEW_EXPLAINS and has_skew(c, len(every)),
+        )
+        entries += _number(
+            name,
+            "outliers",
+            "samples",
+            seen,
+            lambda c: c.outliers,
+            lambda c: c.outliers >= FEWEST_OUTLIERS,
+        )
+    return entries
+
+
+def repeats(channel: ChannelLeft, tests: int) -> bool:
+    """Whether anything repeats with the load angle: a line of a load order, or a whole band."""
+    return channel.main_orders is not None or channel.repeating_probability * tests <= SURE
+
+
+def has_skew(channel: ChannelLeft, tests: int) -> bool:
+    """Whether the lag is more than noise makes it."""
+    return _sure(channel.skew.lag_s / channel.skew.standard_error_s, tests)
+
+
+def _has_offset(channel: ChannelLeft) -> bool:
+    return channel.offset_significant
+
+
+def _sure(z: float, tests: int) -> bool:
+    return 2.0 * float(norm.sf(abs(z))) * tests <= SURE
+
+
+def _with_load_angle(
+    name: str, unit: str, seen: Sequence[Found], tests: int
+) -> Iterable[Unexplained]:
+    shown = [(r, c) for r, c in seen if repeats(c, tests)]
+    if not shown:
+        return
+    orders = [c.main_orders or (1, c.repeating_band) for _, c in shown]
+    yield Unexplained(
+        name,
+        "load angle",
+        math.sqrt(2.0) * max(c.repeating_rms for _, c in shown),
+        unit,
+        float(min(low for low, _ in orders)),
+        float(max(high for _, high in orders)),
+        math.nan,
+        tuple(r.name for r, _ in shown),
+    )
+
+
+def _lines(name: str, unit: str, seen: Sequence[Found]) -> list[Unexplained]:
+    """Lines of the motor angle and of time, those of one order or frequency together."""
+    lines = [(r.name, x) for r, c in seen for x in c.lines if x.dependence != "load angle"]
+    groups: list[list[tuple[str, Line]]] = []
+    for recording, line in sorted(lines, key=lambda found: -found[1].amplitude):
+        for group in groups:
+            if _same(group[0][1], line):
+                group.append((recording, line))
+                break
+        else:
+            groups.append([(recording, line)])
+    entries = []
+    for group in groups[:MOST_LINES]:
+        first = group[0][1]
+        in_time = first.dependence == "time"
+        order = math.nan if in_time else first.motor_order
+        hertz = math.nan if first.dependence == "motor angle" else first.frequency_hz
+        names = {recording for recording, _ in group}
+        shown = tuple(r.name for r, _ in seen if r.name in names)
+        entries.append(
+            Unexplained(name, first.dependence, first.amplitude, unit, order, order, hertz, shown)
+        )
+    return entries
+
+
+def _same(one: Line, other: Line) -> bool:
+    if one.dependence != other.dependence:
+        return False
+    if one.dependence == "motor angle":
+        return abs(one.motor_order - other.motor_order) < SAME_ORDER * one.motor_order
+    return abs(one.frequency_hz - other.frequency_hz) < SAME_ORDER * one.frequency_hz
+
+
+def _number(
+    name: str,
+    what: What,
+    unit: str,
+    seen: Sequence[Found],
+    value: Callable[[ChannelLeft], float],
+    significant: Callable[[ChannelLeft], bool],
+) -> Iterable[Unexplained]:
+    shown = [(r.name, value(c)) for r, c in seen if significant(c)]
+    if shown:
+        largest = max((v for _, v in shown), key=abs)
+        nan = math.nan
+        recordings = tuple(recording for recording, _ in shown)
+        yield Unexplained(name, what, largest, unit, nan, nan, nan, recordings)

@@ -1,0 +1,132 @@
+"""Which order of the motor's turning stands out of what is left, against the noise around it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesbl.diagnosis.report import Remaining
+from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise
+from bayesbl.recording.types import FloatArray
+
+FEWEST_CYCLES = 3.0
+MOST_REMAINING = 5
+_STEPS_PER_CYCLE = 5.0
+_MOST_ORDERS = 40_000
+_NOISE_KNOTS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class OrderScan:
+    """Score of sin and cos of every order: χ² if nothing is there.
+
+    |Σ r exp(i n θ)|² over what coloured noise makes of it, ½ XᵀΣX of sine and cosine together;
+    summed over recordings before the square where they share one phase, after it where not.
+
+    Attributes
+    ----------
+    orders, scores
+        Shape (m,), evenly spaced; empty if the motor does not turn far enough.
+    amplitudes
+        Of the wave of each order, mean over recordings weighted by samples, shape (m,).
+    independent
+        Number of orders that are independent of one another.
+    freedom
+        Degrees of freedom of a score.
+    """
+
+    orders: FloatArray
+    scores: FloatArray
+    amplitudes: FloatArray
+    independent: float
+    freedom: int
+
+    def best(self) -> tuple[float, float, float]:
+        """The order of the highest score, the scan's step, and the number of trials."""
+        if not self.orders.size:
+            return 1.0, 0.1, 1.0
+        step, k = float(self.orders[1] - self.orders[0]), int(np.argmax(self.scores))
+        return float(self.orders[k]), step, self.trials(float(self.scores[k]))
+
+    def trials(self, score: float) -> float:
+        """How much likelier a score is somewhere than at one order (Baluev 2008).
+
+        W √(χ²/2), W the independent orders: between them the score can rise a little further.
+        """
+        return self.independent * math.sqrt(max(1.0, 0.5 * score))
+
+    def remaining(self, channel: str, false_alarm: float) -> tuple[Remaining, ...]:
+        """Orders that stand out, strongest first, at most :data:`MOST_REMAINING`.
+
+        Neighbours within two resolved cycles belong to the stronger line.
+        """
+        found = list[Remaining]()
+        if not self.orders.size:
+            return ()
+        width = 2.0 * _STEPS_PER_CYCLE * float(self.orders[1] - self.orders[0])
+        left = self.scores.copy()
+        while len(found) < MOST_REMAINING:
+            k = int(np.argmax(left))
+            score, order = float(left[k]), float(self.orders[k])
+            if self.trials(score) * chi2.sf(score, self.freedom) > false_alarm:
+                break
+            found.append(Remaining(channel, order, float(self.amplitudes[k]), score))
+            left[np.abs(self.orders - order) <= width] = 0.0
+        return tuple(found)
+
+
+def scan_orders(
+    angles: list[FloatArray], rests: list[FloatArray], shared: bool, low: float, high: float
+) -> OrderScan:
+    """Scan residuals over motor angles (rad), one array each per recording.
+
+    Parameters
+    ----------
+    shared
+        Whether all recordings have one phase, because their angle is absolute.
+    low, high
+        Orders looked at; none with fewer than three cycles in the longest recording.
+    """
+    ends = [(float(a.min()), float(a.max())) for a in angles]
+    turns = max(last - first for first, last in ends) / (2.0 * math.pi)
+    if shared:
+        turns = (max(e[1] for e in ends) - min(e[0] for e in ends)) / (2.0 * math.pi)
+    low = max(low, FEWEST_CYCLES / turns) if turns > 0.0 else high
+    count = int(min(_MOST_ORDERS, (high - low) * turns * _STEPS_PER_CYCLE)) + 1
+    freedom = 2 if shared else 2 * len(angles)
+    if low >= high or count < 2:
+        nothing = np.array([])
+        return OrderScan(nothing, nothing, nothing, 1.0, freedom)
+    orders, knots = np.linspace(low, high, count), np.linspace(low, high, _NOISE_KNOTS)
+    total, size = np.zeros(count, dtype=complex), np.zeros(count)
+    scores, spread = np.zeros(count), np.zeros(count)
+    for angle, rest in zip(angles, rests, strict=True):
+        found = _transform(angle, rest, orders)
+        noise = ResidualNoise.of(rest)
+        waves = np.exp(1j * np.outer(angle, knots))
+        power = 0.5 * sum(
+            (part * noise.covariance_times(part)).sum(axis=0) for part in (waves.real, waves.imag)
+        )
+        here = np.exp(np.interp(orders, knots, np.log(power)))
+        total += found
+        size += np.abs(found)
+        spread += here
+        scores += np.abs(found) ** 2 / here
+    samples = sum(rest.size for rest in rests)
+    if shared:
+        scores, size = np.abs(total) ** 2 / spread, np.abs(total)
+    return OrderScan(orders, scores, 2.0 * size / samples, max(1.0, (high - low) * turns), freedom)
+
+
+def _transform(angle: FloatArray, rest: FloatArray, orders: FloatArray) -> np.ndarray:
+    """Σ r exp(i n θ) for evenly spaced orders, by turning one wave on from order to order."""
+    wave = rest * np.exp(1j * orders[0] * angle)
+    turn = np.exp(1j * (orders[1] - orders[0]) * angle)
+    out = np.empty(orders.size, dtype=complex)
+    for k in range(orders.size):
+        out[k] = wave.sum()
+        wave *= turn
+    return out

@@ -1,0 +1,195 @@
+"""Where a recording begins and roughly how large the gap is, without a start from outside."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.kernel import CURRENT, SPEED
+from bayesbl.bench.simulation import simulate_channels
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.signals import (
+    GAP,
+    START_ANGLE,
+    Observed,
+    SimulatedSignals,
+    Unknown,
+)
+from bayesbl.noise.channel_noise import ChannelNoise, estimate_channel_noise
+from bayesbl.recording.types import FloatArray
+
+GAPS_TRIED = 24
+STARTS_FITTED = 3
+NOISE_ROUNDS = 2
+
+
+def fit_aligned(
+    bench: Bench,
+    recordings: Sequence[Observed],
+    unknowns: Sequence[Unknown],
+    workers: int = 1,
+) -> SimulatedFit:
+    """The most probable point of all unknowns, from the recordings alone.
+
+    The gap is scanned; for each the recordings, averaged over rotations, are shifted against the
+    simulation by correlation; the best few are fitted, the noise estimated anew from what the fit
+    leaves.
+    """
+    noise = [estimate_channel_noise(seen.signals, seen.lag) for seen in recordings]
+    model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
+    fits = [fit_simulated(model, start) for start in aligned_starts(model)]
+    best = min(fits, key=lambda fit: fit.chi_square)
+    for _ in range(NOISE_ROUNDS):
+        noise = remaining_noise(best)
+        model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
+        best = fit_simulated(model, best.point, best.steps)
+    return with_model(best, model)
+
+
+def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
+    """Noise of each recording from rotation differences of what the fit leaves."""
+    model = fit.model
+    return [
+        estimate_channel_noise(seen.left_by(model.signals(fit.point, i)[0]), seen.lag)
+        for i, seen in enumerate(model.recordings)
+    ]
+
+
+def aligned_starts(
+    model: SimulatedSignals, grids: Mapping[int, FloatArray] | None = None
+) -> list[FloatArray]:
+    """Points to fit from, best first: gaps by scan, start angles by correlation.
+
+    Recordings with a gap of their own are scanned one by one, and begin together at the best of
+    each, the second best of each, …
+
+    Parameters
+    ----------
+    grids
+        Coordinates to scan besides the gap, by place in a point; all combinations are tried.
+        Other unknowns begin at their prior's centre, or the middle of their range.
+    """
+    names = [(u.name, u.recording) for u in model.unknowns]
+    start = np.array([_middle(u) for u in model.unknowns])
+    starts = np.repeat(start[None], STARTS_FITTED, axis=0)
+    by_gap: dict[int | None, list[int]] = {}
+    for i, seen in enumerate(model.recordings):
+        gaps = [k for k, (n, of) in enumerate(names) if n == GAP and of in (None, seen.name)]
+        by_gap.setdefault(gaps[0] if gaps else None, []).append(i)
+    for place, members in by_gap.items():
+        scanned = dict(grids or {})
+        if place is not None:
+            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
+        points, shape = _combinations(start, scanned)
+        aligned = [_align(model, points, i) for i in members]
+        chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0), shape)
+        for coordinate in scanned:
+            starts[:, coordinate] = points[chosen, coordinate]
+        for i, (angles, _) in zip(members, aligned, strict=True):
+            key = (START_ANGLE, model.recordings[i].name)
+            if key in names:
+                at = names.index(key)
+                starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
+    _, first = np.unique(starts, axis=0, return_index=True)
+    return [starts[k] for k in np.sort(first)]
+
+
+def _combinations(
+    start: FloatArray, scanned: Mapping[int, FloatArray]
+) -> tuple[FloatArray, tuple[int, ...]]:
+    """The start with every combination of the scanned values, (m, d), and their grid's shape."""
+    meshes = np.meshgrid(*scanned.values(), indexing="ij")
+    points = np.repeat(start[None], meshes[0].size if meshes else 1, axis=0)
+    for place, mesh in zip(scanned, meshes, strict=True):
+        points[:, place] = mesh.ravel()
+    return points, meshes[0].shape if meshes else (1,)
+
+
+def _best_apart(cost: FloatArray, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Places of the lowest costs, none beside another; repeated where there are too few."""
+    chosen: list[int] = []
+    for k in map(int, np.argsort(cost, kind="stable")):
+        if all(_far(np.unravel_index(k, shape), np.unravel_index(c, shape)) for c in chosen):
+            chosen.append(k)
+        if len(chosen) == STARTS_FITTED:
+            break
+    return np.resize(np.array(chosen), STARTS_FITTED)
+
+
+def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
+    """The same angles, within half a turn of where a prior expects them."""
+    if not math.isfinite(unknown.sd):
+        return angles
+    turn = 2.0 * math.pi
+    return np.asarray(angles - turn * np.round((angles - unknown.centre) / turn))
+
+
+def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:
+    """Whether two places of a grid are no neighbours."""
+    return any(abs(int(i) - int(j)) > 1 for i, j in zip(a, b, strict=True))
+
+
+def _middle(unknown: Unknown) -> float:
+    if math.isfinite(unknown.sd):
+        return unknown.centre
+    if math.isfinite(unknown.low) and math.isfinite(unknown.high):
+        return 0.5 * (unknown.low + unknown.high)
+    return 0.0
+
+
+def _align(
+    model: SimulatedSignals, points: FloatArray, recording: int
+) -> tuple[FloatArray, FloatArray]:
+    """Best start angle at each point, shape (m,), and χ² left there, shape (m,).
+
+    Means are taken off: what shifts a whole channel says nothing of the phase.
+    """
+    seen, noise = model.recordings[recording], model.noise[recording]
+    folded = _folded(seen)
+    size = folded.shape[1]
+    settings = {
+        u.name: u.value(points[:, i])
+        for i, u in enumerate(model.unknowns)
+        if u.recording in (None, seen.name) and u.name != START_ANGLE
+    }
+    matrix = model.bench.vector(
+        **(
+            {"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0}
+            | model.settings
+            | settings
+        )
+    )
+    if len(matrix) < len(points):
+        matrix = np.repeat(matrix, len(points), axis=0)
+    rate = size / seen.rotation_period_s
+    simulated = simulate_channels(matrix, size, rate, workers=model.workers, failures="nan")
+    simulated = simulated[:, [SPEED, CURRENT][: len(folded)]]
+    folded = folded - folded.mean(axis=1, keepdims=True)
+    simulated = simulated - simulated.mean(axis=2, keepdims=True)
+    weight = 1.0 / noise.sd**2
+    product = np.fft.irfft(
+        np.conj(np.fft.rfft(folded)) * np.fft.rfft(simulated), size, axis=2
+    )  # [k] = Σ_j folded_j simulated_{j+k}
+    gain = np.einsum("c,mck->mk", weight, product)
+    power = np.einsum("c,mcj->m", weight, simulated**2)
+    best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
+    own = float(weight @ (folded**2).sum(axis=1))
+    left = own + power - 2.0 * gain[np.arange(len(points)), best]
+    rotations = seen.samples / seen.lag
+    direction = math.copysign(1.0, seen.reference_speed_rpm)
+    angle = direction * 2.0 * math.pi * best / size
+    return angle, np.where(np.isfinite(left), rotations * left, np.inf)
+
+
+def _folded(seen: Observed) -> FloatArray:
+    """Channels averaged over the whole rotations, shape (c, lag)."""
+    whole = int((seen.samples - 1) / (seen.rotation_period_s * seen.sampling_hz))
+    size = seen.lag
+    phase = (np.arange(size) / size + np.arange(whole)[:, None]) * seen.rotation_period_s
+    at = phase * seen.sampling_hz
+    grid = np.arange(seen.samples)
+    return np.stack([np.interp(at, grid, row).mean(axis=0) for row in seen.signals])

@@ -1,0 +1,243 @@
+"""Least squares of whitened residuals between recordings and their simulation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesbl.errors import BenchError
+from bayesbl.matching.signals import SimulatedSignals
+from bayesbl.recording.types import FloatArray
+
+STEP_CHANGE = 4.0
+"""Change of the whitened signals, in standard deviations, that derivatives are taken over."""
+MOST_ROUNDS = 30
+CONVERGED = 0.01
+CONVERGED_SHARE = 1e-4
+"""Rounds end when one lowers χ² by less than this, or by this share of what noise leaves open."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFit:
+    """The most probable point, with the derivatives there.
+
+    Attributes
+    ----------
+    point
+        Shape (d,).
+    residual
+        Whitened residuals there, shape (N,).
+    jacobian
+        Derivative of the whitened signals by the coordinates, shape (N, d).
+    covariance
+        (JᵀJ + P)⁻¹ with P the prior's precision, shape (d, d).
+    steps
+        That the derivatives were taken over, shape (d,).
+    """
+
+    model: SimulatedSignals
+    point: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    covariance: FloatArray
+    steps: FloatArray
+
+    @property
+    def chi_square(self) -> float:
+        """Sum of squared whitened residuals and deviations."""
+        return float(self.residual @ self.residual) + float(self.deviations @ self.deviations)
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Centre less coordinate in prior standard deviations, of those with a normal prior.
+
+        Such a prior is a measurement beside the recordings, as of a start angle.
+        """
+        found = zip(self.model.unknowns, self.point, strict=True)
+        return np.array([(u.centre - x) / u.sd for u, x in found if math.isfinite(u.sd)])
+
+    @property
+    def bound(self) -> FloatArray:
+        """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,)."""
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        scaled = self.jacobian / norms
+        return np.asarray(np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms)
+
+    def value(self, name: str, recording: str | None = None) -> float:
+        """Value of an unknown at the optimum."""
+        i = self.model.index(name, recording)
+        return float(self.model.unknowns[i].value(self.point[i]))
+
+    def sd(self, name: str, recording: str | None = None) -> float:
+        """Posterior standard deviation of an unknown's coordinate (of ln δ for the gap)."""
+        i = self.model.index(name, recording)
+        return float(np.sqrt(self.covariance[i, i]))
+
+
+def fit_simulated(
+    model: SimulatedSignals,
+    start: FloatArray,
+    steps: FloatArray | None = None,
+    converged_share: float = CONVERGED_SHARE,
+) -> SimulatedFit:
+    """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
+
+    Parameters
+    ----------
+    start
+        Shape (d,); moved into the ranges if outside.
+    steps
+        For derivatives by the first unknowns, from a fit without the others.
+    converged_share
+        Rounds end when one lowers χ² by less than this share of what noise leaves open.
+
+    Raises
+    ------
+    BenchError
+        If the bench cannot be simulated at the start.
+    """
+    point = np.clip(start, model.low, model.high)
+    rough = _first_steps(model, point)
+    steps = rough if steps is None else np.concatenate([steps, rough[len(steps) :]])
+    residual = model.whitened(point)[0]
+    if not np.all(np.isfinite(residual)):
+        raise BenchError(
+            "The bench cannot be simulated at the start of the fit.",
+            found=", ".join(
+                f"{u.label} = {float(u.value(x)):.4g}"
+                for u, x in zip(model.unknowns, point, strict=True)
+            ),
+        )
+    value = _objective(model, point, residual)
+    damping = 1e-3
+    jacobian = np.zeros((residual.size, point.size))
+    precision = np.diag(model.prior_precision())
+    for _ in range(MOST_ROUNDS):
+        jacobian, steps = _jacobian(model, point, residual, steps)
+        gradient = jacobian.T @ residual + _prior_pull(model, point)
+        curvature = jacobian.T @ jacobian + np.diag(_gaussian_precision(model))
+        gained = 0.0
+        while damping < 1e8:
+            move = _bounded_step(model, point, gradient, curvature, damping)
+            trial = point + move
+            trial_residual = model.whitened(trial)[0]
+            trial_value = _objective(model, trial, trial_residual)
+            if trial_value < value:
+                gained = value - trial_value
+                point, residual, value = trial, trial_residual, trial_value
+                damping = max(damping / 10.0, 1e-9)
+                break
+            if np.all(np.abs(move) < 1e-3 * np.sqrt(1.0 / np.diag(curvature).clip(1e-300))):
+                break
+            damping *= 10.0
+        if gained < max(CONVERGED, converged_share * (value - residual.size)):
+            break
+    jacobian, steps = _jacobian(model, point, residual, steps)
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
+    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
+
+
+def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
+    """The same point with residuals and derivatives of another model, as after a new noise."""
+    residual = model.whitened(fit.point)[0]
+    jacobian, _ = _jacobian(model, fit.point, residual, fit.steps)
+    precision = np.diag(model.prior_precision())
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
+    return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)
+
+
+def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray) -> float:
+    chi_square = float(residual @ residual)
+    return (
+        chi_square - 2.0 * float(model.log_prior(point)[0]) if np.isfinite(chi_square) else np.inf
+    )
+
+
+def _gaussian_precision(model: SimulatedSignals) -> FloatArray:
+    return np.array([u.sd**-2.0 for u in model.unknowns])
+
+
+def _prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
+    centre = np.array([u.centre for u in model.unknowns])
+    return np.asarray(-(point - centre) * _gaussian_precision(model))
+
+
+def _bounded_step(
+    model: SimulatedSignals,
+    point: FloatArray,
+    gradient: FloatArray,
+    curvature: FloatArray,
+    damping: float,
+) -> FloatArray:
+    """Damped Gauss-Newton step; coordinates that would leave their range stop at its end.
+
+    ``gradient`` is Jᵀr with r = recording − simulation and J the derivative of the simulation,
+    less the prior's pull: the direction to go.
+    """
+    scale = np.sqrt(np.diag(curvature).clip(1e-300))
+    free = np.ones(point.size, dtype=bool)
+    move = np.zeros(point.size)
+    for _ in range(point.size + 1):
+        index = np.flatnonzero(free)
+        if not index.size:
+            break
+        matrix = curvature[np.ix_(index, index)] / np.outer(scale[index], scale[index])
+        matrix = matrix + damping * np.eye(index.size)
+        right = gradient[index] - curvature[np.ix_(index, ~free)] @ move[~free]
+        move[index] = np.linalg.solve(matrix, right / scale[index]) / scale[index]
+        outside = free & ((point + move < model.low - 1e-15) | (point + move > model.high + 1e-15))
+        if not np.any(outside):
+            break
+        move[outside] = np.clip(point + move, model.low, model.high)[outside] - point[outside]
+        free &= ~outside
+    return np.asarray(np.clip(point + move, model.low, model.high) - point)
+
+
+def _first_steps(model: SimulatedSignals, point: FloatArray) -> FloatArray:
+    """Steps to begin with: a thousandth of each range, or of a radian, or of the value."""
+    width = model.high - model.low
+    rough = np.maximum(1e-3 * np.abs(point), 1e-6)
+    return np.where(np.isfinite(width), 1e-3 * width, rough)
+
+
+def _jacobian(
+    model: SimulatedSignals, point: FloatArray, residual: FloatArray, steps: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Central differences of the whitened signals, and steps that suit the next time.
+
+    Steps whose change is not of the order of the noise are tried again: the simulator's own error
+    drowns a shorter one, curvature spoils a longer one.
+    """
+    d = point.size
+    columns = np.empty((d, residual.size)).T
+    pending = np.arange(d)
+    steps = steps.copy()
+    for attempt in range(4):
+        moved = np.repeat(point[None], 2 * pending.size, axis=0)
+        for row, i in enumerate(pending):
+            moved[2 * row, i] = min(point[i] + steps[i], model.high[i])
+            moved[2 * row + 1, i] = max(point[i] - steps[i], model.low[i])
+        z = model.whitened(moved)
+        again = []
+        for row, i in enumerate(pending):
+            distance = moved[2 * row, i] - moved[2 * row + 1, i]
+            change = z[2 * row + 1] - z[2 * row]  # residual falls where the simulation rises
+            if not np.all(np.isfinite(change)):
+                steps[i] *= 0.1
+                again.append(i)
+                continue
+            columns[:, i] = change / distance
+            size = float(np.linalg.norm(change))
+            better = steps[i] * float(np.clip(2.0 * STEP_CHANGE / max(size, 1e-12), 1e-3, 1e3))
+            width = model.high[i] - model.low[i]
+            better = min(better, 0.25 * width) if np.isfinite(width) else better
+            if not 0.2 < size / (2.0 * STEP_CHANGE) < 5.0 and not np.isclose(better, steps[i]):
+                again.append(i)
+            steps[i] = better
+        pending = np.array(again, dtype=int)
+        if not pending.size or attempt == 3:
+            break
+    columns[:, ~np.all(np.isfinite(columns), axis=0)] = 0.0
+    return columns, steps

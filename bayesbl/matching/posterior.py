@@ -1,0 +1,279 @@
+"""Posterior of the gap and everything else unknown, from the recordings' own simulation.
+
+emcee walks on a second-order surrogate of the whitened signals; full simulations of its draws then
+give each an importance weight, so that what is reported is the simulator's posterior. Where few
+draws carry the weight, the surrogate is fitted again around them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.matching.surrogate import Surrogate, points_needed, regress
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.posterior import (
+    BOUND_TOLERANCE_SD,
+    STEPS_BETWEEN_CHECKS,
+    Progress,
+    SamplerSettings,
+    burn_in,
+    thinned,
+)
+from bayesbl.sampling.convergence import (
+    STEPS_PER_AUTOCORRELATION,
+    Diagnostics,
+    integrated_time,
+    judge,
+    rank_r_hat_and_ess,
+)
+from bayesbl.sampling.ensemble import Ensemble
+from bayesbl.sampling.importance import effective_size, resampled
+
+DRAWS = 1000
+"""Draws over all ensembles; each is simulated in full."""
+MOST_REFITS = 3
+GOOD_SHARE = 0.4
+"""Effective share of the draws from which on the surrogate is good enough to be corrected."""
+FEWEST_EFFECTIVE = 100.0
+AT_BOUND_SHARE = 0.01
+LARGEST_FAILED_SHARE = 0.01
+BEYOND = 0.5
+"""How far, in half-widths, the surrogate's points may leave a flat prior's range."""
+
+
+@dataclass(frozen=True, slots=True)
+class DirectPosterior:
+    """Draws of all unknowns.
+
+    Attributes
+    ----------
+    draws
+        Coordinates as the model's ``unknowns`` have them, shape (chain, draw, d); chain = ensemble.
+    chi_square
+        Of each draw, by full simulation where ``effective`` is a number, shape (chain, draw).
+    effective
+        Effective sample size of the importance weights; nan if the surrogate was not corrected.
+    simulated
+        Number of draws that the weights were spread over.
+    refits
+        How often the surrogate was fitted again.
+    """
+
+    fit: SimulatedFit
+    draws: FloatArray
+    chi_square: FloatArray
+    effective: float
+    simulated: int
+    refits: int
+    diagnostics: Diagnostics
+
+    def values(self, name: str, recording: str | None = None) -> FloatArray:
+        """Draws of one unknown's value, shape (chain, draw)."""
+        i = self.fit.model.index(name, recording)
+        return self.fit.model.unknowns[i].value(self.draws[..., i])
+
+
+class _LogDensity:
+    """log posterior by the surrogate."""
+
+    def __init__(self, model: SimulatedSignals, surrogate: Surrogate) -> None:
+        self._model, self._surrogate = model, surrogate
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        return self._model.log_prior(points) - 0.5 * self._surrogate.chi_square(points)
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """What the ensembles found: draws (chain, draw, d), and how well they mixed."""
+
+    draws: FloatArray
+    autocorrelation_steps: float
+    steps: int
+    acceptance: FloatArray
+    stable: bool
+
+
+def sample_direct(
+    fit: SimulatedFit,
+    settings: SamplerSettings,
+    seed: np.random.SeedSequence,
+    progress: Progress | None = None,
+    *,
+    corrected: bool = True,
+) -> DirectPosterior:
+    """Posterior around the most probable point.
+
+    Parameters
+    ----------
+    corrected
+        Weigh the draws by full simulations; otherwise they are the surrogate's own, at a tenth of
+        the time.
+    progress
+        Called with (steps made, steps allowed) at every check; full simulations follow the last.
+    """
+    model = fit.model
+    design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
+    points = _design(fit, points_needed(model), np.random.default_rng(design_seed))
+    centre, covariance = fit.point, fit.covariance
+    chi_square, surrogate = regress(model, points, centre, covariance)
+    failed = float(np.mean(~np.isfinite(chi_square)))
+    refits = 0
+    while True:
+        walk = _walk(model, surrogate, centre, covariance, settings, walk_seeds[refits], progress)
+        draws = walk.draws
+        flat = draws.reshape(-1, draws.shape[-1])
+        expected = surrogate.chi_square(flat)
+        if not corrected:
+            diagnostics = _judge(model, walk, draws, math.nan, failed)
+            return DirectPosterior(
+                fit, draws, expected.reshape(draws.shape[:2]), math.nan, 0, 0, diagnostics
+            )
+        centre, covariance = flat.mean(axis=0), _covariance(flat)
+        chi_square, better = regress(model, flat, centre, covariance)
+        log_weights = np.where(
+            np.isfinite(chi_square), -0.5 * np.nan_to_num(chi_square - expected), -np.inf
+        )
+        effective = effective_size(log_weights)
+        failed = float(np.mean(~np.isfinite(chi_square)))
+        if effective >= GOOD_SHARE * len(flat) or refits == MOST_REFITS:
+            break
+        surrogate, refits = better, refits + 1
+    diagnostics = _judge(model, walk, draws, effective, failed)
+    weights = log_weights.reshape(draws.shape[:2])
+    picked = resampled(weights, draws.shape[1], np.random.default_rng(pick_seed))
+    return DirectPosterior(
+        fit,
+        np.take_along_axis(draws, picked[..., None], axis=1),
+        np.take_along_axis(chi_square.reshape(draws.shape[:2]), picked, axis=1),
+        effective,
+        len(flat),
+        refits,
+        diagnostics,
+    )
+
+
+def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> FloatArray:
+    """Points drawn like the Laplace posterior; what leaves the priors' ranges is drawn inwards.
+
+    A point moves towards the optimum as a whole: along one coordinate alone it would leave the
+    valley that the recordings allow.
+    """
+    model = fit.model
+    steps = generator.standard_normal((count, fit.point.size))
+    moves = steps @ np.linalg.cholesky(fit.covariance).T
+    half = 0.5 * (model.high - model.low)
+    margin = np.array(
+        [0.0 if u.logarithmic or not math.isfinite(h) else BEYOND * h
+         for u, h in zip(model.unknowns, half, strict=True)]
+    )  # fmt: skip
+    low, high = model.low - margin, model.high + margin
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(moves > 0.0, (high - fit.point) / moves, (low - fit.point) / moves)
+    share = np.clip(np.nan_to_num(room, nan=1.0).min(axis=1), 0.0, 1.0)
+    return np.asarray(fit.point + share[:, None] * moves)
+
+
+def _walk(
+    model: SimulatedSignals,
+    surrogate: Surrogate,
+    centre: FloatArray,
+    covariance: FloatArray,
+    settings: SamplerSettings,
+    seed: np.random.SeedSequence,
+    progress: Progress | None,
+) -> _Walk:
+    """emcee until its chains are long enough and the gap's interval stands still."""
+    target = _LogDensity(model, surrogate)
+    ensembles = [
+        Ensemble(target, centre, covariance, (model.low, model.high), s)
+        for s in seed.spawn(settings.ensembles)
+    ]
+    gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
+    sd = np.sqrt(np.diag(covariance))[gaps]
+    tail = 0.5 - 0.5 * settings.level
+    steps, tau, stable = 0, math.inf, False
+    last: FloatArray | None = None
+    while steps < settings.max_steps:
+        count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
+        for ensemble in ensembles:
+            ensemble.run(count)
+        steps += count
+        tau = max(integrated_time(e.chain[steps // 4 :]) for e in ensembles)
+        pooled = np.concatenate([thinned(e.chain[steps // 4 :])[:, gaps] for e in ensembles])
+        edges = np.quantile(pooled, [tail, 1.0 - tail], axis=0)
+        stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
+        last = edges
+        if progress is not None:
+            progress(steps, settings.max_steps)
+        if stable and steps - burn_in(tau, steps) > STEPS_PER_AUTOCORRELATION * tau:
+            break
+    burn = burn_in(tau, steps)
+    draws = np.stack([thinned(e.chain[burn:], DRAWS // len(ensembles)) for e in ensembles])
+    acceptance = np.array([e.acceptance for e in ensembles])
+    return _Walk(draws, tau, steps - burn, acceptance, stable)
+
+
+def _covariance(points: FloatArray) -> FloatArray:
+    """Of draws, (m, d) to (d, d); never singular, even where draws lie at a bound."""
+    found = np.atleast_2d(np.cov(points.T))
+    return np.asarray(found + 1e-12 * np.diag(np.diag(found) + 1e-30))
+
+
+def _judge(
+    model: SimulatedSignals, walk: _Walk, draws: FloatArray, effective: float, failed: float
+) -> Diagnostics:
+    """Sampling as anywhere; and what can go wrong only here, which withholds the answer."""
+    r_hat, ess = rank_r_hat_and_ess({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
+    found = judge(
+        r_hat,
+        ess,
+        walk.autocorrelation_steps,
+        walk.steps,
+        walk.acceptance,
+        walk.stable,
+        math.inf,
+        {},
+    )
+    failures = [*_at_bound(model, draws)]
+    if effective < FEWEST_EFFECTIVE:
+        failures.append(
+            f"Only {effective:.0f} of {draws.shape[0] * draws.shape[1]} draws carry the weight "
+            f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): the posterior is not of "
+            "the shape that the recordings' surrogate has. Narrow the bench's tolerances."
+        )
+    if failed > LARGEST_FAILED_SHARE:
+        failures.append(
+            f"{failed:.0%} of the simulations near the optimum failed: the bench cannot run there."
+        )
+    if not failures:
+        return found
+    return replace(found, outcome="withheld", reasons=(*failures, *found.reasons))
+
+
+def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Sequence[str]:
+    """A sentence for each gap whose posterior is cut by its prior's range."""
+    sentences = []
+    for i, unknown in enumerate(model.unknowns):
+        if unknown.name != GAP:
+            continue
+        own = draws[..., i].ravel()
+        near = min(0.01 * (unknown.high - unknown.low), 0.5 * float(own.std()))
+        for side, share in (
+            ("lower", np.mean(own < unknown.low + near)),
+            ("upper", np.mean(own > unknown.high - near)),
+        ):
+            if share > AT_BOUND_SHARE:
+                ends = unknown.value(np.array([unknown.low, unknown.high]))
+                sentences.append(
+                    f"The posterior of δ lies at the {side} bound of its range "
+                    f"({ends[0]:.3g} to {ends[1]:.3g} rad): the range, not the recording, decides. "
+                    "Widen [estimator] gap_rad, or correct the bench."
+                )
+    return sentences

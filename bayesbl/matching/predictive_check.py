@@ -1,0 +1,83 @@
+"""Do simulation and recording agree within noise? The posterior predictive check of a direct fit.
+
+What repeats from rotation to rotation after the fit is not noise. The whitened residuals are
+averaged over the rotations and their power compared, in bands of load orders, with the power that
+does not repeat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.recording.types import FloatArray
+
+BANDS = (0, 8, 32, 128, 512)
+"""Highest load order of each band; slow misfit stands out of few orders, fast out of many.
+
+0 is the mean alone, which is in no other band: motor friction and offsets show there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """What repeats in one channel of one recording, in one band of load orders.
+
+    Attributes
+    ----------
+    ratio
+        Power that repeats over the power that noise alone would leave there; about 1 if the bench
+        explains the recording.
+    probability
+        Of a ratio as large from noise alone.
+    """
+
+    recording: str
+    channel: str
+    highest_order: int
+    ratio: float
+    probability: float
+
+
+def disagreements(fit: SimulatedFit) -> list[Disagreement]:
+    """One entry for each recording, channel and band."""
+    found = []
+    begin = 0
+    for seen, noise in zip(fit.model.recordings, fit.model.noise, strict=True):
+        n = seen.samples - noise.order
+        count = len(seen.signals) * n
+        part = fit.residual[begin : begin + count].reshape(len(seen.signals), n)
+        begin += count
+        for channel, row in zip(seen.channels, part, strict=True):
+            found += [
+                Disagreement(seen.name, channel, *entry) for entry in _repeating(row, seen.lag)
+            ]
+    return found
+
+
+def agrees(found: list[Disagreement], false_alarm: float = 0.01) -> bool:
+    """Whether no entry stands out, at a family-wise false-alarm rate (Bonferroni)."""
+    return all(entry.probability * len(found) > false_alarm for entry in found)
+
+
+def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
+    """(highest order, ratio, probability) for each band."""
+    rotations = row.size // lag
+    turns = row[: rotations * lag].reshape(rotations, lag)
+    spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
+    entries = []
+    for highest in BANDS:
+        if highest == 0:
+            band, degrees = spectrum[:, :1] / np.sqrt(2.0), 1  # real, half the power
+        else:
+            band = spectrum[:, 1 : 1 + min(highest, lag // 2 - 1)]
+            degrees = 2 * band.shape[1]
+        mean = band.mean(axis=0)
+        repeats = rotations * float(np.sum(np.abs(mean) ** 2))
+        scatter = float(np.sum(np.abs(band - mean) ** 2))
+        ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
+        probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
+        entries.append((highest, ratio, probability))
+    return entries

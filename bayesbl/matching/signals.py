@@ -1,0 +1,423 @@
+"""Recordings beside their simulation: what the bench predicts as a function of what is unknown.
+
+The ground that the direct posterior of δ and the search for missing effects stand on. Unknowns are
+the gap, each recording's start angle, bench parameters within their tolerance and parameters of
+effects; a point is an array of their coordinates, ln δ for the gap and the value itself elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
+from bayesbl.bench.parameters import rotation_period_s
+from bayesbl.bench.simulation import simulate_channels, simulate_speeds
+from bayesbl.errors import RecordingError
+from bayesbl.matching.simulation_cache import RecentSimulations
+from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.recording.checks import speed_in_another_unit
+from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
+
+GAP = "gap_rad"
+START_ANGLE = "start_angle_rad"
+PHASE = "phase_rad"
+ACCURACY_SHARE = 0.003
+"""Largest error of a simulated speed as a share of the speed noise."""
+
+ENCODER_ROUNDS = 2
+"""An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
+
+_WITH_MOTOR_ANGLE = (
+    Slot.motor_torque_ripple__torque_nm,
+    Slot.gear_transmission_error__angle_rad,
+    Slot.encoder_eccentricity__angle_rad,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """A recording as the simulator is compared with it.
+
+    Attributes
+    ----------
+    signals
+        Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
+    reference_speed_rpm
+        Of the motor, negative for reverse.
+    known
+        What else is known of this recording, named as :meth:`Bench.vector` takes it.
+    excluded
+        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+    motor_angle_rad
+        Shape (n,): what an absolute encoder of the motor shows; ``None`` where there is none.
+    """
+
+    name: str
+    signals: FloatArray
+    sampling_hz: float
+    reference_speed_rpm: float
+    rotation_period_s: float
+    known: Mapping[str, float] = field(default_factory=dict)
+    excluded: BoolArray | None = None
+    motor_angle_rad: FloatArray | None = None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples n."""
+        return int(self.signals.shape[1])
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the rows of ``signals``."""
+        return ("motor_speed_rpm", "motor_current_a")[: len(self.signals)]
+
+    @property
+    def lag(self) -> int:
+        """Samples in one load rotation, to the nearest."""
+        return round(self.rotation_period_s * self.sampling_hz)
+
+    def left_by(self, simulated: FloatArray) -> FloatArray:
+        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there."""
+        left = self.signals - simulated
+        return left if self.excluded is None else np.where(self.excluded, 0.0, left)
+
+    @property
+    def motor_start_rad(self) -> float | None:
+        """What the motor's encoder shows at the first sample; ``None`` if it is not absolute."""
+        return None if self.motor_angle_rad is None else float(self.motor_angle_rad[0])
+
+
+def observed(
+    recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
+) -> Observed:
+    """What a recording offers to a comparison with the bench.
+
+    Parameters
+    ----------
+    reference_speed_rpm
+        If ``None``, the bench's own, with the recording's direction.
+
+    Raises
+    ------
+    RecordingError
+        If the samples are uneven, the speed is not the reference's, or less than two load
+        rotations are there.
+    """
+    speed = recording.motor_speed_rpm
+    mean = float(speed.mean())
+    nominal = bench.value("reference_speed_rpm")
+    reference = reference_speed_rpm or math.copysign(nominal, mean)
+    if abs(mean / reference - 1.0) > 0.01:
+        raise RecordingError(
+            " ".join(
+                [
+                    "The recording was made at another speed than the bench runs at.",
+                    speed_in_another_unit(recording, reference) or "",
+                ]
+            ).strip(),
+            file=recording.name,
+            found=f"{mean:.6g} rpm on average",
+            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
+        )
+    period = recording.sampling_period_s
+    grid = recording.time_s[0] + period * np.arange(speed.size)
+    if np.max(np.abs(recording.time_s - grid)) > 0.1 * period:
+        raise RecordingError(
+            "A comparison with the simulation needs evenly spaced samples.",
+            file=recording.name,
+            expected="time stamps within a tenth of the sampling period of an even grid",
+        )
+    rotation = bench.rotation_period_s(reference)
+    if speed.size * period < 1.9 * rotation:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            file=recording.name,
+            found=f"{speed.size * period / rotation:.2g} load rotations",
+            expected="at least two",
+        )
+    rows = [speed]
+    if MOTOR_CURRENT in recording.channels:
+        rows.append(recording.channels[MOTOR_CURRENT])
+    return Observed(
+        recording.name,
+        np.stack(rows),
+        1.0 / period,
+        reference,
+        rotation,
+        excluded=recording.excluded,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One coordinate of a point.
+
+    Attributes
+    ----------
+    name
+        As :meth:`Bench.vector` takes it: a bench parameter, ``gap_rad``, ``start_angle_rad`` or
+        ``effect__parameter``.
+    low, high
+        Range of a flat prior, in the coordinate; infinite for none.
+    centre, sd
+        Gaussian prior within that range; an infinite sd for none.
+    recording
+        Name of the recording it belongs to; ``None`` if all share it.
+    logarithmic
+        The coordinate is the natural logarithm of the value.
+    """
+
+    name: str
+    low: float = -math.inf
+    high: float = math.inf
+    centre: float = 0.0
+    sd: float = math.inf
+    recording: str | None = None
+    logarithmic: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name, with the recording where it belongs to one."""
+        return self.name if self.recording is None else f"{self.name} ({self.recording})"
+
+    def value(self, coordinate: FloatArray) -> FloatArray:
+        """From the coordinate to the value."""
+        return np.exp(coordinate) if self.logarithmic else coordinate
+
+    @property
+    def prior_sd(self) -> float:
+        """Standard deviation of the prior, a flat one's included.
+
+        What has no range and no other prior is an angle, flat on a turn.
+        """
+        flat = (self.high - self.low) / math.sqrt(12.0)
+        known = min(flat, self.sd)
+        return known if math.isfinite(known) else 2.0 * math.pi / math.sqrt(12.0)
+
+
+def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
+    """δ with a log-uniform prior."""
+    return Unknown(GAP, math.log(low_rad), math.log(high_rad), logarithmic=True)
+
+
+def start_angle_unknown(recording: str) -> Unknown:
+    """Start angle of one recording, flat."""
+    return Unknown(START_ANGLE, recording=recording)
+
+
+def tolerance_unknowns(bench: Bench) -> list[Unknown]:
+    """Every bench parameter that is not known exactly, uniform within its tolerance."""
+    return [
+        Unknown(name, bench.value(name) - half, bench.value(name) + half)
+        for name, half in bench.tolerances.items()
+    ]
+
+
+def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
+    """Effect parameters of the bench that carry a standard deviation, Gaussian; phases, flat.
+
+    The motor's angle at the first sample is another in every recording, and with it the phase.
+    """
+    found = []
+    for effect in bench.effects:
+        for item in effect_named(effect.name).parameters:
+            name = f"{effect.name}__{item.name}"
+            given = effect.parameters.get(item.name)
+            if item.name == PHASE:
+                found += [Unknown(name, recording=recording) for recording in recordings]
+            elif given is not None and given.sd:
+                low = item.low if item.low <= given.value else -math.inf
+                found.append(Unknown(name, low, centre=given.value, sd=given.sd))
+    return found
+
+
+class SimulatedSignals:
+    """What the bench predicts for some recordings, at many points at once.
+
+    Parameters
+    ----------
+    noise
+        Of each recording: makes residuals independent and standard normal.
+    workers
+        Threads; the numbers do not depend on it.
+    settings
+        What is known beside the bench, by name, as ``gap_rad``.
+    recent
+        Simulations that another comparison of the same recordings has made.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        recordings: Sequence[Observed],
+        unknowns: Sequence[Unknown],
+        noise: Sequence[ChannelNoise],
+        workers: int = 1,
+        settings: Mapping[str, float] | None = None,
+        recent: RecentSimulations | None = None,
+    ) -> None:
+        self.settings = dict(settings or {})
+        self.recent = RecentSimulations() if recent is None else recent
+        self.bench = bench
+        self.recordings = tuple(recordings)
+        self.unknowns = tuple(unknowns)
+        self.noise = tuple(noise)
+        self.workers = workers
+        self._white_recordings = [
+            n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
+        ]
+
+    @property
+    def low(self) -> FloatArray:
+        """Lower ends of the priors, shape (d,)."""
+        return np.array([u.low for u in self.unknowns])
+
+    @property
+    def high(self) -> FloatArray:
+        """Upper ends of the priors, shape (d,)."""
+        return np.array([u.high for u in self.unknowns])
+
+    def index(self, name: str, recording: str | None = None) -> int:
+        """Place of an unknown in a point."""
+        keys = [(u.name, u.recording) for u in self.unknowns]
+        return keys.index((name, recording))
+
+    def signals(self, points: FloatArray, recording: int) -> FloatArray:
+        """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
+        return _continued(self.stretch(points, recording), self.recordings[recording].samples)
+
+    def stretch(self, points: FloatArray, recording: int) -> FloatArray:
+        """As :meth:`signals`, but one rotation only where all are alike, (m, c, lag)."""
+        seen = self.recordings[recording]
+        points = np.atleast_2d(points)
+        settings = {
+            unknown.name: unknown.value(points[:, i])
+            for i, unknown in enumerate(self.unknowns)
+            if unknown.recording in (None, seen.name)
+        }
+        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known} | self.settings
+        matrix = self.bench.vector(**(known | settings))
+        if len(matrix) < len(points):
+            matrix = np.repeat(matrix, len(points), axis=0)
+        # Points often differ in what belongs to other recordings only.
+        matrix, place = np.unique(matrix, axis=0, return_inverse=True)
+        accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
+        samples = seen.lag if _repeats(matrix, seen) else seen.samples
+        found = self.recent.signals(
+            matrix,
+            (len(seen.signals), samples, seen.sampling_hz, accuracy, seen.motor_start_rad),
+            partial(_simulated, seen, samples, accuracy, self.workers),
+        )
+        return found[place.ravel()]
+
+    def whitened(self, points: FloatArray) -> FloatArray:
+        """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
+        points = np.atleast_2d(points)
+        sizes = [seen.size for seen in self._white_recordings]
+        white = np.empty((len(points), sum(sizes)))
+        for i, part in enumerate(np.split(white, np.cumsum(sizes)[:-1], axis=1)):
+            self._whiten_into(part, points, i)
+        return white
+
+    def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
+        """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
+        points = np.atleast_2d(points)
+        white = np.empty((len(points), self._white_recordings[recording].size))
+        self._whiten_into(white, points, recording)
+        return white
+
+    def _whiten_into(self, out: FloatArray, points: FloatArray, recording: int) -> None:
+        seen, noise = self.recordings[recording], self.noise[recording]
+        begun = self.stretch(points, recording)
+        # Whitening is linear, and what repeats still repeats when it is whitened.
+        simulated = noise.whiten(_continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
+        observed = self._white_recordings[recording]
+        white = out.reshape(len(points), *observed.shape)
+        length = simulated.shape[2]
+        for first in range(0, observed.shape[1], length):
+            turn = observed[:, first : first + length]
+            np.subtract(
+                turn,
+                simulated[:, :, : turn.shape[1]],
+                out=white[:, :, first : first + length],
+            )
+        if seen.excluded is not None:
+            touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
+            white[..., touched] = 0.0
+
+    def log_prior(self, points: FloatArray) -> FloatArray:
+        """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
+        points = np.atleast_2d(points)
+        inside = np.all((points >= self.low) & (points <= self.high), axis=1)
+        centre = np.array([u.centre for u in self.unknowns])
+        sd = np.array([u.sd for u in self.unknowns])
+        return np.where(inside, -0.5 * (((points - centre) / sd) ** 2).sum(axis=1), -np.inf)
+
+    def prior_precision(self) -> FloatArray:
+        """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
+        return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+
+
+def _simulated(
+    seen: Observed, samples: int, accuracy_rpm: float, workers: int, matrix: FloatArray
+) -> FloatArray:
+    """Channels as observed, (m, SLOTS) to (m, c, samples)."""
+    if seen.motor_start_rad is not None:
+        matrix = _begun_at(matrix, seen.motor_start_rad, workers)
+    size = samples, seen.sampling_hz
+    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": "nan"}
+    if len(seen.signals) == 1:
+        return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
+
+
+def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
+    """The benches (m, SLOTS), each turned until its encoder begins at this angle.
+
+    A bench's own start angle of the motor is that of a relaxed shaft. The encoder shows twist, gap
+    and its own error besides: half a radian of the motor, and another on the other tooth flank.
+    """
+    if not np.any(matrix[:, _WITH_MOTOR_ANGLE]):
+        return matrix
+    matrix = matrix.copy()
+    relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
+    begin = matrix[:, Slot.motor_start_angle_rad]
+    begin[:] = motor_start_rad
+    for _ in range(ENCODER_ROUNDS):
+        first = simulate_channels(matrix, 1, 1.0, workers=workers, failures="nan")[:, POSITION, 0]
+        begin -= np.nan_to_num(begin + first - relaxed - motor_start_rad)
+    return matrix
+
+
+def _continued(begun: FloatArray, samples: int) -> FloatArray:
+    """What repeats, for so many samples: (m, c, k) to (m, c, samples)."""
+    if begun.shape[2] == samples:
+        return begun
+    return begun[:, :, np.arange(samples) % begun.shape[2]]
+
+
+def _repeats(matrix: FloatArray, seen: Observed) -> bool:
+    """Whether simulation and sampling are both periodic in the load rotation, all rows alike."""
+    turns = rotation_period_s(matrix) * seen.sampling_hz
+    if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
+        return False
+    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
+        return False
+    on = [
+        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
+        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
+        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
+    ]
+    for amplitude, order in on:
+        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
+        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
+            return False
+    return True

@@ -1,0 +1,112 @@
+"""χ² between recordings and their simulation near a point, at the price of a small matrix.
+
+The whitened signals are smooth there: a second-order polynomial of the unknowns describes them, and
+χ², the sum of their squares, is a quartic that never falls below zero. Each recording depends on
+its own unknowns only and has a polynomial of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.matching.signals import SimulatedSignals
+from bayesbl.recording.types import FloatArray
+
+POINTS_PER_TERM = 3
+AT_ONCE = 64
+"""Simulated recordings held in memory together."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """One recording: r(u) = Cᵀφ(u) with φ = (1, u, uuᵀ), so χ² = φᵀ(CCᵀ)φ.
+
+    ``index``: the recording's unknowns; u = ``inverse_root`` (x − ``centre``).
+    """
+
+    index: NDArray[np.int64]
+    centre: FloatArray
+    inverse_root: FloatArray
+    gram: FloatArray
+
+    def terms(self, points: FloatArray) -> FloatArray:
+        return _terms((points[:, self.index] - self.centre) @ self.inverse_root.T)
+
+    def chi_square(self, points: FloatArray) -> FloatArray:
+        terms = self.terms(points)
+        return np.asarray(np.einsum("mp,mp->m", terms @ self.gram, terms))
+
+
+@dataclass(frozen=True, slots=True)
+class Surrogate:
+    """χ² of all recordings; made by :func:`regress`."""
+
+    parts: tuple[_Part, ...]
+
+    def chi_square(self, points: FloatArray) -> FloatArray:
+        """Shape (m, d) to (m,)."""
+        return np.asarray(np.sum([part.chi_square(points) for part in self.parts], axis=0))
+
+
+def points_needed(model: SimulatedSignals) -> int:
+    """How many points :func:`regress` wants for its polynomials."""
+    largest = max(len(_own(model, i)) for i in range(len(model.recordings)))
+    return POINTS_PER_TERM * (1 + largest + largest * (largest + 1) // 2)
+
+
+def regress(
+    model: SimulatedSignals, points: FloatArray, centre: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, Surrogate]:
+    """Full simulations at some points: χ² at each, and the polynomials through them.
+
+    Parameters
+    ----------
+    points
+        Shape (m, d), m at least :func:`points_needed`.
+    centre, covariance
+        Roughly theirs, shapes (d,) and (d, d): the scale on which the polynomials are
+        well-conditioned.
+
+    Returns
+    -------
+    χ² of shape (m,), nan where the simulation fails, and the surrogate.
+    """
+    chi_square = np.zeros(len(points))
+    parts = []
+    for i in range(len(model.recordings)):
+        index = _own(model, i)
+        root = np.linalg.cholesky(covariance[np.ix_(index, index)])
+        inverse_root = np.linalg.inv(root)
+        terms = _terms((points[:, index] - centre[index]) @ inverse_root.T)
+        p = terms.shape[1]
+        normal, right = np.zeros((p, p)), np.zeros((p, 0))
+        for begin in range(0, len(points), AT_ONCE):
+            rows = slice(begin, begin + AT_ONCE)
+            residual = model.whitened_of(points[rows], i)
+            own = np.einsum("mn,mn->m", residual, residual)
+            chi_square[rows] += own
+            good = np.isfinite(own)
+            phi = terms[rows][good]
+            normal += phi.T @ phi
+            product = phi.T @ residual[good]
+            right = product if begin == 0 else right + product
+        # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
+        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+        gram = inverse @ (right @ right.T) @ inverse
+        parts.append(_Part(index, centre[index], inverse_root, gram))
+    return chi_square, Surrogate(tuple(parts))
+
+
+def _own(model: SimulatedSignals, recording: int) -> NDArray[np.int64]:
+    """Unknowns that one recording depends on."""
+    name = model.recordings[recording].name
+    return np.array([i for i, u in enumerate(model.unknowns) if u.recording in (None, name)])
+
+
+def _terms(u: FloatArray) -> FloatArray:
+    """1, u and all products of two, shape (m, d) to (m, p)."""
+    first, second = np.triu_indices(u.shape[1])
+    return np.concatenate([np.ones((len(u), 1)), u, u[:, first] * u[:, second]], axis=1)

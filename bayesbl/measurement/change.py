@@ -1,0 +1,260 @@
+"""From posteriors of the ringing to draws of δ, and from snapshots of δ to its change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.curve.gap_curve import CurveDraws, GapCurve, interpolate_rows
+from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.importance import effective_size, resampled
+
+LARGEST_SHARE_OUTSIDE = 0.01
+CANDIDATES_PER_DRAW = 20
+FEWEST_EFFECTIVE = 200.0
+"""Effective curve draws below which the ringing is not used to weigh them."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRinging:
+    """What one snapshot's fit says of (A, ln ω, ln τ).
+
+    Attributes
+    ----------
+    amplitude_rpm
+        Posterior draws of A, shape (chain, draw), rpm.
+    centre
+        Optimum of (A, ln ω, ln τ), shape (3,).
+    covariance
+        Of these three, shape (3, 3).
+    """
+
+    amplitude_rpm: FloatArray
+    centre: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """The gap of one snapshot.
+
+    Attributes
+    ----------
+    delta_rad
+        Draws of δ, shape (chain, draw), rad.
+    index
+        Which of the snapshot's posterior draws, flattened over (chain, draw), each draw of δ
+        belongs to, shape (chain, draw): weighting moves all symbols, not δ alone.
+    outside
+        −1, 0, +1 for draws of A below, inside, above the curve's range, shape (chain, draw).
+    budget
+        Share of the variance of ln δ by source; sums to 1.
+    reason
+        Why δ is withheld; ``None`` where it is not.
+    notes
+        What else the reader should know of how δ came about.
+    """
+
+    delta_rad: FloatArray
+    index: NDArray[np.int64]
+    outside: FloatArray
+    budget: dict[str, float]
+    reason: str | None
+    notes: tuple[str, ...] = ()
+
+
+def gaps(
+    curve: GapCurve,
+    snapshots: Sequence[MeasuredRinging],
+    seed: np.random.SeedSequence,
+    *,
+    allow_extrapolation: bool = False,
+    level: float = 0.9,
+) -> list[Gap]:
+    """δ of every snapshot of one joint, all through the same draws of the curve.
+
+    Importance sampling: each draw of A is put through several draws of the curve, start-angle
+    scatter drawn per snapshot, and then resampled with weights. The weights carry the prior, flat
+    in ln δ, by its Jacobian d ln δ/dA; and, for a curve with bench draws, how well the bench that
+    a draw stands for explains the frequency and decay that were measured beside A.
+
+    Parameters
+    ----------
+    level
+        Of the one-sided bound that a withheld answer gives.
+    """
+    shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
+    chains, count = snapshots[0].amplitude_rpm.shape
+    narrows = curve.ringing is not None and "bench" in curve.sources
+    copies = CANDIDATES_PER_DRAW if narrows else 1
+    total = chains * count * copies
+    shared = curve.draw(total, np.random.default_rng(shared_seed))
+    amplitudes = [
+        _scattered(curve, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(own))
+        for s, own in zip(snapshots, own_seeds, strict=True)
+    ]
+    prior = np.sum([_log(curve.log_slope(a)) for a in amplitudes], axis=0)
+    weights, notes = prior, tuple[str, ...]()
+    if narrows:
+        matched = prior + np.sum(
+            [_log_match(shared, s, a) for s, a in zip(snapshots, amplitudes, strict=True)], axis=0
+        )
+        effective = effective_size(matched)
+        if effective >= FEWEST_EFFECTIVE:
+            weights = matched
+        else:
+            notes = (
+                "The ringing's frequency and decay do not match the bench within its tolerances "
+                f"(only {effective:.0f} of {total} curve draws explain them), so they were not "
+                "used to narrow the bench. Widen the tolerances or correct the bench.",
+            )
+    own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
+    index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
+    chosen = shared.take(index)
+    result = []
+    for snapshot, candidates in zip(snapshots, amplitudes, strict=True):
+        amplitude = candidates[index]
+        delta = chosen.gap(amplitude).reshape(chains, count)
+        outside = curve.outside(amplitude).reshape(chains, count)
+        result.append(
+            Gap(
+                delta,
+                (index // copies).reshape(chains, count),
+                outside,
+                _budget(chosen, snapshot.amplitude_rpm),
+                None if allow_extrapolation else _extrapolation(curve, outside, delta, level),
+                notes,
+            )
+        )
+    return result
+
+
+def _scattered(
+    curve: GapCurve, amplitude_rpm: FloatArray, generator: np.random.Generator
+) -> FloatArray:
+    noise = generator.standard_normal(amplitude_rpm.size)
+    return amplitude_rpm + curve.start_angle_sd(amplitude_rpm) * noise
+
+
+def _log_match(
+    draws: CurveDraws, snapshot: MeasuredRinging, amplitude_rpm: FloatArray
+) -> FloatArray:
+    """ln p(ω, τ measured | A, bench draw), shape (count,), up to a constant.
+
+    Normal, with the covariance of the fit and of the start angle; conditional on A, which is
+    already drawn from its own posterior.
+    """
+    curve = draws.curve
+    ringing = curve.ringing
+    assert ringing is not None
+    nearest = int(np.argmin(np.abs(curve.knots_rpm - snapshot.centre[0])))
+    covariance = snapshot.covariance + ringing.scatter[nearest]
+    gain = covariance[1:, 0] / covariance[0, 0]
+    conditional = covariance[1:, 1:] - np.outer(gain, covariance[0, 1:])
+    every = np.zeros(amplitude_rpm.size, dtype=np.int64)
+    expected = [
+        interpolate_rows(curve.knots_rpm, nominal[None], every, amplitude_rpm)
+        + interpolate_rows(curve.knots_rpm, departures, draws.rows["bench"], amplitude_rpm)
+        for nominal, departures in (
+            (ringing.log_frequency, ringing.frequency_draws),
+            (ringing.log_decay, ringing.decay_draws),
+        )
+    ]
+    measured = snapshot.centre[1:, None] + gain[:, None] * (amplitude_rpm - snapshot.centre[0])
+    difference = measured - np.stack(expected)
+    return np.asarray(
+        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(conditional), difference)
+    )
+
+
+def _log(values: FloatArray) -> FloatArray:
+    return np.log(values, where=values > 0.0, out=np.full_like(values, -np.inf))
+
+
+def _extrapolation(
+    curve: GapCurve, outside: FloatArray, delta_rad: FloatArray, level: float
+) -> str | None:
+    """Why an answer beyond the curve's range is withheld, with a bound in its place."""
+    share = float(np.mean(outside != 0.0))
+    if share < LARGEST_SHARE_OUTSIDE:
+        return None
+    low, high = curve.gap_range_rad
+    if np.sum(outside > 0.0) >= np.sum(outside < 0.0):
+        bound = min(float(np.quantile(delta_rad, 1.0 - level)), high)
+        statement = f"δ is above {bound:.3g} rad with {100.0 * level:g} % probability"
+    else:
+        bound = max(float(np.quantile(delta_rad, level)), low)
+        statement = f"δ is below {bound:.3g} rad with {100.0 * level:g} % probability"
+    return (
+        f"{_share(share)} of the posterior lies beyond the range of the gap curve "
+        f"({low:.3g} to {high:.3g} rad). {statement}. Use a curve that reaches farther, or ask for "
+        "extrapolation by [curve] allow_extrapolation = true."
+    )
+
+
+def _share(share: float) -> str:
+    """A share of draws in percent; a finite number of draws never shows that all lie there."""
+    return "More than 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
+
+
+def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:
+    """Variance of ln δ with one source at work at a time, as shares of their sum."""
+    curve = chosen.curve
+    middle = float(np.median(amplitude_rpm))
+    if middle <= 0.0:
+        return {}
+    slope = float(curve.log_slope(np.array(middle)))
+    variances = {"noise": _log_variance(curve.gap(amplitude_rpm.ravel()))}
+    scatter = float(curve.start_angle_sd(np.array(middle)))
+    if scatter > 0.0:
+        variances["start_angle"] = (slope * scatter) ** 2
+    for name, rows in chosen.rows.items():
+        alone = chosen.only(name).gap(np.full(rows.size, middle))
+        variances[name] = _log_variance(alone)
+    total = sum(variances.values())
+    return {name: value / total if total else 0.0 for name, value in variances.items()}
+
+
+def _log_variance(delta_rad: FloatArray) -> float:
+    positive = delta_rad[delta_rad > 0.0]
+    return float(np.var(np.log(positive))) if positive.size else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Change of δ between two snapshots, draw by draw through the same curve.
+
+    Attributes
+    ----------
+    first, last
+        Names of the snapshots.
+    change_rad
+        δ_last − δ_first, shape (chain, draw), rad.
+    """
+
+    first: str
+    last: str
+    change_rad: FloatArray
+
+    @property
+    def probability_increase(self) -> float:
+        """Share of draws in which δ grew."""
+        return float(np.mean(self.change_rad > 0.0))
+
+
+def changes(delta_rad: Mapping[str, FloatArray]) -> tuple[Change, list[Change]]:
+    """The change from first to last snapshot, and every step between neighbours.
+
+    Parameters
+    ----------
+    delta_rad
+        Draws per snapshot name in order of time, each (chain, draw), paired by draw.
+    """
+    names = list(delta_rad)
+    steps = [Change(a, b, delta_rad[b] - delta_rad[a]) for a, b in pairwise(names)]
+    first, last = names[0], names[-1]
+    return Change(first, last, delta_rad[last] - delta_rad[first]), steps

@@ -1,0 +1,78 @@
+"""The fits of all recordings of a run, one after the other or over processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.recording.types import Recording
+from bayesbl.ringing.estimator import Estimator, Fit
+from bayesbl.ringing.memory import Memory
+from bayesbl.ringing.warm_start import EarlierOptimum
+from bayesbl.runs.processes import processes
+
+StageProgress = Callable[[str, int, int], None]
+"""Called with (recording, steps made, steps allowed)."""
+
+FEWEST_PER_PROCESS = 2
+"""Fits for which a process is started: it takes as long to start as one fit takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitJob:
+    """All that one fit needs; it can be sent to another process."""
+
+    estimator: Estimator
+    curve: GapCurve
+    recording: Recording
+    seed: np.random.SeedSequence
+    gear_ratio: float | None
+    earlier: EarlierOptimum | None
+    memory: Memory
+    check: bool
+
+    def run(self, progress: StageProgress | None = None) -> Fit:
+        """Fit the recording."""
+        return self.estimator.fit(
+            self.recording,
+            self.seed,
+            self.gear_ratio,
+            None if progress is None else partial(progress, self.recording.name),
+            partial(likeliest_branch, self.curve, self.estimator),
+            earlier=self.earlier,
+            memory=self.memory,
+            check=self.check,
+        )
+
+
+def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:
+    """Fits in the order of their jobs, the same for any number of workers.
+
+    A fit takes a second or two, so that few recordings are done before processes have started; a
+    check by a second sampler takes longer, and is worth a process of its own.
+    """
+    per_process = 1 if any(job.check for job in jobs) else FEWEST_PER_PROCESS
+    count = min(workers, len(jobs) // per_process)
+    if count <= 1:
+        return [job.run(progress) for job in jobs]
+    with processes(count) as pool:
+        places = {pool.submit(job.run): n for n, job in enumerate(jobs)}
+        done: dict[int, Fit] = {}
+        for future in as_completed(places):
+            place = places[future]
+            done[place] = future.result()
+            if progress is not None:
+                steps = done[place].posterior.diagnostics.steps
+                progress(jobs[place].recording.name, steps, steps)
+    return [done[n] for n in range(len(jobs))]
+
+
+def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimum | None:
+    """The optimum to start from: that of the same name, else the last one."""
+    return optima.get(name) or next(reversed([*optima.values()]), None)

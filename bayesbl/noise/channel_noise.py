@@ -1,0 +1,112 @@
+"""Noise of several channels together, from what does not repeat from one load rotation to the next.
+
+As :mod:`bayesbl.noise.rotation_noise` does it for the speed alone, but for speed and current at
+once: noise that goes through the controller is in both, and a likelihood that takes them for
+independent counts it twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.types import FloatArray
+
+HIGHEST_ORDER = 10
+FEWEST_DIFFERENCES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelNoise:
+    """Vector autoregressive noise x_t = Σ_k Φ_k x_{t−k} + ε_t, ε_t ~ N(0, L Lᵀ).
+
+    Attributes
+    ----------
+    coefficients
+        Φ_k, shape (p, c, c); p = 0 is white.
+    root
+        L, lower triangular, shape (c, c), in the channels' units.
+    sd
+        Standard deviation of each channel, shape (c,).
+    differences
+        Number of rotation differences behind the estimate.
+    """
+
+    coefficients: FloatArray
+    root: FloatArray
+    sd: FloatArray
+    differences: int
+
+    @property
+    def order(self) -> int:
+        """p, 0 for white noise."""
+        return len(self.coefficients)
+
+    def whiten(self, signals: FloatArray) -> FloatArray:
+        """Innovations in units of their own scatter, shape (…, c, n) to (…, c, n − p).
+
+        Noise becomes independent standard normal. The first p samples only condition the rest.
+        """
+        p, n = self.order, signals.shape[-1]
+        left = signals[..., p:].copy()
+        for k, phi in enumerate(self.coefficients, start=1):
+            left -= np.einsum("ab,...bn->...an", phi, signals[..., p - k : n - k])
+        inverse = np.linalg.inv(self.root)
+        return np.asarray(np.einsum("ab,...bn->...an", inverse, left))
+
+
+def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
+    """Noise of all channels from differences at one load rotation, its order chosen by BIC.
+
+    Parameters
+    ----------
+    residual
+        Shape (c, n): recording minus anything that repeats every rotation.
+    lag
+        Samples in a rotation.
+
+    Raises
+    ------
+    RecordingError
+        If too little of the recording has a counterpart one rotation later.
+    """
+    count = residual.shape[1] - lag
+    if count < FEWEST_DIFFERENCES:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            found=f"{max(count, 0)} samples with a counterpart one rotation later",
+            expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
+        )
+    d = residual[:, lag:] - residual[:, :-lag]
+    channels = len(d)
+    fits = [_autoregression(d, order) for order in range(HIGHEST_ORDER + 1)]
+    bic = [
+        count * np.linalg.slogdet(covariance)[1] + order * channels**2 * np.log(count)
+        for order, (_, covariance) in enumerate(fits)
+    ]
+    coefficients, covariance = fits[int(np.argmin(bic))]
+    return ChannelNoise(
+        coefficients,
+        np.asarray(np.linalg.cholesky(0.5 * covariance), dtype=np.float64),
+        np.sqrt(0.5 * np.mean(d**2, axis=1)),
+        count,
+    )
+
+
+def _autoregression(d: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
+
+    All orders over the same samples, so that their likelihoods can be compared.
+    """
+    channels, n = d.shape
+    now = d[:, HIGHEST_ORDER:]
+    tiny = 1e-24 * np.diag(np.maximum(np.mean(d**2, axis=1), 1e-300))
+    if order == 0:
+        return np.zeros((0, channels, channels)), now @ now.T / now.shape[1] + tiny
+    past = np.concatenate([d[:, HIGHEST_ORDER - k : n - k] for k in range(1, order + 1)])
+    stacked = np.linalg.lstsq(past.T, now.T, rcond=None)[0].T
+    left = now - stacked @ past
+    coefficients = stacked.reshape(channels, order, channels).swapaxes(0, 1)
+    return coefficients, left @ left.T / now.shape[1] + tiny

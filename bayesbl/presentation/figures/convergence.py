@@ -1,0 +1,64 @@
+"""How CMA-ES found the optimum: the error of every run against its model evaluations."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayesbl.presentation.figures.layout import one_panel_each
+from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
+from bayesbl.presentation.figures.style import (
+    NEUTRAL,
+    head_panels,
+    legend_above,
+    look,
+    publication_style,
+)
+
+
+@publication_style()
+def convergence(tree: xr.DataTree) -> Figure:
+    """Best RMSE so far of each run, a panel a snapshot; rivals end above the dashed optimum."""
+    parts = snapshots(tree)
+    figure, axes = one_panel_each(len(parts))
+    for panel, snapshot in zip(axes, parts, strict=True):
+        _draw(panel, snapshot)
+    axes[0].set_ylabel("RMSE (rpm)")
+    head_panels(axes, [s.name for s in parts])
+    return figure
+
+
+def _draw(panel: Axes, snapshot: Snapshot) -> None:
+    runs = snapshot.values("search_history", "run")
+    evaluations = snapshot.values("search_history", "evaluations")
+    rmse = snapshot.values("search_history", "rmse_rpm")
+    for index, run in enumerate(np.unique(runs)):
+        mine, style = runs == run, look(index)
+        panel.plot(
+            evaluations[mine],
+            rmse[mine],
+            color=style.colour,
+            linestyle=style.dashes,
+            marker=style.marker,
+            markerfacecolor="none",
+            markevery=[int(mine.sum()) - 1],
+            label=f"run {index + 1}",
+        )
+    best = snapshot.number("optimum", "rmse_rpm")
+    panel.axhline(best, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (1.0, 2.0)), zorder=0.0)
+    panel.annotate(
+        f"optimum {best:.3f} rpm",
+        (0.02, best),
+        (0.0, -2.0),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        va="top",
+        fontsize=7.0,
+        color=NEUTRAL,
+    )
+    panel.set_xscale("log")
+    panel.margins(y=0.12)
+    panel.set_xlabel("Model evaluations in the run")
+    legend_above(panel)

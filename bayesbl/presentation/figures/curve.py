@@ -1,0 +1,189 @@
+"""The gap curve of a sweep: its points, its cubic, its bands by source (the paper's figure 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayesbl.curve.gap_curve import published_curve
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.scales import plain_log_axis
+from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.style import (
+    DOUBLE_COLUMN_IN,
+    MODEL,
+    NEUTRAL,
+    head_panels,
+    legend_above,
+    new_figure,
+    publication_style,
+)
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.curve_file import curve_from_dataset
+from bayesbl.results.summary import SOURCE_PREFIX
+
+_PAPER = "#d55e00"
+_WIDE_SOURCES = ("bench",)
+"""Sources of another order of magnitude than the sweep's own: drawn at the scale of eq. 4."""
+
+_FILLS: Mapping[str, str] = {
+    "bench": "#dcdcdc",
+    "regression": "#0072b2",
+    "lack_of_fit": "#a6cee3",
+}
+_NAMES: Mapping[str, str] = {
+    "bench": "tolerances of the bench",
+    "regression": "coefficients",
+    "lack_of_fit": "lack of fit",
+}
+
+
+@publication_style()
+def curve(tree: xr.DataTree) -> Figure:
+    """δ on A with eq. 4 beside it, and both panels of relative departure from the curve."""
+    figure = new_figure(DOUBLE_COLUMN_IN, 3.7)
+    outer = grid(figure, 1, 2, between=(0.0, 0.7), widths=(1.0, 1.0))
+    whole = figure.add_subplot(outer[0, 0])
+    right = outer[0, 1].subgridspec(2, 1, hspace=0.42)
+    paper = figure.add_subplot(right[0, 0])
+    close = figure.add_subplot(right[1, 0], sharex=paper)
+    _draw_whole(whole, tree)
+    _draw_against_paper(paper, tree)
+    _draw_close(close, tree)
+    amplitude = values(tree, "curve", "amplitude")
+    for panel in (paper, close):
+        plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
+        panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
+        panel.yaxis.set_label_coords(-0.13, 0.5)
+        panel.axhline(0.0, color=NEUTRAL, linewidth=0.9, zorder=1.5)
+    paper.tick_params(labelbottom=False)
+    close.set_xlabel("Amplitude of the ringing A (rpm)")
+    head_panels([whole, paper, close], ["", "eq. 4 (dashed)", "the sweep"])
+    return figure
+
+
+def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Relative bounds of δ by each stored source alone, at the level of the curve's band.
+
+    Returns
+    -------
+    Source to lower and upper bound at the knots, each (g,), in percent of the curve.
+    """
+    stored, level = tree["gap_curve"].to_dataset(), float(tree["curve"].attrs["level"])
+    edges = (0.5 - 0.5 * level, 0.5 + 0.5 * level)
+    bands = {}
+    for name in map(str, stored.data_vars):
+        if name.startswith(SOURCE_PREFIX):
+            low, high = 100.0 * np.expm1(np.quantile(stored[name].values, edges, axis=0))
+            bands[name.removeprefix(SOURCE_PREFIX)] = (low, high)
+    return bands
+
+
+def departures_from_curve(tree: xr.DataTree) -> FloatArray:
+    """δ of every sweep point over that of the curve at its amplitude, (g, s), in percent."""
+    sweep, stored = tree["sweep"].to_dataset(), tree["gap_curve"].to_dataset()
+    nominal = curve_from_dataset(stored, "").gap(sweep["amplitude_rpm"].values)
+    return np.asarray(100.0 * (sweep["gap_rad"].values[:, None] / nominal - 1.0))
+
+
+def _draw_whole(panel: Axes, tree: xr.DataTree) -> None:
+    sweep, group = tree["sweep"].to_dataset(), tree["curve"].to_dataset()
+    amplitude = group["amplitude"].values
+    level = 100.0 * float(group.attrs["level"])
+    panel.fill_between(
+        amplitude, 1e3 * group["low_rad"].values, 1e3 * group["high_rad"].values,
+        color="#c8c8c8", linewidth=0.0, label=f"its {level:g} % band, all sources",
+    )  # fmt: skip
+    panel.plot(
+        amplitude,
+        1e3 * group["delta_rad"].values,
+        color=MODEL,
+        label=f"curve: {_kind(tree)} with lack of fit",
+    )
+    inside, eq4 = _paper(tree)
+    panel.plot(
+        inside, 1e3 * eq4, color=_PAPER, linestyle=(0.0, (4.0, 2.0)), label="eq. 4 of the paper"
+    )
+    starts = sweep.sizes["start"]
+    panel.plot(
+        sweep["amplitude_rpm"].values.ravel(), 1e3 * np.repeat(sweep["gap_rad"].values, starts),
+        color=NEUTRAL, marker="o", markersize=2.6, markerfacecolor="none", markeredgewidth=0.5,
+        linestyle="none", label=f"sweep: {sweep.sizes['gap']} gaps, {starts} start angles",
+    )  # fmt: skip
+    panel.set_xlim(left=0.0)
+    panel.set_ylim(bottom=0.0)
+    panel.set_xlabel("Amplitude of the ringing A (rpm)")
+    panel.set_ylabel("Gap δ (mrad)")
+    panel.legend(loc="upper left")
+
+
+def _kind(tree: xr.DataTree) -> str:
+    degree = int(tree.attrs["degree"])
+    return "cubic" if degree == 3 else f"degree {degree}"
+
+
+def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
+    """Amplitudes of the stored curve that eq. 4 was made for, and its δ there in rad."""
+    amplitude = values(tree, "curve", "amplitude")
+    eq4 = published_curve(draws=1)
+    inside = amplitude[eq4.outside(amplitude) == 0.0]
+    return inside, eq4.gap(inside)
+
+
+def _draw_against_paper(panel: Axes, tree: xr.DataTree) -> None:
+    """Eq. 4, and the sources of an order of magnitude with it."""
+    knots = values(tree, "gap_curve", "knots_rpm")
+    for source, (low, high) in source_bands(tree).items():
+        if source in _WIDE_SOURCES:
+            _draw_band(panel, knots, low, high, source)
+    inside, eq4 = _paper(tree)
+    nominal = curve_from_dataset(tree["gap_curve"].to_dataset(), "").gap(inside)
+    panel.plot(
+        inside, 100.0 * (eq4 / nominal - 1.0), color=_PAPER, linestyle=(0.0, (4.0, 2.0)),
+    )  # fmt: skip
+    panel.margins(y=0.1)
+    panel.set_ylabel("Departure of δ (%)")
+    if panel.get_legend_handles_labels()[0]:
+        legend_above(panel)
+
+
+def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
+    """Sweep points with their start-angle scatter, the polynomial alone, the narrow sources."""
+    stored, sweep = tree["gap_curve"].to_dataset(), tree["sweep"].to_dataset()
+    knots = stored["knots_rpm"].values
+    bands = {k: v for k, v in source_bands(tree).items() if k not in _WIDE_SOURCES}
+    for source, (low, high) in sorted(bands.items(), key=lambda item: -float(np.ptp(item[1]))):
+        _draw_band(panel, knots, low, high, source)
+    panel.plot(
+        knots, 100.0 * np.expm1(-stored["correction"].values), color=MODEL,
+        linestyle=(0.0, (1.0, 1.0)), label=f"{_kind(tree)} alone",
+    )  # fmt: skip
+    nominal = curve_from_dataset(stored, "")
+    scatter = 100.0 * nominal.log_slope(knots) * stored["start_angle_sd_rpm"].values
+    for sign in (-1.0, 1.0):
+        panel.plot(
+            knots, sign * scatter, color=NEUTRAL, linewidth=0.7, linestyle=(0.0, (5.0, 2.0)),
+            label="start angle, ± 1 sd" if sign > 0.0 else None,
+        )  # fmt: skip
+    panel.plot(
+        sweep["amplitude_rpm"].values.ravel(), departures_from_curve(tree).ravel(),
+        color=NEUTRAL, marker="o", markersize=2.0, markerfacecolor="none", markeredgewidth=0.4,
+        linestyle="none", label="sweep points",
+    )  # fmt: skip
+    bottom, top = panel.get_ylim()
+    panel.set_ylim(bottom, top + 0.55 * (top - bottom))
+    panel.set_ylabel("Departure of δ (%)")
+    panel.legend(loc="upper right", ncols=2, columnspacing=1.0)
+
+
+def _draw_band(
+    panel: Axes, knots: FloatArray, low: FloatArray, high: FloatArray, source: str
+) -> None:
+    panel.fill_between(
+        knots, low, high, color=_FILLS.get(source, "#f0e0c0"), linewidth=0.0,
+        label=_NAMES.get(source, source.replace("_", " ")),
+    )  # fmt: skip

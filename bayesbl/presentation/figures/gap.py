@@ -1,0 +1,209 @@
+"""The gap of every snapshot on the curve it was read from, and its change (paper, fig. 10)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from bayesbl.presentation.figures.change import draw_change, legend_lines, told
+from bayesbl.presentation.figures.layout import LINE_IN, grid
+from bayesbl.presentation.figures.snapshots import GAP, Snapshot, credible_interval, snapshots
+from bayesbl.presentation.figures.stored import curve_name
+from bayesbl.presentation.figures.style import (
+    DOUBLE_COLUMN_IN,
+    LIMIT,
+    NEUTRAL,
+    WITHHELD,
+    head_panels,
+    look,
+    new_figure,
+    publication_style,
+)
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import AMPLITUDE
+
+_BINS = 40
+
+
+@publication_style()
+def gap(tree: xr.DataTree) -> Figure:
+    """δ against A with the posteriors of both along the axes; for snapshots also the change."""
+    parts = snapshots(tree)
+    compare = "change" in tree.children
+    # Two legends stand side by side above the panels.
+    lines = 1 + len(parts) + ("limit_rad" in tree.attrs)
+    lines = max(lines, legend_lines(tree)) if compare else lines
+    top = 0.28 + LINE_IN * lines
+    figure = new_figure(DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
+    outer = grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
+    joint = outer[0, 0].subgridspec(
+        2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
+    )
+    main = figure.add_subplot(joint[1, 0])
+    above = figure.add_subplot(joint[0, 0], sharex=main)
+    side = figure.add_subplot(joint[1, 1], sharey=main)
+    _draw_joint(main, above, side, tree, parts)
+    if compare:
+        right = outer[0, 1].subgridspec(2, 1, height_ratios=(1.3, 1.0), hspace=0.55)
+        panel, overview = figure.add_subplot(right[0, 0]), figure.add_subplot(right[1, 0])
+        draw_change(panel, tree, parts)
+        change = f"change from {parts[0].name} to {parts[-1].name}"
+        panels, titles = [above, panel, overview], ["gap on its curve", change]
+    else:
+        overview = figure.add_subplot(outer[0, 1])
+        panels, titles = [above, overview], ["gap on its curve"]
+    _draw_overview(overview, main, tree, parts)
+    head_panels(panels, [*titles, "the whole curve; grey: the view of (a)"])
+    handles, labels = main.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
+    return figure
+
+
+def _draw_joint(
+    main: Axes, top: Axes, side: Axes, tree: xr.DataTree, parts: list[Snapshot]
+) -> None:
+    _draw_curve(main, tree)
+    for index, snapshot in enumerate(parts):
+        _draw_snapshot(main, tree, snapshot, index)
+        _draw_marginals(top, side, snapshot, index)
+    _set_view(main, tree, parts)
+    for panel in (main, side):
+        _draw_limit(panel, tree)
+    main.set_xlabel("Amplitude of the ringing A (rpm)")
+    main.set_ylabel("Gap δ (mrad)")
+    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
+        panel.tick_params(labelbottom=False, labelleft=False)
+        panel.spines[spine].set_visible(False)
+        axis.set_visible(False)
+
+
+def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
+    curve = tree["curve"].to_dataset()
+    amplitude = curve["amplitude"].values
+    name = curve_name(curve.attrs["name"])
+    main.fill_between(
+        amplitude, 1e3 * curve["low_rad"].values, 1e3 * curve["high_rad"].values,
+        color="#c8c8c8", linewidth=0.0,
+    )  # fmt: skip
+    main.plot(
+        amplitude, 1e3 * curve["delta_rad"].values, color=NEUTRAL, linewidth=0.9,
+        label=f"gap curve ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
+    )  # fmt: skip
+
+
+def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+    """Median with intervals both ways; hollow and grey where δ must not be read."""
+    amplitude = credible_interval(tree, snapshot.values("posterior", AMPLITUDE))
+    delta = credible_interval(tree, snapshot.values("posterior", GAP))
+    style = look(index)
+    colour = WITHHELD if snapshot.withheld else style.colour
+    main.errorbar(
+        [amplitude["median"]],
+        [1e3 * delta["median"]],
+        xerr=[[amplitude["median"] - amplitude["low"]], [amplitude["high"] - amplitude["median"]]],
+        yerr=[
+            [1e3 * (delta["median"] - delta["low"])],
+            [1e3 * (delta["high"] - delta["median"])],
+        ],
+        color=colour,
+        marker=style.marker,
+        markerfacecolor="white" if snapshot.withheld else colour,
+        linestyle="none",
+        capsize=2.0,
+        zorder=3.0,
+        label=_told(tree, snapshot, delta),
+    )
+
+
+def _told(tree: xr.DataTree, snapshot: Snapshot, delta: dict[str, float]) -> str:
+    if snapshot.withheld:
+        return f"{snapshot.name}: δ withheld"
+    mrad = {k: 1e3 * delta[k] for k in ("low", "median", "high")}
+    return f"{snapshot.name}: {told(tree, mrad)}"
+
+
+def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
+    style = look(index)
+    colour = WITHHELD if snapshot.withheld else style.colour
+    marginals: tuple[tuple[Axes, FloatArray, Literal["vertical", "horizontal"], str], ...] = (
+        (top, snapshot.values("posterior", AMPLITUDE), "vertical", style.colour),
+        (side, 1e3 * snapshot.values("posterior", GAP), "horizontal", colour),
+    )
+    for panel, values, orientation, fill in marginals:
+        counts, edges = np.histogram(values, _BINS, density=True)
+        panel.stairs(
+            counts, edges, orientation=orientation, fill=True, color=fill, alpha=0.3,
+        )  # fmt: skip
+        panel.stairs(
+            counts, edges, orientation=orientation, color=fill, linestyle=style.dashes,
+            linewidth=0.9,
+        )  # fmt: skip
+    if snapshot.withheld:
+        side.annotate(
+            "withheld",
+            (0.75, 1e3 * _median(snapshot, GAP)),
+            xycoords=("axes fraction", "data"),
+            rotation=90.0,
+            va="center",
+            fontsize=7.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        )
+
+
+def _spread(parts: list[Snapshot], name: str) -> tuple[float, float]:
+    draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
+    low, high = np.quantile(draws, (0.001, 0.999))
+    return float(low), float(high)
+
+
+def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+    """Around the posteriors, and up to a limit that is not far away."""
+    for name, factor, setter in (
+        (AMPLITUDE, 1.0, main.set_xlim),
+        (GAP, 1e3, main.set_ylim),
+    ):
+        low, high = _spread(parts, name)
+        margin = max(0.35 * (high - low), 0.12 * high)
+        limit = tree.attrs.get("limit_rad")
+        bottom, top = max(0.0, low - margin), high + margin
+        if limit is not None and name == GAP and low - 3.0 * margin < limit < high + 3.0 * margin:
+            bottom, top = min(bottom, 0.97 * float(limit)), max(top, 1.05 * float(limit))
+        setter(factor * bottom, factor * top)
+
+
+def _draw_limit(panel: Axes, tree: xr.DataTree) -> None:
+    if "limit_rad" in tree.attrs:
+        limit = 1e3 * float(tree.attrs["limit_rad"])
+        dashes = (0.0, (6.0, 2.0, 1.0, 2.0))
+        panel.axhline(
+            limit, color=LIMIT, linewidth=0.9, linestyle=dashes, label=f"limit {limit:g} mrad"
+        )
+
+
+def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+    """The curve over its whole range, with the view of the main panel marked."""
+    (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
+    panel.add_patch(
+        Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
+    )
+    _draw_curve(panel, tree)
+    _draw_limit(panel, tree)
+    for index, snapshot in enumerate(parts):
+        style = look(index)
+        colour = WITHHELD if snapshot.withheld else style.colour
+        panel.plot(
+            [_median(snapshot, AMPLITUDE)], [1e3 * _median(snapshot, GAP)],
+            color=colour, marker=style.marker, linestyle="none",
+            markerfacecolor="white" if snapshot.withheld else colour,
+        )  # fmt: skip
+    panel.set_xlabel("Amplitude of the ringing A (rpm)")
+    panel.set_ylabel("Gap δ (mrad)")
+
+
+def _median(snapshot: Snapshot, name: str) -> float:
+    return float(np.median(snapshot.values("posterior", name)))

@@ -1,0 +1,159 @@
+"""Measured speed, model of the optimum, predictive band and residuals (the paper's figure 9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.snapshots import Snapshot, interval_name, snapshots
+from bayesbl.presentation.figures.style import (
+    BAND,
+    DOUBLE_COLUMN_IN,
+    MEASURED,
+    MODEL,
+    NEUTRAL,
+    head_panels,
+    new_figure,
+    publication_style,
+)
+from bayesbl.presentation.figures.traces import envelope
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WINDOW_START
+
+_BLOCK_IN = 2.5
+_BINS = 700
+
+
+@dataclass(frozen=True, slots=True)
+class _Signal:
+    """What is drawn of one snapshot, each of shape (n,), s and rpm."""
+
+    time: FloatArray
+    speed: FloatArray
+    model: FloatArray
+    low: FloatArray
+    high: FloatArray
+    residual: FloatArray
+
+    @classmethod
+    def of(cls, snapshot: Snapshot) -> _Signal:
+        time, speed = (snapshot.values("observed_data", n) for n in ("time_s", "motor_speed_rpm"))
+        names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
+        # By the time's length: a sample that was left out has no residual, like the padding.
+        curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
+        return cls(time, speed, *curves)
+
+    def within(self, begin_s: float, end_s: float) -> _Signal:
+        inside = (self.time >= begin_s) & (self.time <= end_s)
+        parts = (self.time, self.speed, self.model, self.low, self.high, self.residual)
+        return _Signal(*(part[inside] for part in parts))
+
+
+@publication_style()
+def signal(tree: xr.DataTree) -> Figure:
+    """One block per snapshot: the whole recording, a positive and a negative pulse."""
+    parts = snapshots(tree)
+    figure = new_figure(DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
+    spec = grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
+    heads: list[Axes] = []
+    titles: list[str] = []
+    for row, snapshot in enumerate(parts):
+        inner = spec[row, 0].subgridspec(
+            2, 3, height_ratios=(2.4, 1.0), width_ratios=(2.3, 1.0, 1.0), hspace=0.08, wspace=0.16
+        )
+        upper = figure.add_subplot(inner[0, 0])
+        lower = figure.add_subplot(inner[1, 0], sharex=upper)
+        data = _Signal.of(snapshot)
+        _draw_whole(upper, lower, data)
+        heads.append(upper)
+        titles.append(f"{snapshot.name}: whole recording")
+        for column, positive in ((1, True), (2, False)):
+            begin, end = pulse_window(snapshot, positive)
+            top = figure.add_subplot(inner[0, column], sharey=upper)
+            bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
+            _draw_part(top, bottom, data.within(begin, end))
+            for axes in (upper, lower):
+                axes.axvspan(begin, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
+            top.tick_params(labelbottom=False, labelleft=False)
+            bottom.tick_params(labelleft=False)
+            heads.append(top)
+            titles.append("positive pulse" if positive else "negative pulse")
+        upper.tick_params(labelbottom=False)
+        upper.set_ylabel("Motor speed (rpm)")
+        lower.set_ylabel("Residual (rpm)")
+        for axes in (upper, lower):
+            axes.yaxis.set_label_coords(-0.125, 0.5)
+    head_panels(heads, titles)
+    _legend(figure, interval_name(tree))
+    return figure
+
+
+def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
+    """Begin and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
+    time = snapshot.values("observed_data", "time_s")
+    symbol = {
+        name: snapshot.number("optimum", name)
+        for name in (START, WINDOW_START, WINDOW_END, SEPARATION, ROTATION)
+    }
+    length = symbol[WINDOW_END] - symbol[WINDOW_START]
+    first = symbol[START] + symbol[WINDOW_START] - (0.0 if positive else symbol[SEPARATION])
+    middle = 0.5 * (time[0] + time[-1] - length)
+    start = first + symbol[ROTATION] * round((middle - first) / symbol[ROTATION])
+    return start - 0.4 * length, start + 1.4 * length
+
+
+def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
+    """Outlines of the dense traces: every extreme is on the page, not every sample."""
+    time, _, band_high = envelope(data.time, data.high, _BINS)
+    _, band_low, _ = envelope(data.time, data.low, _BINS)
+    upper.fill_between(time, band_low, band_high, color=BAND, linewidth=0.0, label="band")
+    _outline(upper, data.time, data.speed, MEASURED, "measured")
+    _outline(upper, data.time, data.model, MODEL, "model")
+    _outline(lower, data.time, data.residual, MEASURED, "residual")
+    lower.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    lower.set_xlim(data.time[0], data.time[-1])
+    lower.set_xlabel("Time (s)")
+
+
+def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str, label: str) -> None:
+    middle, low, high = envelope(time, values, _BINS)
+    axes.fill_between(middle, low, high, color=colour, linewidth=0.5, label=label)
+
+
+def _draw_part(top: Axes, bottom: Axes, data: _Signal) -> None:
+    """Every sample of a short stretch."""
+    top.fill_between(data.time, data.low, data.high, color=BAND, linewidth=0.0, label="band")
+    top.plot(data.time, data.speed, color=MEASURED, linewidth=0.7, label="measured")
+    top.plot(data.time, data.model, color=MODEL, linewidth=1.1, label="model")
+    bottom.fill_between(
+        data.time,
+        data.low - data.model,
+        data.high - data.model,
+        color=BAND,
+        linewidth=0.0,
+        label="band",
+    )
+    bottom.plot(data.time, data.residual, color=MEASURED, linewidth=0.7, label="residual")
+    bottom.axhline(0.0, color=MODEL, linewidth=0.8)
+    bottom.set_xlim(data.time[0], data.time[-1])
+    bottom.set_xlabel("Time (s)")
+    bottom.locator_params(axis="x", nbins=3)
+
+
+def _legend(figure: Figure, interval: str) -> None:
+    band = interval.replace("interval", "predictive band").replace("HDI", "predictive band")
+    figure.legend(
+        handles=[
+            Line2D([], [], color=MEASURED, label="measured"),
+            Line2D([], [], color=MODEL, label="model at the optimum"),
+            Patch(color=BAND, label=band),
+        ],
+        loc="upper center",
+        ncols=3,
+    )

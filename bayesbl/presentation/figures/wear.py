@@ -1,0 +1,191 @@
+"""The gap against the date, the line through it, and when it reaches the limit."""
+
+from __future__ import annotations
+
+from datetime import date as Date
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.figure import Figure
+
+from bayesbl.measurement.wear import LONGEST_YEARS
+from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name, snapshots
+from bayesbl.presentation.figures.style import (
+    BAND,
+    DOUBLE_COLUMN_IN,
+    LIMIT,
+    MODEL,
+    NEUTRAL,
+    WITHHELD,
+    head_panels,
+    look,
+    new_figure,
+    publication_style,
+)
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.wear import DAYS_PER_YEAR, GROUP, used_dates
+
+_LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
+_RAREST = 0.005
+"""A probability nearer than this to 0 or 1 is told as less than 1 % or more than 99 %."""
+
+_LONGEST_VIEW = 3.0
+"""How far ahead is shown at most, in times since the first snapshot in use."""
+
+
+@publication_style()
+def wear(tree: xr.DataTree) -> Figure:
+    """δ of every dated snapshot with the line since the last repair; when the limit is reached."""
+    group = tree[GROUP].to_dataset()
+    figure = new_figure(DOUBLE_COLUMN_IN, 2.9)
+    limited = "years_to_limit" in group and not group.attrs["reason"]
+    spec = grid(figure, 1, 2 if limited else 1, top=0.6)
+    panels, titles = [figure.add_subplot(spec[0, 0])], ["gap and the line since the last repair"]
+    ahead = _years_ahead(group)
+    _draw_gaps(panels[0], tree, group, ahead)
+    if limited:
+        panels.append(figure.add_subplot(spec[0, 1]))
+        titles.append("probability that the limit is reached")
+        _draw_limit_reached(panels[1], group, ahead)
+    for panel in panels:
+        locator = AutoDateLocator(minticks=3, maxticks=7)  # type: ignore[no-untyped-call]
+        panel.xaxis.set_major_locator(locator)
+        formatter = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
+        panel.xaxis.set_major_formatter(formatter)
+        panel.set_xlabel("Date")
+    head_panels(panels, titles)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=3)
+    return figure
+
+
+def line_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
+    """Low, median and high of the line, years from the last snapshot, shape (3, n), rad.
+
+    Of the draws that do not heal; equal-tailed.
+    """
+    rate = group["rate_rad_per_year"].values.ravel()
+    grows = rate >= 0.0
+    line = group["current_rad"].values.ravel()[grows] + np.outer(years, rate[grows])
+    quantiles = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
+    return np.asarray(np.quantile(line, quantiles, axis=1))
+
+
+def reached(group: xr.Dataset, years: FloatArray) -> FloatArray:
+    """Probability that the limit is reached within so many years of the last snapshot."""
+    times = group["years_to_limit"].values.ravel()
+    known = np.sort(times[np.isfinite(times)])
+    return np.asarray(np.searchsorted(known, years, side="right") / known.size)
+
+
+def _days(days: list[Date]) -> FloatArray:
+    """Days since 1970, which is how matplotlib counts them."""
+    return np.array(days, dtype="datetime64[D]").astype(np.float64)
+
+
+def _years_ahead(group: xr.Dataset) -> float:
+    """Up to where 95 % of the draws have reached the limit, or as far as the line bears."""
+    days = _days(used_dates(group))
+    span = (days[-1] - days[0]) / DAYS_PER_YEAR
+    ahead = 0.5 * span
+    if "years_to_limit" in group and not group.attrs["reason"]:
+        ahead = float(np.nanquantile(group["years_to_limit"].values, 0.95))
+    if "decide_before" in group.attrs:
+        asked = _days([Date.fromisoformat(group.attrs["decide_before"])])[0] - days[-1]
+        ahead = max(ahead, 1.2 * asked / DAYS_PER_YEAR)
+        return float(min(ahead, max(_LONGEST_VIEW * span, 1.2 * asked / DAYS_PER_YEAR)))
+    return float(np.clip(ahead, 0.2 * span, min(_LONGEST_VIEW * span, LONGEST_YEARS)))
+
+
+def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
+    told = "rate_rad_per_year" in group and not group.attrs["reason"]
+    days = _days(used_dates(group))
+    level = float(tree.attrs["interval_level"])
+    if told:
+        years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
+        shown = days[-1] + DAYS_PER_YEAR * years
+        low, middle, high = 1e3 * line_band(group, years, level)
+        panel.fill_between(
+            shown, low, high, color=BAND, linewidth=0.0, label=f"{interval_name(tree)} of the line"
+        )
+        panel.plot(shown, middle, color=MODEL, label="line, median")
+    parts, used = snapshots(tree), group["used"].values
+    every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
+    style = look(1)
+    for index, (day, part) in enumerate(zip(every, parts, strict=True)):
+        found = credible_interval(tree, 1e3 * part.values("posterior", GAP))
+        colour = WITHHELD if part.withheld else (style.colour if used[index] else NEUTRAL)
+        panel.errorbar(
+            [day],
+            [found["median"]],
+            yerr=[[found["median"] - found["low"]], [found["high"] - found["median"]]],
+            color=colour,
+            marker=style.marker,
+            markerfacecolor=colour if used[index] and not part.withheld else "white",
+            linestyle="none",
+            markersize=3.0,
+            capsize=2.5,
+            zorder=3.0,
+        )
+        above = False  # on the side of the point where the line is not
+        if told and used[index]:
+            at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
+            above = bool(found["low"] > 1e3 * line_band(group, at, level)[1, 0])
+        panel.annotate(
+            f"{part.name}: withheld" if part.withheld else part.name,
+            (day, found["high" if above else "low"]),
+            xytext=(0.0, 4.0) if above else (4.0, -4.0), textcoords="offset points",
+            ha="center" if above else "left", va="bottom" if above else "top", fontsize=7.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6}, zorder=0.5,
+        )  # fmt: skip
+    if np.any(used == 0.0):
+        first = every[np.flatnonzero(used)[0]]
+        panel.axvline(first, color=NEUTRAL, linewidth=0.6, linestyle=":", label="after the repair")
+    if "limit_rad" in tree.attrs:
+        limit = 1e3 * float(tree.attrs["limit_rad"])
+        panel.axhline(
+            limit,
+            color=LIMIT,
+            linewidth=0.9,
+            linestyle=_LIMIT_DASHES,
+            label=f"limit {limit:g} mrad",
+        )
+    panel.margins(y=0.12)
+    panel.set_ylabel("Gap δ (mrad)")
+
+
+def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
+    years = np.linspace(0.0, ahead, 300)
+    last = _days(used_dates(group))[-1]
+    passed = float(reached(group, np.zeros(1))[0])
+    if passed > _RAREST:
+        low = passed < 0.2  # no room below
+        panel.plot([last], [passed], color=MODEL, marker="o")
+        panel.annotate(
+            f"passed before {used_dates(group)[-1]}: {_share(passed)}", (last, passed),
+            xytext=(4.0, 6.0 if low else -6.0), textcoords="offset points",
+            va="bottom" if low else "top", fontsize=7.0,
+        )  # fmt: skip
+    panel.plot(last + DAYS_PER_YEAR * years, reached(group, years), color=MODEL)
+    if "decide_before" in group.attrs:
+        asked = group.attrs["decide_before"]
+        day = _days([Date.fromisoformat(asked)])[0]
+        share = float(reached(group, np.array([(day - last) / DAYS_PER_YEAR]))[0])
+        panel.axvline(day, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
+        panel.plot([day], [share], color=NEUTRAL, marker="o")
+        panel.annotate(
+            f"by {asked}: {_share(share)}", (day, share), xytext=(-4.0, 4.0),
+            textcoords="offset points", ha="right", fontsize=7.0,
+        )  # fmt: skip
+    panel.set_ylim(0.0, 1.03)
+    panel.set_ylabel("Probability")
+
+
+def _share(probability: float) -> str:
+    """``68 %``; never 0 % or 100 %, which no number of draws can show."""
+    if probability < _RAREST:
+        return "< 1 %"
+    return "> 99 %" if probability > 1.0 - _RAREST else f"{100.0 * probability:.0f} %"

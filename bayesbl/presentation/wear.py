@@ -1,0 +1,219 @@
+"""Wear in time as the console tells it: how fast, how long until the limit, and how sure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from datetime import date
+from typing import TYPE_CHECKING
+
+from bayesbl.presentation import words
+from bayesbl.presentation.terminal import add_row, new_table, print_table, say
+from bayesbl.presentation.words import Summary
+from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+MODEL = (
+    "Wear is taken as linear in time since the last repair, and never as healing: draws in which "
+    "the gap shrinks are left out of rate and time, so these are no sign of wear by themselves."
+)
+
+
+def print_wear(summary: Summary, console: Console) -> None:
+    """Sentences and table of ``wear`` of a summary of a dated comparison."""
+    wear = summary["wear"]
+    if spans_repair(summary):
+        say(console, repaired(wear))
+    if wear["reason"]:
+        say(console, wear["reason"], "yellow", label="No rate of wear")
+        return
+    bent = not_straight(wear)
+    if bent:
+        say(console, bent, "yellow", label="Warning")
+    for sentence in sentences(wear):
+        say(console, sentence)
+    print_table(_table(wear), console)
+    for sentence in notes(wear):
+        say(console, sentence, "dim")
+
+
+def is_told(summary: Summary) -> bool:
+    """Whether a summary tells how fast the gap grows."""
+    wear = summary.get("wear")
+    return wear is not None and not wear["reason"]
+
+
+def spans_repair(summary: Summary) -> bool:
+    """Whether a repair lies between the first and the last of dated snapshots."""
+    return len(summary["wear"]["snapshots"]) < len(summary["snapshots"])
+
+
+def answer(summary: Summary) -> Iterator[str]:
+    """What a fit or a comparison leads with: the wear where it is told, else gap or change."""
+    if not is_told(summary):
+        yield words.headline(summary)
+        return
+    yield headline(summary)
+    if not spans_repair(summary):
+        yield words.headline(summary)
+
+
+def headline(summary: Summary) -> str:
+    """How large the gap is now and how fast it grows: the answer of dated snapshots."""
+    wear, last = summary["wear"], summary["snapshots"][-1]["delta_rad"]
+    now = "" if last is None else f"is {in_mrad(last)} mrad now and "
+    if wear["probability_wear"] < words.SURE:
+        return (
+            f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "
+            f"{words.probability(wear['probability_wear'])})."
+        )
+    rate = wear["rate_rad_per_year"]
+    places = words.decimals(rate, 1e3)
+    return (
+        f"The gap {now}grows by {in_mrad(rate)} mrad a year "
+        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})."
+    )
+
+
+def in_mrad(interval: Summary) -> str:
+    """The median in mrad, with as many digits as its interval bears."""
+    return number(1e3 * interval["median"], words.decimals(interval, 1e3))
+
+
+def month(value: str | None) -> str:
+    """``Nov 2026`` of a date of ISO: a forecast is never known to the day."""
+    return day(value) if value is None else date.fromisoformat(value).strftime("%b %Y")
+
+
+def repaired(wear: Summary) -> str:
+    """What a repair between the snapshots means for all that is said of them."""
+    return (
+        f"The joint was repaired before {wear['snapshots'][0]}: the change from first to last "
+        "spans the repair, and only the snapshots since tell how the joint wears."
+    )
+
+
+def sentences(wear: Summary) -> Iterator[str]:
+    """The answer to how fast, until when, and whether before the date asked for."""
+    from bayesbl.measurement.wear import LONGEST_YEARS
+
+    share = words.probability(wear["level"])
+    rate = 1e3 * wear["rate_at_most_rad_per_year"]
+    yield (
+        f"Since {wear['first_date']} the gap grew with a probability of "
+        f"{words.probability(wear['probability_wear'])}; with {share} probability by at most "
+        f"{words.significant(rate)} mrad a year."
+    )
+    if wear["years_to_limit"] is None:
+        return
+    limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
+    if has_passed(wear, "high"):
+        yield f"The gap passed {limit} before {wear['last_date']}."
+    elif wear["limit_not_before"] == wear["last_date"]:
+        yield (
+            f"The gap may have passed {limit} before {wear['last_date']}: that it had not is less "
+            f"than {share} probable."
+        )
+    elif wear["limit_not_before"] is None:
+        yield (
+            f"With {share} probability the gap does not reach {limit} within "
+            f"{LONGEST_YEARS:g} years."
+        )
+    else:
+        yield (
+            f"With {share} probability the gap does not reach {limit} before "
+            f"{wear['limit_not_before']}."
+        )
+    if wear["decide_before"] is not None:
+        yield (
+            f"Probability that it passes {limit} by {wear['decide_before']}: "
+            f"{words.probability(wear['probability_limit_before'])}."
+        )
+
+
+def not_straight(wear: Summary) -> str | None:
+    """That the gaps lie on no straight line, and what this means for rate and date."""
+    from bayesbl.measurement.wear import FALSE_ALARM
+
+    line = wear.get("line")  # results of earlier versions have none
+    if line is None or line["is_straight"]:
+        return None
+    side = "above" if line["excess_rad"] > 0.0 else "below"
+    told = (
+        f"The gaps do not lie on a straight line ({line['snapshot']} lies "
+        f"{words.significant(1e3 * abs(line['excess_rad']))} mrad {side} that of the others, "
+        f"{line['standard_deviations']:.1f} standard deviations; a test that errs in "
+        f"{100.0 * FALSE_ALARM:g} % of cases)"
+    )
+    if wear["scatter_rad_per_root_year"] is None:
+        return f"{told}: the rate and any date are not to be relied on."
+    return (
+        f"{told}. Rate and date allow for wear that is irregular, but not for wear that speeds up "
+        "or for a recording that is off: look at the gaps before you rely on them."
+    )
+
+
+def notes(wear: Summary) -> Iterator[str]:
+    """The model, and what so many snapshots cannot tell."""
+    from bayesbl.measurement.wear import FEWEST_FOR_SCATTER
+
+    yield MODEL
+    count = len(wear["snapshots"])
+    if count == 2:
+        yield (
+            "Two snapshots cannot tell whether wear is steady: the rate is that of the time "
+            "between them, and the forecast is only as good as the line. Take a third."
+        )
+    elif count < FEWEST_FOR_SCATTER:
+        yield (
+            f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
+            "wear from measuring; none is assumed."
+        )
+
+
+def _table(wear: Summary) -> Table:
+    rate, scatter = wear["rate_rad_per_year"], wear["scatter_rad_per_root_year"]
+    table = new_table(
+        ("Wear", "left"), ("Median", "right"), (words.short_kind(rate), "right"), ("Unit", "left")
+    )
+    rows = [("rate", rate, 1e3, "mrad/year")]
+    if scatter is not None:
+        rows.append(("irregular wear", scatter, 1e3, "mrad/√year"))
+    if wear["years_to_limit"] is not None and not has_passed(wear, "high"):
+        rows.append(("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
+    for name, found, scale, unit in rows:
+        low, middle, high = (_cell(scale * found[k]) for k in ("low", "median", "high"))
+        add_row(table, name, middle, f"{low} to {high}", unit)
+    if wear["limit_date"] is not None:
+        middle, bounds = limit_dates(wear, day)
+        add_row(table, "date of the limit", middle, bounds, "")
+    return table
+
+
+def has_passed(wear: Summary, end: str) -> bool:
+    """Whether the limit lies before the last recording, by this end of the interval."""
+    return bool(wear["years_to_limit"][end] == 0.0)
+
+
+def limit_dates(wear: Summary, told: Callable[[str | None], str]) -> tuple[str, str]:
+    """When the limit is reached, and between which dates; of the past only that it is past."""
+    low, middle, high = (
+        f"before {wear['last_date']}" if has_passed(wear, end) else told(wear["limit_date"][end])
+        for end in ("low", "median", "high")
+    )
+    return middle, low if low == high else f"{low} to {high}"
+
+
+def _cell(value: float) -> str:
+    from bayesbl.measurement.wear import LONGEST_YEARS
+
+    if value >= LONGEST_YEARS:
+        return f"> {LONGEST_YEARS:g}"
+    return words.significant(value) if value < 100.0 else f"{value:.0f}"
+
+
+def day(value: str | None) -> str:
+    """A date of ISO, or that it is too far to be told."""
+    return "far ahead" if value is None else value

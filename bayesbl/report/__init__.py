@@ -1,1 +1,0 @@
-"""What the user reads on the terminal: every sentence in :mod:`bayesbl.report.words`."""

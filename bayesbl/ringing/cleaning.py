@@ -1,0 +1,264 @@
+"""What makes one rotation unlike the next, apart from noise: found, taken out, and told.
+
+Three faults, in the order they are looked for. Each finder compares rotations with one another, so
+that a misfit which repeats is never taken for a fault, and returns the recording as it would be
+without it. A is then the least-squares amplitude of that recording, as the gap curve means it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import matmul_toeplitz
+from scipy.stats import chi2, poisson
+
+from bayesbl.noise.rotation_noise import (
+    Noise,
+    bridged,
+    estimate_noise,
+    innovations,
+    rotation_difference,
+)
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.ringing.jacobian import jacobian, jacobian_columns
+from bayesbl.ringing.optimum import Optimum
+from bayesbl.ringing.symbols import (
+    AMPLITUDE,
+    FREQUENCY,
+    MEAN,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+)
+from bayesbl.ringing.waveform import impact_times
+
+FALSE_ALARM = 1e-5
+"""Of each finder, per recording."""
+
+SMALLEST_SHARE = 1e-5
+"""A drift below this share of the speed moves no impact by more than 0.1 ms a minute."""
+
+_DRIFT_DEGREE = 2
+_OUTLIER = 6.0
+_SMALLEST_OUTLIER = 0.01
+_SMALLEST_LOSS = 0.01
+_BURST_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Mended:
+    """A recording without a fault, and what the reader should know of it.
+
+    The recording holds no channel but the speed.
+    """
+
+    recording: Recording
+    note: str
+
+
+def without_bursts(
+    recording: Recording, optimum: Optimum, residual_rpm: FloatArray, noise: Noise
+) -> Mended | None:
+    """Bursts of outliers replaced by what the nearest other rotation shows at that angle.
+
+    A burst is a stretch of 0.05 s that holds more innovations beyond six robust standard deviations
+    than their rate over the recording, high with Student-t noise, explains. Outliers below a
+    hundredth of A are none: with hardly any noise, impacts themselves are not quite alike.
+    """
+    if noise.differentiated:
+        return None
+    period_s, rotation_s = recording.sampling_period_s, optimum.symbols[ROTATION]
+    lag, n = round(rotation_s / period_s), recording.samples
+    e = innovations(rotation_difference(residual_rpm, rotation_s, period_s), noise.coefficients)
+    limit = max(
+        _OUTLIER * 1.4826 * float(np.nanmedian(np.abs(e))),
+        _SMALLEST_OUTLIER * optimum.symbols[AMPLITUDE],
+    )
+    width = max(3, round(_BURST_S / period_s))
+    outlier = np.abs(e) > limit
+    count = np.convolve(outlier, np.ones(width), "same")
+    # Bursts would hide in their own rate: it is taken from all but the tenth of the stretches with
+    # most outliers, and doubled, which is more than leaving those out can take off.
+    stretches = np.sort(outlier[: e.size // width * width].reshape(-1, width).sum(axis=1))
+    rate = 2.0 * float(stretches[: int(0.9 * len(stretches))].mean()) + 0.01
+    many = max(3.0, float(poisson.isf(FALSE_ALARM / e.size, rate)))
+    at = np.flatnonzero((count > many) & outlier)
+    if not at.size:
+        return None
+    residual_rpm = bridged(residual_rpm)
+    # A difference tells only that one of two rotations is off: the one that is further from zero.
+    bad = np.zeros(n, dtype=bool)
+    for i in at + noise.order:
+        middle = int(i)
+        begin, end = max(0, middle - width // 2), middle + width // 2 + 1
+        pair = (slice(begin, end), slice(begin + lag, end + lag))
+        bad[max(pair, key=lambda part: float(np.sum(residual_rpm[part] ** 2)))] = True
+    sources = np.stack([np.arange(n) + lag, np.arange(n) - lag])
+    usable = (sources >= 0) & (sources < n)
+    usable &= ~bad[np.clip(sources, 0, n - 1)]
+    source = np.where(usable[0], sources[0], sources[1])
+    replaced = bad & usable.any(axis=0)
+    model = recording.motor_speed_rpm - residual_rpm
+    speed = recording.motor_speed_rpm.copy()
+    speed[replaced] = model[replaced] + residual_rpm[source[replaced]]
+    share = 100.0 * float(bad.mean())
+    note = f"Bursts of outliers, {share:.2g} % of the recording, were replaced by other rotations."
+    if not np.array_equal(replaced, bad):
+        note = f"Bursts of outliers, {share:.2g} % of the recording, limit the answer."
+    return Mended(replace(recording, channels={MOTOR_SPEED: speed}), note)
+
+
+def without_drift(
+    recording: Recording, optimum: Optimum, residual_rpm: FloatArray, noise: Noise
+) -> Mended | None:
+    """A drift of the speed, a parabola in time, taken out with what it does to the impacts' times.
+
+    Its coefficients are sums over the differences between rotations, in which a misfit cancels. As
+    the load comes round sooner when the motor is faster, the time axis is stretched too, unless the
+    impacts show that only the sensor drifts.
+    """
+    period_s, n = recording.sampling_period_s, recording.samples
+    mean = optimum.symbols[MEAN]
+    x = np.linspace(-1.0, 1.0, n)
+    powers = np.stack([x**k for k in range(1, _DRIFT_DEGREE + 1)], axis=1)
+    lag = max(1, round(optimum.symbols[ROTATION] / period_s))
+    weights = np.linalg.pinv(powers[lag:] - powers[:-lag]).T
+    # As sums over the residual itself, whose covariance is known.
+    on_residual = np.pad(weights, ((lag, 0), (0, 0))) - np.pad(weights, ((0, lag), (0, 0)))
+    residual_rpm = bridged(residual_rpm)
+    coefficients = residual_rpm @ on_residual
+    drift = powers @ coefficients
+    steady = estimate_noise(residual_rpm - drift, optimum.symbols[ROTATION], period_s)
+    spread = on_residual.T @ _noisy(steady, on_residual)
+    size = float(coefficients @ np.linalg.solve(spread, coefficients))
+    if size < chi2.isf(FALSE_ALARM, _DRIFT_DEGREE) or np.ptp(drift) < SMALLEST_SHARE * abs(mean):
+        return None
+    ahead_s = np.r_[0.0, np.cumsum(0.5 * (drift[1:] + drift[:-1]))] * period_s / mean
+    ahead_s -= np.linspace(0.0, ahead_s[-1], n)
+    follow = _impacts_follow(recording, optimum, residual_rpm - drift, ahead_s)
+    level = recording.motor_speed_rpm - drift + drift.mean()
+    note = f"The speed drifts by {np.ptp(drift):.2g} rpm over the recording"
+    note += "; this was taken out." if follow else ", the impacts do not; this was taken out."
+    return Mended(_turned_evenly(recording, level, ahead_s if follow else 0.0 * ahead_s), note)
+
+
+def without_jitter(
+    recording: Recording, optimum: Optimum, residual_rpm: FloatArray, noise: Noise
+) -> Mended | None:
+    """Impacts that come early or late brought to where steady rotation has them.
+
+    Each impact's delay is the residual's regression on the slope of the model there. Two rotations
+    are too few to tell.
+    """
+    time_s = recording.time_s
+    columns = jacobian(optimum.model, time_s, optimum.symbols, optimum.baseline_rpm)
+    names = jacobian_columns(optimum.model)
+    if not {START, SEPARATION, ROTATION} <= set(names):
+        return None
+    later = columns[:, names.index(START)]
+    starts, signs = _impacts(optimum, recording)
+    window = optimum.symbols[WINDOW_END] - optimum.symbols[WINDOW_START]
+    inside = (time_s[:, None] >= starts) & (time_s[:, None] < starts + window)
+    power = (inside * later[:, None] ** 2).sum(axis=0)
+    whole = power > 0.5 * power.max()
+    starts, signs = starts[whole], signs[whole]
+    on_residual = inside[:, whole] * later[:, None] / power[whole]
+    delay_s = np.nan_to_num(residual_rpm) @ on_residual
+    spread = on_residual.T @ _noisy(noise, on_residual)
+    # What the steady model is free to do: begin, period and separation.
+    steady = np.stack([np.ones(starts.size), starts, signs], axis=1)
+    if starts.size < steady.shape[1] + 3:
+        return None
+    # One outlier can move one impact: the others alone must be uneven as well.
+    uneven = min(
+        _unevenness(np.delete(delay_s, i), np.delete(np.delete(spread, i, 0), i, 1), others)
+        for i, others in enumerate(np.delete(steady, i, axis=0) for i in range(starts.size))
+    )
+    freedom = starts.size - steady.shape[1]
+    left = np.linalg.svd(steady)[0][:, steady.shape[1] :]
+    delay_s = left @ (left.T @ delay_s)
+    excess = float(delay_s @ delay_s - np.trace(left.T @ spread @ left)) / freedom
+    if uneven < chi2.isf(FALSE_ALARM, freedom - 1) or excess <= 0.0:
+        return None
+    order = np.argsort(starts)
+    middle = starts[order] + 0.5 * window
+    ahead_s = -np.interp(time_s, middle, delay_s[order])
+    jitter_s = math.sqrt(excess)
+    # Sums of waves out of step by s lose ω²s²/2.
+    loss = 50.0 * (optimum.symbols[FREQUENCY] * jitter_s) ** 2
+    if loss < _SMALLEST_LOSS:
+        return None
+    note = (
+        f"Impacts come {1e3 * jitter_s:.2g} ms (sd) early or late, which would make A {loss:.2g} % "
+        "too small; they were brought back to even rotations."
+    )
+    return Mended(_turned_evenly(recording, recording.motor_speed_rpm, ahead_s), note)
+
+
+Finder = Callable[[Recording, Optimum, FloatArray, Noise], Mended | None]
+
+FINDERS: tuple[Finder, ...] = (without_bursts, without_drift, without_jitter)
+
+
+def _turned_evenly(recording: Recording, speed_rpm: FloatArray, ahead_s: FloatArray) -> Recording:
+    """The recording over a time in which the load turns evenly; ``ahead_s`` says how far it is."""
+    time_s, excluded = recording.time_s, recording.excluded
+    if np.any(ahead_s):
+        # t + ahead(t) = u solved for t by substitution; ahead changes by parts in a thousand.
+        at = time_s - np.interp(time_s - ahead_s, time_s, ahead_s)
+        at = np.clip(at, time_s[0], time_s[-1])
+        speed_rpm = CubicSpline(time_s, speed_rpm)(at)
+        if excluded is not None:
+            excluded = np.interp(at, time_s, excluded.astype(float)) > 0.0
+    return replace(recording, channels={MOTOR_SPEED: speed_rpm}, excluded=excluded)
+
+
+def _noisy(noise: Noise, columns: FloatArray) -> FloatArray:
+    return np.asarray(matmul_toeplitz(noise.autocovariance(len(columns)), columns))
+
+
+def _unevenness(delay_s: FloatArray, spread: FloatArray, steady: FloatArray) -> float:
+    """χ² of what ``steady``'s columns leave of the delays."""
+    left = np.linalg.svd(steady)[0][:, steady.shape[1] :]
+    over = left.T @ delay_s
+    return float(over @ np.linalg.solve(left.T @ spread @ left, over))
+
+
+def _impacts(optimum: Optimum, recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Start and sign of every impact in the recording, shapes (i,)."""
+    symbols, time_s = optimum.symbols, recording.time_s
+    first = symbols[START] + symbols[WINDOW_START]
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    by_sign = [
+        impact_times(
+            origin,
+            symbols[ROTATION],
+            window,
+            recording.sampling_period_s,
+            float(time_s[0]),
+            float(time_s[-1]),
+        )
+        for origin in (first, first - symbols[SEPARATION])
+    ]
+    signs = np.repeat([1.0, -1.0], [starts.size for starts in by_sign])
+    return np.concatenate(by_sign), signs
+
+
+def _impacts_follow(
+    recording: Recording, optimum: Optimum, residual_rpm: FloatArray, ahead_s: FloatArray
+) -> bool:
+    """Whether more than half of what the load is ahead shows in the impacts."""
+    names = jacobian_columns(optimum.model)
+    if START not in names:
+        return True
+    columns = jacobian(optimum.model, recording.time_s, optimum.symbols, optimum.baseline_rpm)
+    earlier = -columns[:, names.index(START)] * ahead_s
+    columns = columns / np.linalg.norm(columns, axis=0)
+    own = earlier - columns @ np.linalg.lstsq(columns, earlier, rcond=None)[0]
+    return bool(own @ residual_rpm > 0.5 * (own @ own))

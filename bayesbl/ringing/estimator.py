@@ -1,0 +1,321 @@
+"""The estimator: everything between a recording and the draws of A, as one object.
+
+What A means is decided by the model, what is fixed in it, the window, the baseline, the sampling
+and the nominal speed; that part has a fingerprint, which a gap curve stores. How the optimum is
+searched and what the noise is taken for decide nothing about its meaning and stay outside.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.noise.quantisation import speed_steps
+from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
+from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
+from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.ringing.cleaning import FINDERS
+from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
+from bayesbl.ringing.memory import Forgetful, Memory, pack_optimum, unpack_optimum
+from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
+from bayesbl.ringing.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.ringing.second_sampler import SamplerCheck, check_sampler
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
+from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
+from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
+
+
+@dataclass(frozen=True, slots=True)
+class PointEstimate:
+    """Optimum, noise and covariance of one recording: all but the sampling.
+
+    Attributes
+    ----------
+    residual_rpm
+        Recording minus optimum, shape (n,), rpm; NaN at samples left out.
+    notes
+        What the reader should know of how the optimum was come by.
+    start
+        What the search started from, in a sentence; empty for the full search alone.
+    contenders
+        Other optima weighed against this one; by their likelihood alone where ``None``.
+    mended
+        Whether ``recording`` is not the one given: bursts, drift or unevenness were taken out.
+    """
+
+    recording: Recording
+    objective: Objective
+    optimum: Optimum
+    noise: Noise
+    spread: Covariance
+    residual_rpm: FloatArray
+    notes: tuple[str, ...] = ()
+    start: str = ""
+    contenders: tuple[Contender, ...] | None = None
+    mended: bool = False
+
+    @property
+    def misfit(self) -> RepeatingMisfit:
+        """The part of the residual that repeats every load rotation."""
+        return repeating_misfit(
+            self.objective.time_s, self.residual_rpm, self.optimum.symbols[ROTATION]
+        )
+
+    @property
+    def ringing(self) -> tuple[FloatArray, FloatArray]:
+        """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
+
+        A fixed frequency or decay has zero variance.
+        """
+        symbols, spread = self.optimum.symbols, self.spread
+        values = (symbols[AMPLITUDE], symbols[FREQUENCY], symbols[DECAY])
+        centre = np.array([values[0], np.log(values[1]), np.log(values[2])])
+        scale = np.array([1.0, 1.0 / values[1], 1.0 / values[2]])
+        covariance = np.zeros((3, 3))
+        names = (AMPLITUDE, FREQUENCY, DECAY)
+        for i, a in enumerate(names):
+            for j, b in enumerate(names):
+                if a in spread.names and b in spread.names:
+                    entry = spread.sandwich[spread.names.index(a), spread.names.index(b)]
+                    covariance[i, j] = scale[i] * scale[j] * entry
+        return centre, covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A point estimate with its posterior, and what a second sampler says of that, if asked."""
+
+    point: PointEstimate
+    posterior: Posterior
+    check: SamplerCheck | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Estimator:
+    """From a recording to the posterior of the disturbance model.
+
+    Attributes
+    ----------
+    model
+        Free and fixed symbols, ranges, baseline.
+    search
+        ``guess`` or ``paper``.
+    noise_kind, noise_order
+        As :func:`estimate_noise` takes them.
+    sampler
+        Ensembles, steps and the level whose bounds must be stable.
+    """
+
+    model: DisturbanceModel = field(default_factory=DisturbanceModel)
+    search: SearchMethod = "guess"
+    noise_kind: NoiseKind = "auto"
+    noise_order: int | None = None
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+
+    def __post_init__(self) -> None:
+        if not self.model.amplitude_is_free:
+            raise ConfigError(
+                "With the amplitude fixed there is nothing to measure.",
+                where="[estimator.model] fixed",
+                found=f"{AMPLITUDE} = {self.model.fixed[AMPLITUDE]}",
+                expected=f"{AMPLITUDE} free",
+            )
+
+    def fingerprint(self, recording: Recording) -> str:
+        """What decides the meaning of A in this recording, as readable JSON."""
+        meaning: dict[str, Any] = {
+            "waveform": "eq. 3, edges resolved to the sampling",
+            "baseline_harmonics": self.model.baseline_harmonics,
+            "fixed": dict(sorted(self.model.fixed.items())),
+            "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),
+            # For the reader only: two digits round apart what is one speed.
+            "nominal_speed_rpm": float(f"{nominal_speed_rpm(recording):.2g}"),
+        }
+        if ranges := self.model.lasting_ranges:
+            meaning["ranges"] = ranges
+        return json.dumps(meaning, sort_keys=True)
+
+    def estimate(
+        self,
+        recording: Recording,
+        seed: np.random.SeedSequence,
+        gear_ratio: float | None = None,
+        earlier: EarlierOptimum | None = None,
+    ) -> PointEstimate:
+        """RMSE optimum with the noise's covariance around it.
+
+        Bursts of outliers, a drift of the speed and uneven rotations are taken out first where the
+        rotations show them; the notes tell.
+
+        Parameters
+        ----------
+        earlier
+            Optimum to start from; where it no longer fits, the full search is made.
+
+        Raises
+        ------
+        RecordingError
+            If the recording lacks what a fit needs: channels, sampling, rotations, variation.
+        """
+        recording = ready_for_fit(recording, gear_ratio)
+        point = self._optimal(recording, seed, gear_ratio, earlier)
+        if point.noise.rounding_repeats:
+            return point  # rotations whose rounding is alike are alike
+        notes: list[str] = []
+        for find in FINDERS:
+            mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
+            if mended is not None:
+                point = self._optimal(mended.recording, seed, gear_ratio, earlier)
+                notes.append(mended.note)
+        return replace(point, notes=tuple(notes), mended=bool(notes))
+
+    def _optimal(
+        self,
+        recording: Recording,
+        seed: np.random.SeedSequence,
+        gear_ratio: float | None,
+        earlier: EarlierOptimum | None,
+    ) -> PointEstimate:
+        """The optimum of a recording as it is, from an earlier one where that still fits."""
+        objective = self._objective(recording)
+        start = ""
+        if earlier is not None:
+            try:
+                point = self._warm(recording, objective, earlier)
+                return replace(point, start=f"The search started from {earlier.told}.")
+            except NoLongerFits as reason:
+                start = (
+                    f"{earlier.told[:1].upper()}{earlier.told[1:]} no longer fits: {reason}. "
+                    "The full search was made."
+                )
+        optimum = find_optimum(objective, self.search, np.random.default_rng(seed))
+        try:
+            if gear_ratio is None:
+                require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
+            point = self.around(recording, objective, optimum)
+        except RecordingError as error:
+            require_no_drift(recording)  # the search takes one for part of a long rotation
+            raise in_file(recording, error) from None
+        return replace(point, start=start)
+
+    def _objective(self, recording: Recording) -> Objective:
+        return Objective(
+            self.model,
+            recording.time_s,
+            recording.motor_speed_rpm,
+            excluded=recording.excluded,
+        )
+
+    def _warm(
+        self, recording: Recording, objective: Objective, earlier: EarlierOptimum
+    ) -> PointEstimate:
+        """The optimum from an earlier one, if its ringing also stands out of the noise."""
+        try:
+            point = self.around(recording, objective, warm_optimum(objective, earlier))
+        except RecordingError as error:
+            raise NoLongerFits(error.problem) from None
+        ratio = signal_to_noise(point.optimum, point.spread)
+        if not ratio >= WEAKEST_SIGNAL_TO_NOISE:
+            raise NoLongerFits(f"the ringing is only {ratio:.1f} standard deviations strong")
+        return point
+
+    def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
+        """Noise and covariance around an optimum already found."""
+        residual = objective.speed_rpm - optimum.predict(objective.time_s)
+        residual[~objective.used] = np.nan
+        noise = estimate_noise(
+            residual,
+            optimum.symbols[ROTATION],
+            objective.period_s,
+            self.noise_kind,
+            self.noise_order,
+            speed_steps(recording.motor_speed_rpm),
+        )
+        spread = covariance(optimum, objective.time_s, residual, noise)
+        return PointEstimate(recording, objective, optimum, noise, spread, residual)
+
+    def fit(
+        self,
+        recording: Recording,
+        seed: np.random.SeedSequence,
+        gear_ratio: float | None = None,
+        progress: Progress | None = None,
+        choose: Callable[[PointEstimate], PointEstimate] | None = None,
+        *,
+        earlier: EarlierOptimum | None = None,
+        memory: Memory | None = None,
+        check: bool = False,
+    ) -> Fit:
+        """Optimum and posterior; one child seed for each.
+
+        Parameters
+        ----------
+        choose
+            Picks among the optimum and its rivals; the optimum itself by default.
+        earlier
+            Optimum to start from.
+        memory
+            Keeps what is finished; what it recalls is not computed again.
+        check
+            Whether a nested sampler samples the posterior too.
+
+        Raises
+        ------
+        RecordingError
+            As :meth:`estimate`.
+        ResultError
+            If ``memory`` recalls an optimum that does not agree with the recording.
+        """
+        memory = Forgetful() if memory is None else memory
+        search_seed, sample_seed, check_seed = seed.spawn(3)
+        point = self._recalled(recording, gear_ratio, memory)
+        if point is None:
+            point = self.estimate(recording, search_seed, gear_ratio, earlier)
+            if choose is not None:
+                point = choose(point)
+            if not point.mended:  # else the recording behind the optimum would have to be kept too
+                memory.remember(
+                    "optimum",
+                    pack_optimum(point.optimum, point.notes, point.start, point.contenders),
+                )
+        posterior = sample_posterior(
+            point.objective,
+            point.optimum,
+            point.spread,
+            self.sampler,
+            sample_seed,
+            progress,
+            contenders=point.contenders,
+            memory=memory,
+        )
+        if not check:
+            return Fit(point, posterior)
+        second = check_sampler(
+            point.objective, point.optimum, point.spread, posterior, check_seed, memory
+        )
+        return Fit(point, posterior, second)
+
+    def _recalled(
+        self, recording: Recording, gear_ratio: float | None, memory: Memory
+    ) -> PointEstimate | None:
+        """The point estimate around a remembered optimum, evaluated again."""
+        stored = memory.recall("optimum")
+        if stored is None:
+            return None
+        recording = ready_for_fit(recording, gear_ratio)
+        objective = self._objective(recording)
+        optimum, notes, start, contenders = unpack_optimum(stored, objective)
+        point = self.around(recording, objective, optimum)
+        return replace(point, notes=notes, start=start, contenders=contenders)
+
+
+def nominal_speed_rpm(recording: Recording) -> float:
+    """Mean motor speed without its sign, rpm."""
+    return abs(float(recording.motor_speed_rpm.mean()))

@@ -1,0 +1,291 @@
+"""First guesses of the searched symbols, from the recording alone.
+
+Damped-sinusoid templates are correlated with the speed; each correlation is folded over every
+candidate rotation period; a period, a phase where impacts of one sign pile up and one where those
+of the other sign do make a guess. What the load-angle baseline explains at a period counts as well:
+under strong noise it tells T_w better than the pulses do. Nothing about T_w needs to be known
+beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.fft import next_fast_len
+
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.symbols import (
+    DECAY,
+    DEFAULT_RANGES,
+    FREQUENCY,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+)
+
+TEMPLATE_DECAY_PER_S = 12.0
+SAMPLES_PER_RINGING = 8.0
+"""Time resolution of the folding, in steps per ringing period of the template."""
+FOLDS_KEPT = 24
+PERIODOGRAM_PADDING = 8
+LONGEST_ROTATION = 0.95
+"""Longest candidate period as a share of the recording: beyond one rotation nothing repeats."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The pulse window and the periods that a recording lets us consider, all in s."""
+
+    length_s: float
+    shortest_rotation_s: float
+    longest_rotation_s: float
+
+
+def search_window(objective: Objective) -> Window:
+    """Pulse window length and candidate rotation periods for this recording and model."""
+    model = objective.model
+    fixed = model.fixed
+    end = fixed.get(WINDOW_END, model.ranges.get(WINDOW_END, (0.0, 0.204))[1])
+    length = end - fixed.get(WINDOW_START, 0.0)
+    longest = LONGEST_ROTATION * objective.duration_s
+    low, high = model.ranges.get(ROTATION, (2.5 * length, longest))
+    if ROTATION in fixed:
+        low = high = fixed[ROTATION]
+    return Window(length, max(low, objective.shortest_rotation_s), min(high, longest))
+
+
+def guesses(objective: Objective, count: int) -> FloatArray:
+    """The most promising distinct starting points for a local search.
+
+    Returns
+    -------
+    Shape (up to ``count``, d), columns in the order of ``objective.searched``, best first.
+    """
+    window = search_window(objective)
+    time_s, speed = _even(objective)
+    power = _baseline_power(speed)
+    folds: list[tuple[float, float, float, float, float, float]] = []
+    for decay, frequency in _templates(objective):
+        response, step = _response(speed, objective.period_s, window, decay, frequency)
+        found = _fold_all(
+            response,
+            step,
+            window.shortest_rotation_s,
+            window.longest_rotation_s,
+            window.length_s,
+            power,
+            PERIODOGRAM_PADDING * objective.duration_s,
+            objective.model.baseline_harmonics,
+        )
+        folds += [(gain, decay, frequency, *rest) for gain, *rest in found]
+    folds.sort(reverse=True)
+    points = np.concatenate(
+        [_neighbours(objective, time_s[0], *fold[1:]) for fold in folds[:FOLDS_KEPT]]
+    )
+    order = np.argsort(objective.sum_of_squares(points), kind="stable")
+    return _distinct(objective, points[order], count)
+
+
+def _even(objective: Objective) -> tuple[FloatArray, FloatArray]:
+    """Time and speed on an even grid; a guess does not need better than interpolation."""
+    if objective.is_even:
+        return objective.time_s, objective.speed_rpm - objective.offset_rpm
+    grid = objective.time_s[0] + objective.period_s * np.arange(objective.samples)
+    return grid, np.interp(grid, objective.time_s, objective.speed_rpm) - objective.offset_rpm
+
+
+def _baseline_power(speed_rpm: FloatArray) -> FloatArray:
+    """Drop in the sum of squares by one sinusoid, rpm², shape (f,): a zero-padded periodogram.
+
+    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration).
+    """
+    n = speed_rpm.size
+    spectrum = np.fft.rfft(speed_rpm, PERIODOGRAM_PADDING * n)
+    return np.asarray(2.0 / n * np.abs(spectrum) ** 2)
+
+
+def _templates(objective: Objective) -> list[tuple[float, float]]:
+    """(decay, frequency) pairs, spaced no farther than a template's own bandwidth."""
+    fixed, ranges = objective.model.fixed, objective.model.ranges
+    low, high = ranges.get(FREQUENCY, DEFAULT_RANGES[FREQUENCY])
+    high = min(high, 0.8 * math.pi / objective.period_s)
+    frequencies = [low]
+    while frequencies[-1] < high:
+        last = frequencies[-1]
+        frequencies.append(last + min(0.18 * last, 1.4 * TEMPLATE_DECAY_PER_S))
+    if FREQUENCY in fixed:
+        frequencies = [fixed[FREQUENCY]]
+    decay = fixed.get(DECAY, TEMPLATE_DECAY_PER_S)
+    return [(decay, frequency) for frequency in frequencies]
+
+
+def _response(
+    speed_rpm: FloatArray, period_s: float, window: Window, decay: float, frequency: float
+) -> tuple[FloatArray, float]:
+    """Matched-filter response, thinned to the resolution its ringing needs, and its step in s."""
+    u = np.arange(0.0, window.length_s, period_s)
+    template = np.exp(-decay * u) * np.sin(frequency * u)
+    slow = np.stack([np.ones_like(u), u - u.mean()])
+    template = template - (slow @ template / (slow**2).sum(axis=1)) @ slow
+    template /= math.sqrt(template @ template)
+    size = next_fast_len(speed_rpm.size + template.size, real=True)
+    spectrum = np.fft.rfft(speed_rpm, size) * np.conj(np.fft.rfft(template, size))
+    response = np.fft.irfft(spectrum, size)[: speed_rpm.size - template.size]
+    stride = max(1, int(2.0 * math.pi / frequency / SAMPLES_PER_RINGING / period_s))
+    return response[::stride].astype(np.float32), stride * period_s
+
+
+@njit(cache=True)
+def _add(total, row):  # type: ignore[no-untyped-def]
+    for j in range(row.size):
+        total[j] += row[j]
+
+
+@njit(cache=True, fastmath={"nnan", "nsz", "reassoc"})
+def _extremes(values):  # type: ignore[no-untyped-def]
+    """Largest and smallest value, in a loop that vectorises (np.argmax does not)."""
+    most = values[0]
+    least = values[0]
+    for j in range(values.size):
+        most = max(most, values[j])
+        least = min(least, values[j])
+    return most, least
+
+
+@njit(cache=True)
+def _fold_all(  # type: ignore[no-untyped-def]
+    response, step, shortest, longest, guard, power, power_length, harmonics
+):
+    """Best folds of a response over all periods: (gain, period, positive and negative phase).
+
+    The gain is the drop in the sum of squares: (F₊ − F₋)² / number of pulses, for pulses of unit
+    norm at the two phases, and that of the baseline's harmonics. The phases keep ``guard`` seconds
+    apart so that one impact is not both.
+    """
+    n = response.size
+    kept = 6
+    best = np.zeros((kept, 4))
+    period = shortest
+    folded = np.empty(n + 1, response.dtype)
+    spacing = max(1, int(guard / step))
+    while period <= longest:
+        width = int(period / step)
+        if width >= n or width < 2 * spacing + 2:
+            period += step
+            continue
+        turns = int(n * step / period)
+        folded[:width] = 0.0
+        pulses = 0
+        for turn in range(turns + 1):
+            begin = int(round(turn * period / step))
+            stop = min(width, n - begin)
+            if stop < width and turn > 1:
+                break
+            _add(folded[:stop], response[begin : begin + stop])
+            pulses += 1
+        baseline = 0.0
+        for k in range(1, harmonics + 1):
+            baseline += power[int(round(k * power_length / period))]
+        most, least = _extremes(folded[:width])
+        if baseline + (most - least) ** 2 / (2.0 * pulses) <= np.min(best[:, 0]):
+            period += 2.0 * step / (turns + 1)
+            continue
+        high = int(np.argmax(folded[:width]))
+        low = int(np.argmin(folded[:width]))
+        apart = abs(high - low)
+        if min(apart, width - apart) < spacing:
+            # Keep the stronger of the two and find the other one away from it.
+            keep_high = folded[high] > -folded[low]
+            centre = high if keep_high else low
+            value = np.inf
+            for j in range(width):
+                away = abs(j - centre)
+                if min(away, width - away) >= spacing:
+                    candidate = folded[j] if keep_high else -folded[j]
+                    if candidate < value:
+                        value = candidate
+                        if keep_high:
+                            low = j
+                        else:
+                            high = j
+        gain = baseline + (folded[high] - folded[low]) ** 2 / (2.0 * pulses)
+        # Neighbouring periods are one peak: a better one replaces it, another takes a new place.
+        place = -1
+        for k in range(kept):
+            if best[k, 0] > 0.0 and abs(best[k, 1] - period) < 2.0 * step:
+                place = k
+        if place < 0:
+            place = int(np.argmin(best[:, 0]))
+        if gain > best[place, 0]:
+            best[place, 0] = gain
+            best[place, 1] = period
+            best[place, 2] = high * step
+            best[place, 3] = low * step
+        period += 2.0 * step / (turns + 1)
+    return [(row[0], row[1], row[2], row[3]) for row in best if row[0] > 0.0]
+
+
+def _neighbours(
+    objective: Objective,
+    origin_s: float,
+    decay: float,
+    frequency: float,
+    rotation_s: float,
+    positive_s: float,
+    negative_s: float,
+) -> FloatArray:
+    """Points around one fold: either phase a half ringing off, periods and shapes nearby."""
+    half = math.pi / frequency
+    step = 2.0 * half / SAMPLES_PER_RINGING
+    ranges, fixed = objective.model.ranges, objective.model.fixed
+    shifts = (-half, -2.0 * step, -step, 0.0, step, 2.0 * step, half)
+    rotations = rotation_s + step * np.array([-0.5, 0.0, 0.5])
+    axes = {
+        START: [origin_s + positive_s + s for s in shifts],
+        DECAY: [decay / 2.0, decay, 2.0 * decay],
+        FREQUENCY: [0.93 * frequency, frequency, 1.07 * frequency],
+        SEPARATION: [positive_s - negative_s + s for s in shifts],
+        ROTATION: list(rotations),
+        WINDOW_START: [np.mean(ranges.get(WINDOW_START, (0.0, 0.102)))],
+        WINDOW_END: [np.mean(ranges.get(WINDOW_END, (0.15, 0.204)))],
+    }
+    searched = objective.searched
+    for name in fixed:
+        if name in axes:
+            axes[name] = [fixed[name]]
+    mesh = np.meshgrid(*[np.asarray(axes[name]) for name in axes], indexing="ij")
+    values = {name: grid.ravel() for name, grid in zip(axes, mesh, strict=True)}
+    for name, begin in ((START, origin_s), (SEPARATION, 0.0)):
+        if name not in fixed:
+            begin = ranges[name][0] if name in ranges else begin
+            values[name] = begin + (values[name] - begin) % values[ROTATION]
+    return np.column_stack([values[name] for name in searched])
+
+
+def _distinct(objective: Objective, points: FloatArray, count: int) -> FloatArray:
+    """The first ``count`` points that are not one another's close neighbours in phase."""
+    names = objective.searched
+    kept: list[FloatArray] = []
+    for point in points:
+        value = dict(zip(names, point, strict=True)) | dict(objective.model.fixed)
+        quarter = 0.5 * math.pi / value[FREQUENCY]
+        close = False
+        for other in kept:
+            o = dict(zip(names, other, strict=True)) | dict(objective.model.fixed)
+            rotation = value[ROTATION]
+            same_period = abs(o[ROTATION] - rotation) * objective.duration_s < quarter * rotation
+            first, second = ((value[n] - o[n]) % rotation for n in (START, SEPARATION))
+            if same_period and all(min(d, rotation - d) < quarter for d in (first, second)):
+                close = True
+                break
+        if not close:
+            kept.append(point)
+        if len(kept) == count:
+            break
+    return np.array(kept)

@@ -1,0 +1,470 @@
+"""The RMSE optimum of the disturbance model by CMA-ES.
+
+Two methods. ``guess`` starts from what the recording itself suggests and solves A, v_t and the
+baseline exactly; ``paper`` searches all of Table 2's box from its middle, as printed.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.guess import guesses, search_window
+from bayesbl.ringing.model import model_speed
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.refine import refine
+from bayesbl.ringing.symbols import (
+    AMPLITUDE,
+    DECAY,
+    DEFAULT_RANGES,
+    FREQUENCY,
+    LINEAR,
+    MEAN,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+    DisturbanceModel,
+)
+
+SearchMethod = Literal["guess", "paper"]
+FoundBy = Literal["guess", "paper", "warm"]
+"""How an optimum was found: by one of the searches, or from an earlier optimum."""
+
+GUESSES_REFINED = 4
+POPULATION = 20
+PAPER_POPULATION = 3500
+PAPER_ITERATIONS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class SearchHistory:
+    """Convergence of CMA-ES, one row per iteration.
+
+    Attributes
+    ----------
+    run
+        Which start the iteration belongs to, shape (i,).
+    evaluations
+        Evaluations so far in that run, shape (i,).
+    rmse_rpm
+        Best RMSE so far in that run, shape (i,), rpm.
+    """
+
+    run: FloatArray
+    evaluations: FloatArray
+    rmse_rpm: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another local optimum that the search ended in."""
+
+    symbols: dict[str, float]
+    sum_of_squares: float
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """Least-squares optimum of the disturbance model, in canonical form.
+
+    Attributes
+    ----------
+    symbols
+        All nine symbols by name: A > 0, 0 < T < T_w, the first positive pulse within one
+        rotation of the recording's begin (as far as these are free).
+    baseline_rpm
+        cos and sin of each load-angle harmonic, shape (2k,), rpm.
+    sum_of_squares
+        rpm².
+    rivals
+        Other local optima, best first.
+    """
+
+    model: DisturbanceModel
+    symbols: dict[str, float]
+    baseline_rpm: FloatArray
+    sum_of_squares: float
+    samples: int
+    speed_sd_rpm: float
+    history: SearchHistory
+    rivals: tuple[Rival, ...]
+    evaluations: int
+    seconds: float
+    method: FoundBy
+
+    @property
+    def rmse_rpm(self) -> float:
+        """Root mean square error, the paper's objective, in rpm."""
+        return math.sqrt(self.sum_of_squares / self.samples)
+
+    @property
+    def relative_rmse(self) -> float:
+        """RMSE over the standard deviation of the speed."""
+        return self.rmse_rpm / self.speed_sd_rpm
+
+    @property
+    def searched(self) -> FloatArray:
+        """Values of the searched symbols, shape (d,)."""
+        return np.array([self.symbols[name] for name in self.model.searched])
+
+    def predict(self, time_s: FloatArray) -> FloatArray:
+        """The model h(t) of eq. 6 with its baseline, shape (n,), rpm."""
+        return model_speed(time_s, self.symbols, self.baseline_rpm.tolist())
+
+
+def find_optimum(
+    objective: Objective, method: SearchMethod, generator: np.random.Generator
+) -> Optimum:
+    """Search the RMSE optimum of a recording.
+
+    Raises
+    ------
+    RecordingError
+        If no setting of the symbols explains anything: the speed holds no ringing, or less than
+        a window's length of samples.
+    """
+    began = time.perf_counter()
+    if method == "paper":
+        ends, history, evaluations = _paper_search(objective, generator)
+    else:
+        ends, history, evaluations = _guess_search(objective, generator)
+    return settled(objective, ends, history, evaluations, began, method)
+
+
+def settled(
+    objective: Objective,
+    ends: FloatArray,
+    history: SearchHistory,
+    evaluations: int,
+    began: float,
+    method: FoundBy,
+) -> Optimum:
+    """The best end of a search, shape (m, d), in canonical form, the others as its rivals.
+
+    Parameters
+    ----------
+    began
+        Reading of ``time.perf_counter()`` when the search began.
+
+    Raises
+    ------
+    RecordingError
+        If the sum of squares is finite at none of them.
+    """
+    sse = objective.sum_of_squares(ends)
+    ends, sse = ends[np.isfinite(sse)], sse[np.isfinite(sse)]
+    if not len(ends):
+        raise RecordingError(
+            "The search found no pulses that fit this recording.",
+            expected="a speed signal with impacts, longer than two load rotations",
+        )
+    order = np.argsort(sse, kind="stable")
+    points = [_canonical(objective, ends[i]) for i in order]
+    solution = objective.solve(points[0][None])
+    best = _named(objective, points[0])
+    return Optimum(
+        model=objective.model,
+        symbols=best,
+        baseline_rpm=solution.coefficients[0, 1:-1],
+        sum_of_squares=float(solution.sum_of_squares[0]),
+        samples=objective.samples_used,
+        speed_sd_rpm=float(objective.speed_rpm[objective.used].std()),
+        history=history,
+        rivals=_rivals(objective, points, sse[order]),
+        evaluations=evaluations,
+        seconds=time.perf_counter() - began,
+        method=method,
+    )
+
+
+def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
+    """The point with its pulses exchanged and half a ringing earlier or later.
+
+    Half a ringing off, a pulse resembles its own negative: these are the local optima that come
+    closest to the global one. Shapes (d,).
+    """
+    names = model.searched
+    if not {START, SEPARATION} <= set(names):
+        return []
+    value = dict(zip(names, point, strict=True)) | dict(model.fixed)
+    half = math.pi / value[FREQUENCY]
+    moved = []
+    for shift in (-half, half):
+        new = value | {
+            START: value[START] - value[SEPARATION] + shift,
+            SEPARATION: -value[SEPARATION] % value[ROTATION],
+        }
+        new = _turned(new, _begins(model))
+        moved.append(np.array([new[name] for name in names]))
+    return moved
+
+
+def promoted(objective: Objective, optimum: Optimum, rival: Rival) -> Optimum:
+    """The optimum with a rival in its place, and itself among the rivals."""
+    point = np.array([[rival.symbols[name] for name in objective.searched]])
+    solution = objective.solve(point)
+    others = tuple(other for other in optimum.rivals if other is not rival)
+    return replace(
+        optimum,
+        symbols=rival.symbols,
+        baseline_rpm=solution.coefficients[0, 1:-1],
+        sum_of_squares=float(solution.sum_of_squares[0]),
+        rivals=(Rival(optimum.symbols, optimum.sum_of_squares), *others),
+    )
+
+
+def local_search(
+    objective: Objective, start: FloatArray, generator: np.random.Generator, run: int = 0
+) -> tuple[FloatArray, SearchHistory]:
+    """CMA-ES from one point of the searched symbols, shape (d,); returns the end point."""
+    low, high = bounds(objective)
+    return _minimise(
+        objective.sum_of_squares,
+        np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)),
+        _local_scale(objective, start),
+        (low, high),
+        generator,
+        population=POPULATION,
+        iterations=400,
+        samples=objective.samples_used,
+        run=run,
+    )
+
+
+def bounds(objective: Objective) -> tuple[FloatArray, FloatArray]:
+    """Search and prior box of the searched symbols, shapes (d,) and (d,), SI."""
+    window = search_window(objective)
+    begin, end = objective.time_s[0], objective.time_s[-1]
+    longest = window.longest_rotation_s
+    default: dict[str, tuple[float, float]] = {
+        **DEFAULT_RANGES,
+        START: (begin - longest, end),
+        SEPARATION: (-longest, 2.0 * longest),
+        ROTATION: (window.shortest_rotation_s, longest),
+        WINDOW_START: (0.0, 0.102),
+        WINDOW_END: (0.0, 0.204),
+    }
+    pairs = [objective.model.ranges.get(name, default[name]) for name in objective.searched]
+    return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+
+
+def table_2_box(objective: Objective) -> dict[str, tuple[float, float]]:
+    """Table 2's variability range of all nine symbols, with t1 and t2 read as swapped.
+
+    The period starts at one pulse window instead of the first time stamp: at T_w = 0 the model
+    has infinitely many pulses.
+    """
+    speed, time_s = objective.speed_rpm, objective.time_s
+    begin, end = float(time_s[0]), float(time_s[-1])
+    half = 0.5 * float(speed.max() - speed.min())
+    return {
+        AMPLITUDE: (-half, half),
+        START: (begin, end),
+        DECAY: (5.0, 30.0),
+        FREQUENCY: (2.0 * math.pi, 2.0 * math.pi * 40.0),
+        MEAN: (float(speed.min()), float(speed.max())),
+        WINDOW_START: (0.0, 0.102),
+        WINDOW_END: (0.0, 0.204),
+        SEPARATION: (begin, end),
+        ROTATION: (max(begin, 0.204), end),
+    }
+
+
+def search_box(
+    sum_of_squares: Callable[[FloatArray], FloatArray],
+    low: FloatArray,
+    high: FloatArray,
+    generator: np.random.Generator,
+    samples: int,
+) -> tuple[FloatArray, SearchHistory]:
+    """The paper's search: x0 mid-range, σ0 a quarter of it, 3500 individuals, 100 iterations."""
+    return _minimise(
+        sum_of_squares,
+        0.5 * (low + high),
+        0.25 * (high - low),
+        (low, high),
+        generator,
+        population=PAPER_POPULATION,
+        iterations=PAPER_ITERATIONS,
+        samples=samples,
+        run=0,
+    )
+
+
+def _guess_search(
+    objective: Objective, generator: np.random.Generator
+) -> tuple[FloatArray, SearchHistory, int]:
+    starts = guesses(objective, GUESSES_REFINED)
+    runs = [local_search(objective, start, generator, run) for run, start in enumerate(starts)]
+    history = SearchHistory(
+        *(
+            np.concatenate([getattr(h, name) for _, h in runs])
+            for name in ("run", "evaluations", "rmse_rpm")
+        )
+    )
+    evaluations = sum(int(h.evaluations[-1]) for _, h in runs)
+    ends = [end for end, _ in runs]
+    best = ends[int(np.argmin(objective.sum_of_squares(np.array(ends))))]
+    ends += [refine(objective, start) for start in exchanged(objective.model, best)]
+    return np.array(ends), history, evaluations
+
+
+def _paper_search(
+    objective: Objective, generator: np.random.Generator
+) -> tuple[FloatArray, SearchHistory, int]:
+    box = table_2_box(objective)
+    free_linear = [name for name in LINEAR if name in objective.model.free]
+    names = [*objective.searched, *free_linear]
+    d = len(objective.searched)
+
+    def sum_of_squares(x: FloatArray) -> FloatArray:
+        values = dict(zip(names, x.T, strict=True)) | {
+            n: np.full(len(x), v) for n, v in objective.model.fixed.items() if n in LINEAR
+        }
+        return objective.sum_of_squares_at(x[:, :d], values[AMPLITUDE], values[MEAN])
+
+    ranges = [objective.model.ranges.get(name, box[name]) for name in names]
+    low, high = np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
+    end, history = search_box(sum_of_squares, low, high, generator, objective.samples_used)
+    return end[None, :d], history, int(history.evaluations[-1])
+
+
+def _minimise(
+    sum_of_squares: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    scale: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    generator: np.random.Generator,
+    *,
+    population: int,
+    iterations: int,
+    samples: int,
+    run: int,
+) -> tuple[FloatArray, SearchHistory]:
+    """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``."""
+    import cma
+
+    low, high = box
+    options = {
+        "popsize": population,
+        "maxiter": iterations,
+        "bounds": [list((low - start) / scale), list((high - start) / scale)],
+        # Own generator: cma would otherwise seed and draw from NumPy's global state.
+        "randn": lambda rows, columns: generator.standard_normal((rows, columns)),
+        "seed": math.nan,
+        "verbose": -9,
+        "tolfun": 1e-10,
+        "tolfunhist": 1e-11,
+        "tolx": 1e-7,
+    }
+    strategy = cma.CMAEvolutionStrategy(np.zeros(start.size), 1.0, options)
+    rows: list[tuple[float, float]] = []
+    best, best_point = math.inf, start
+    while not strategy.stop():
+        asked = strategy.ask()
+        points = start + scale * np.asarray(asked)
+        values = sum_of_squares(points)
+        values = np.where(np.isfinite(values), values, 1e300)
+        strategy.tell(asked, 0.5 * np.log(values / samples + 1e-300))
+        least = int(np.argmin(values))
+        if values[least] < best:
+            best, best_point = float(values[least]), points[least]
+        rows.append((float(strategy.countevals), math.sqrt(best / samples)))
+    evaluations, rmse = np.array(rows).T
+    return best_point, SearchHistory(np.full(len(rows), float(run)), evaluations, rmse)
+
+
+def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:
+    """Initial step of each searched symbol around a guess."""
+    value = dict(zip(objective.searched, start, strict=True)) | dict(objective.model.fixed)
+    eighth = 0.25 * math.pi / value[FREQUENCY]
+    scale = {
+        START: eighth,
+        DECAY: 0.3 * value[DECAY],
+        FREQUENCY: 0.07 * value[FREQUENCY],
+        SEPARATION: eighth,
+        ROTATION: eighth * value[ROTATION] / objective.duration_s,
+        WINDOW_START: 0.02,
+        WINDOW_END: 0.02,
+    }
+    return np.array([scale[name] for name in objective.searched])
+
+
+def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
+    """The one of many equal solutions with A > 0, 0 < T < T_w and t0 in the first rotation.
+
+    Where t0 or T has a range, in the first T_w of that range instead; a form that leaves a range
+    is not taken.
+    """
+    names = objective.searched
+    fixed = objective.model.fixed
+    movable = {START, SEPARATION} <= set(names)
+    value = dict(zip(names, (float(x) for x in point), strict=True)) | dict(fixed)
+    amplitude = float(objective.solve(point[None]).coefficients[0, -1])
+    forms = [value]
+    if movable and amplitude < 0.0 and AMPLITUDE not in fixed:
+        separation = value[SEPARATION]
+        forms.insert(0, value | {START: value[START] - separation, SEPARATION: -separation})
+    ranges = {name: r for name, r in objective.model.ranges.items() if name in names}
+    for form in forms:
+        placed = _first_turn(objective, form)
+        if all(low <= placed[name] <= high for name, (low, high) in ranges.items()):
+            return np.array([placed[name] for name in names])
+    return point
+
+
+def _first_turn(objective: Objective, value: dict[str, float]) -> dict[str, float]:
+    """t0 and T, where they are searched, moved by whole rotations to the begin of their range."""
+    begins = {START: objective.time_s[0] - value[WINDOW_START], SEPARATION: 0.0}
+    begins |= _begins(objective.model)
+    return _turned(value, {n: begins[n] for n in begins if n in objective.searched})
+
+
+def _begins(model: DisturbanceModel) -> dict[str, float]:
+    """The begin of the range of t0 and of T, s, where they were given one."""
+    return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
+
+
+def _turned(value: dict[str, float], begins: dict[str, float]) -> dict[str, float]:
+    """Symbols moved by whole rotations into the one that starts at their begin, s."""
+    rotation = value[ROTATION]
+    return value | {n: begin + (value[n] - begin) % rotation for n, begin in begins.items()}
+
+
+def _named(objective: Objective, point: FloatArray) -> dict[str, float]:
+    solution = objective.solve(point[None])
+    return {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
+
+
+def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> tuple[Rival, ...]:
+    """Ends of the search that are not the optimum again, nor one another."""
+    quarter = 0.25 * 2.0 * math.pi
+    found: list[Rival] = []
+    seen = [_named(objective, points[0])]
+    for point, value in zip(points[1:], sse[1:], strict=True):
+        symbols = _named(objective, point)
+        if not any(_same(symbols, other, quarter) for other in seen):
+            found.append(Rival(symbols, float(value)))
+            seen.append(symbols)
+    return tuple(found)
+
+
+def _same(a: dict[str, float], b: dict[str, float], phase: float) -> bool:
+    """Whether two optima agree in phase to ``phase`` radians of ringing."""
+    rotation = a[ROTATION]
+    differences = [(a[n] - b[n]) % rotation for n in (START, SEPARATION)]
+    shift = max(min(d, rotation - d) for d in differences)
+    return (
+        shift * a[FREQUENCY] < phase
+        and abs(b[ROTATION] / rotation - 1.0) < 0.02
+        and abs(math.log(b[FREQUENCY] / a[FREQUENCY])) < 0.2
+    )

@@ -1,0 +1,284 @@
+"""The posterior of the disturbance model around its RMSE optimum, by emcee.
+
+The likelihood is exp(−SSE(θ) / 2κ): centred on the least-squares optimum, which is what the gap
+curve means by A, and as wide as the recording's own noise makes it (design.md section 5). Priors
+are flat in every symbol within its range. emcee walks over the symbols that enter nonlinearly;
+A, v_t and the baseline, linear, are integrated out exactly and drawn afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.covariance import Covariance, signal_to_noise
+from bayesbl.ringing.memory import Forgetful, Memory
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.optimum import Optimum, bounds
+from bayesbl.ringing.symbols import AMPLITUDE, MEAN
+from bayesbl.sampling.convergence import (
+    STEPS_PER_AUTOCORRELATION,
+    Contender,
+    Diagnostics,
+    integrated_time,
+    judge,
+    rank_r_hat_and_ess,
+)
+from bayesbl.sampling.ensemble import Ensemble
+
+STEPS_BETWEEN_CHECKS = 250
+BURN_IN_AUTOCORRELATIONS = 5.0
+DRAWS_KEPT = 1000
+BOUND_TOLERANCE_SD = 0.05
+"""Interval bounds count as stable when they move less than this many standard deviations."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerSettings:
+    """How the posterior is sampled; never part of what A means.
+
+    Attributes
+    ----------
+    ensembles
+        Independent emcee ensembles; these are the chains.
+    max_steps
+        Upper limit of steps per ensemble; the sampler stops by itself when converged.
+    level
+        Interval level whose bounds must be stable.
+    """
+
+    ensembles: int = 4
+    max_steps: int = 20000
+    level: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Draws of every free symbol.
+
+    Attributes
+    ----------
+    draws
+        Free symbols by name, each of shape (chain, draw); chain = ensemble.
+    baseline_rpm
+        cos and sin of each load-angle harmonic, shape (chain, draw, 2k).
+    log_likelihood
+        −SSE/2κ with the linear symbols at their best, shape (chain, draw).
+    """
+
+    draws: dict[str, FloatArray]
+    baseline_rpm: FloatArray
+    log_likelihood: FloatArray
+    diagnostics: Diagnostics
+
+
+class LogPosterior:
+    """log p(searched symbols | recording), A, v_t and the baseline integrated out."""
+
+    def __init__(self, objective: Objective, optimum: Optimum, scale: float) -> None:
+        self._objective = objective
+        self._scale = scale
+        low, high = bounds(objective)
+        self.low, self.high = low, high
+        self._least = optimum.sum_of_squares
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Shape (m, d) to (m,), up to a constant; −inf outside the ranges."""
+        sse, volume = self._objective.sum_of_squares_and_volume(points)
+        value = -0.5 * ((sse - self._least) / self._scale + volume)
+        inside = np.all((points >= self.low) & (points <= self.high), axis=1)
+        return np.where(inside & np.isfinite(sse), value, -np.inf)
+
+
+def sample_posterior(
+    objective: Objective,
+    optimum: Optimum,
+    spread: Covariance,
+    settings: SamplerSettings,
+    seed: np.random.SeedSequence,
+    progress: Progress | None = None,
+    *,
+    contenders: Sequence[Contender] | None = None,
+    memory: Memory | None = None,
+) -> Posterior:
+    """Sample until converged or ``settings.max_steps`` is reached.
+
+    Parameters
+    ----------
+    seed
+        One child is spawned per ensemble and one for the linear symbols, so the draws do not
+        depend on how the work is spread.
+    progress
+        Called with (steps made, steps allowed) at every check.
+    contenders
+        Other optima weighed against this one; the optimum's rivals by their likelihood where
+        ``None``.
+    memory
+        Keeps every stretch of steps; what it recalls is not run again.
+    """
+    memory = Forgetful() if memory is None else memory
+    *ensemble_seeds, linear_seed = seed.spawn(settings.ensembles + 1)
+    target = LogPosterior(objective, optimum, spread.scale)
+    searched = np.array([spread.names.index(n) for n in objective.searched])
+    local = spread.scale * spread.inverse_curvature[np.ix_(searched, searched)]
+    box = (target.low, target.high)
+    ensembles = [Ensemble(target, optimum.searched, local, box, s) for s in ensemble_seeds]
+
+    steps, tau, stable = 0, math.inf, False
+    last: FloatArray | None = None
+    while steps < settings.max_steps:
+        count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
+        _go_on(ensembles, count, f"steps-{steps:07d}", memory)
+        steps += count
+        chains = [e.chain[steps // 4 :] for e in ensembles]
+        tau = max(integrated_time(chain) for chain in chains)
+        edges = _interval_edges(objective, chains, settings.level)
+        sd = math.sqrt(spread.sandwich[0, 0])
+        stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
+        last = edges
+        if progress is not None:
+            progress(steps, settings.max_steps)
+        kept = steps - burn_in(tau, steps)
+        if stable and kept > STEPS_PER_AUTOCORRELATION * tau:
+            break
+
+    burn = burn_in(tau, steps)
+    generator = np.random.default_rng(linear_seed)
+    points = np.stack([thinned(e.chain[burn:]) for e in ensembles])
+    draws, baseline, log_likelihood = complete(objective, optimum, spread, points, generator)
+    r_hat, ess = rank_r_hat_and_ess(draws)
+    if contenders is None:
+        contenders = weighed_by_likelihood(target, optimum)
+    diagnostics = judge(
+        r_hat,
+        ess,
+        tau,
+        steps - burn,
+        np.array([e.acceptance for e in ensembles]),
+        stable,
+        signal_to_noise(optimum, spread),
+        _at_bound(objective, points),
+        _other_answer(contenders, optimum, spread),
+    )
+    return Posterior(draws, baseline, log_likelihood, diagnostics)
+
+
+def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Contender, ...]:
+    """The optimum's rivals, weighed by the height of the posterior there.
+
+    The peaks are taken to be equally wide; a rival outside the ranges has no weight.
+    """
+    if not optimum.rivals:
+        return ()
+    names = optimum.model.searched
+    points = np.array([[r.symbols[name] for name in names] for r in optimum.rivals])
+    odds = target(points) - target(optimum.searched[None])[0]
+    return tuple(
+        Contender(r.symbols[AMPLITUDE], float(o)) for r, o in zip(optimum.rivals, odds, strict=True)
+    )
+
+
+def _other_answer(
+    contenders: Sequence[Contender], optimum: Optimum, spread: Covariance
+) -> Contender | None:
+    """The likeliest contender whose amplitude is another than the optimum's."""
+    sd = math.sqrt(spread.sandwich[0, 0])
+    others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
+    return max(others, key=lambda c: c.log_odds, default=None)
+
+
+def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory) -> None:
+    """Every ensemble by a number of steps, recalled where they were already made."""
+    stored = memory.recall(stage)
+    if stored is None:
+        made = [ensemble.run(count) for ensemble in ensembles]
+        memory.remember(
+            stage, {f"{key}_{i}": x for i, m in enumerate(made) for key, x in m.items()}
+        )
+        return
+    for i, ensemble in enumerate(ensembles):
+        end = f"_{i}"
+        ensemble.put_back({k.removesuffix(end): x for k, x in stored.items() if k.endswith(end)})
+
+
+def burn_in(tau: float, steps: int) -> int:
+    """Steps left out at the begin: five autocorrelation times, at most half of all."""
+    half = steps // 2
+    return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
+
+
+def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
+    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
+    flat = chain.reshape(-1, chain.shape[-1])
+    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
+
+
+def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:
+    """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
+    points = np.concatenate([thinned(chain) for chain in chains])
+    amplitude = objective.solve(points).coefficients[:, -1]
+    return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
+
+
+def complete(
+    objective: Objective,
+    optimum: Optimum,
+    spread: Covariance,
+    points: FloatArray,
+    generator: np.random.Generator,
+) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
+    """Linear symbols drawn given the searched ones, then every width made the noise's own.
+
+    What that carries beyond a symbol's range, where the prior is zero, is put at the bound: where
+    the recording hardly tells a symbol, the linear map leads to decays that grow.
+
+    Parameters
+    ----------
+    points
+        Of the searched symbols, shape (chain, draw, d).
+
+    Returns
+    -------
+    Draws by name, baseline and log likelihood, as :class:`Posterior` holds them.
+    """
+    chains, count, d = points.shape
+    flat = points.reshape(-1, d)
+    solution = objective.solve(flat)
+    linear = solution.coefficients.copy()
+    free_linear = np.flatnonzero(solution.factor[0].diagonal() > 0.0)
+    factor = solution.factor[:, free_linear[:, None], free_linear]
+    white = math.sqrt(spread.scale) * generator.standard_normal((len(flat), free_linear.size, 1))
+    linear[:, free_linear] += np.linalg.solve(np.swapaxes(factor, 1, 2), white)[:, :, 0]
+
+    values = {name: flat[:, i] for i, name in enumerate(objective.searched)}
+    values[AMPLITUDE], values[MEAN] = linear[:, -1], linear[:, 0]
+    names = spread.names
+    symbols = [n for n in names if n in values]
+    stacked = np.column_stack([*(values[n] for n in symbols), linear[:, 1:-1]])
+    centre = np.r_[[optimum.symbols[n] for n in symbols], optimum.baseline_rpm]
+    stacked = centre + (stacked - centre) @ spread.calibration.T
+    ranged = [symbols.index(n) for n in objective.searched]
+    stacked[:, ranged] = np.clip(stacked[:, ranged], *bounds(objective))
+
+    shape = (chains, count)
+    draws = {n: stacked[:, i].reshape(shape) for i, n in enumerate(symbols)}
+    baseline = stacked[:, len(symbols) :].reshape(*shape, -1)
+    log_likelihood = -0.5 * (solution.sum_of_squares - optimum.sum_of_squares) / spread.scale
+    return draws, baseline, log_likelihood.reshape(shape)
+
+
+def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
+    """By symbol, the share of draws within half a standard deviation of a bound of its range.
+
+    A posterior that ends before its bound has hardly any; one that is cut at its peak a quarter.
+    """
+    low, high = bounds(objective)
+    near = 0.5 * points.std(axis=(0, 1))
+    close = (points < low + near) | (points > high - near)
+    return dict(zip(objective.searched, close.mean(axis=(0, 1)).tolist(), strict=True))

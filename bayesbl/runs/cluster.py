@@ -1,0 +1,235 @@
+"""The cases of a study on a Dask cluster that is already there: the numbers are those of processes.
+
+So every worker must run the same code on the same files, its linear algebra on one thread; what
+differs is refused before anything runs, and by workers that join later. In a worker process one
+case runs at a time whatever its threads, as studies need not be safe against each other. A case
+whose worker dies is run again by another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from bayesbl.errors import ClusterError
+from bayesbl.results.provenance import code_sha256, code_versions, file_sha256
+from bayesbl.runs.cases import Case, Job, run_job
+from bayesbl.runs.study_file import Study, load_study
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+ANSWER_WITHIN_S = 10.0
+
+_LINEAR_ALGEBRA = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_one_case = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """What a worker must have in common with the process that starts the study.
+
+    Attributes
+    ----------
+    study
+        Path of the study file.
+    versions
+        Name and version of this package, Python and all that numbers depend on.
+    code
+        SHA-256 of this package's code.
+    files
+        Path and SHA-256 of every file that the rows name, and of the study file.
+    """
+
+    study: str
+    versions: tuple[tuple[str, str], ...]
+    code: str
+    files: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, study: Study, jobs: Sequence[Job]) -> Common:
+        """Of this process."""
+        paths = {str(study.path): None}
+        for job in jobs:
+            paths |= dict.fromkeys(study.files(job.table))
+        files = tuple((path, file_sha256(path)) for path in paths)
+        return cls(str(study.path), tuple(code_versions().items()), code_sha256(), files)
+
+    def differences(self) -> list[str]:
+        """What this process, which is a worker's, has otherwise, in words."""
+        own = code_versions()
+        found = [
+            f"{name} {own.get(name)} in place of {version}"
+            for name, version in self.versions
+            if own.get(name) != version
+        ]
+        if not found and code_sha256() != self.code:
+            found.append("the code of bayesbl differs, or did when the worker started")
+        for path, sha256 in self.files:
+            try:
+                if file_sha256(path) != sha256:
+                    found.append(f"{path} holds something else there")
+            except OSError as error:
+                found.append(f"{path} cannot be read there ({error.strerror})")
+        every = os.environ.get(_LINEAR_ALGEBRA[0])
+        if any(os.environ.get(name, every) != "1" for name in _LINEAR_ALGEBRA):
+            found.append("linear algebra on many threads rounds otherwise; set OMP_NUM_THREADS=1")
+        return found
+
+
+def run_on_cluster(
+    study: Study, jobs: Sequence[Job], commit: str, scheduler: str, say: Callable[[str], None]
+) -> Iterator[tuple[Job, Case]]:
+    """Run cases on the workers of a scheduler; yields them as they end, in any order.
+
+    Raises
+    ------
+    ClusterError
+        If the scheduler does not answer or is lost, a worker differs, or a case kills all that
+        run it.
+    """
+    with _connected(scheduler) as client:
+        from distributed import KilledWorker, as_completed
+        from distributed.client import FutureCancelledError
+
+        common = Common.of(study, jobs)
+        count = _require_common(client, common, scheduler)
+        say(
+            f"{len(jobs)} cases run on {count} workers of {scheduler}."
+            if count
+            else f"{scheduler} has no workers yet; {len(jobs)} cases wait for them."
+        )
+        futures = {client.submit(_run, common, job, commit, pure=False): job for job in jobs}
+        for future in as_completed(futures, loop=client.loop):
+            job = futures[future]
+            try:
+                case = future.result()
+            except KilledWorker as error:
+                raise ClusterError(
+                    # Dask suspects all that a dead worker had at hand.
+                    "Workers died again and again while they ran this case, or one beside it.",
+                    file=scheduler,
+                    where=job.in_words,
+                    found=f"last {error.last_worker.address}" if error.last_worker else None,
+                    expected="workers with memory enough for a case",
+                ) from None
+            except FutureCancelledError:
+                raise ClusterError(
+                    "The scheduler was lost. What is finished is kept; the same command goes on.",
+                    file=scheduler,
+                ) from None
+            yield job, case
+            future.release()
+
+
+def _run(common: Common, job: Job, commit: str) -> Case:
+    """A case, in a worker."""
+    with _one_case:
+        return run_job(_study_here(common), job, commit)
+
+
+@cache
+def _study_here(common: Common) -> Study:
+    """The study as this worker loads it, asked again as workers may join later."""
+    from distributed import get_worker
+
+    different = common.differences()
+    if different:
+        raise _refusal({get_worker().address: different}, None)
+    return load_study(common.study)
+
+
+@contextmanager
+def _connected(scheduler: str) -> Iterator[Client]:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ClusterError(
+            "A Dask cluster needs a package that is not installed.",
+            where="[run] scheduler",
+            found=scheduler,
+            expected="pip install 'bayesbl[cluster]', or no scheduler",
+        ) from None
+    # A thread has no event loop yet, which a notebook would.
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            kind = thread.submit(asyncio.run, _kind_at(scheduler)).result()
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            raise _unanswered(
+                scheduler, str(error) or f"nothing within {ANSWER_WITHIN_S:g} s"
+            ) from None
+    if kind != "Scheduler":
+        raise _unanswered(scheduler, f"a {kind.lower()}")
+    with _quiet(), Client(scheduler, timeout=ANSWER_WITHIN_S, set_as_default=False) as client:
+        yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Dask logs a traceback for what is then raised, and told in a sentence."""
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+async def _kind_at(address: str) -> str:
+    """What of Dask answers at an address: a client would wait for ever for what is not Dask."""
+    from distributed.core import rpc
+    from distributed.security import Security
+
+    connection = Security().get_connection_args("client")
+    async with asyncio.timeout(ANSWER_WITHIN_S), rpc(address, connection_args=connection) as there:
+        return str((await there.identity())["type"])
+
+
+def _unanswered(scheduler: str, found: str) -> ClusterError:
+    return ClusterError(
+        "No Dask scheduler answers at this address.",
+        file=scheduler,
+        found=found,
+        expected="the address that `dask scheduler` prints, reachable from here",
+    )
+
+
+def _require_common(client: Client, common: Common, scheduler: str) -> int:
+    """The number of workers there are, none of which differs."""
+    plain = astuple(common)
+
+    # Sent as code, not by name: it must arrive where the package is not.
+    def look() -> list[str]:
+        try:
+            from bayesbl.runs.cluster import Common
+        except ImportError as error:
+            return [f"bayesbl cannot be imported there ({error})"]
+        return Common(*plain).differences()
+
+    found: dict[str, list[str]] = client.run(look)
+    different = {worker: what for worker, what in found.items() if what}
+    if different:
+        raise _refusal(different, scheduler)
+    return len(found)
+
+
+def _refusal(different: Mapping[str, Sequence[str]], scheduler: str | None) -> ClusterError:
+    workers: dict[str, list[str]] = {}
+    for worker, what in different.items():
+        workers.setdefault("; ".join(what), []).append(worker)
+    return ClusterError(
+        "Workers of the cluster would not give the numbers that this machine gives.",
+        file=scheduler,
+        found=" ".join(f"{', '.join(names)}: {what}." for what, names in workers.items()),
+        expected="the same bayesbl, Python and packages, and the study's files at the same paths",
+    )

@@ -1,0 +1,180 @@
+"""Simulated recordings: a simulate file in, CSV files and the truth out."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesbl import __version__
+from bayesbl.bench.bench import Bench
+from bayesbl.config.bench import dump_bench, load_bench
+from bayesbl.config.simulate import SimulatedRecording, load_simulation
+from bayesbl.errors import BenchError, ConfigError, ResultError
+from bayesbl.recording.types import TIME, Recording
+
+
+def run_simulate(
+    config_path: str | Path,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    *,
+    force: bool = False,
+) -> list[Path]:
+    """Simulate every recording of a simulate file and write it as CSV.
+
+    Parameters
+    ----------
+    config_path
+        The simulate file.
+    out
+        Folder of the recordings; ``[run] output`` if ``None``, else the configuration's own
+        folder.
+    seed, workers
+        Instead of those in ``[run]``. The numbers do not depend on the workers.
+    force
+        Replace files that exist.
+
+    Returns
+    -------
+    The files written, the recordings in the order of the configuration, then the truth if asked
+    for.
+
+    Raises
+    ------
+    ConfigError
+        If the simulate file or its bench file is wrong.
+    ResultError
+        If a file exists and ``force`` is not given.
+    """
+    config_path = Path(config_path)
+    config = load_simulation(config_path)
+    bench = load_bench(config.bench)
+    folder = Path(out or config.run.output or config_path.absolute().parent)
+    seed = config.run.seed if seed is None else seed
+    workers = config.run.workers if workers is None else workers
+    files = [folder / entry.file for entry in config.recordings]
+    truth = None if config.truth_file is None else folder / config.truth_file
+    targets = [*files, *([] if truth is None else [truth])]
+    _refuse_existing(targets, force)
+
+    # A generator of its own for each recording: neither order nor workers change the numbers.
+    seeds = np.random.SeedSequence(seed).spawn(len(files))
+    numbers = range(len(files))
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        recordings = list(
+            pool.map(
+                lambda i: _simulated(bench, config.recordings[i], seeds[i], config_path, i), numbers
+            )
+        )
+    contents = [recording_csv(recording) for recording in recordings]
+    if truth is not None:
+        contents.append(_truth(bench, seed, config.recordings, recordings, contents))
+    _write_all(targets, contents)
+    return targets
+
+
+def recording_csv(recording: Recording) -> str:
+    """A recording as CSV text under its channel names, ten significant digits."""
+    names = (TIME, *recording.channels)
+    table = np.column_stack([recording.time_s, *recording.channels.values()])
+    text = io.StringIO()
+    np.savetxt(text, table, fmt="%.10g", delimiter=",", header=",".join(names), comments="")
+    return text.getvalue()
+
+
+def _simulated(
+    bench: Bench,
+    entry: SimulatedRecording,
+    seed: np.random.SeedSequence,
+    config_path: Path,
+    number: int,
+) -> Recording:
+    rng = np.random.default_rng(seed)
+    drawn = float(rng.uniform(0.0, 2.0 * np.pi))
+    try:
+        return bench.simulate(
+            entry.gap_rad,
+            rotations=entry.rotations,
+            sampling_hz=entry.sampling_hz,
+            start_angle_rad=drawn if entry.start_angle_rad is None else entry.start_angle_rad,
+            reference_speed_rpm=entry.reference_speed_rpm,
+            motor_start_angle_rad=entry.motor_start_angle_rad,
+            seed=rng,
+            name=entry.name,
+        )
+    except BenchError as error:
+        raise ConfigError(
+            error.problem,
+            file=config_path,
+            where=f"[[recordings]] {number + 1}" + (f" {error.where}" if error.where else ""),
+            found=error.found,
+            expected=error.expected,
+        ) from None
+
+
+def _refuse_existing(targets: Sequence[Path], force: bool) -> None:
+    for target in targets:
+        if target.is_dir() or (target.exists() and not force):
+            raise ResultError(
+                "This file exists already.",
+                file=target,
+                expected="another name, another folder, or --force to replace it",
+            )
+
+
+def _truth(
+    bench: Bench,
+    seed: int,
+    entries: Sequence[SimulatedRecording],
+    recordings: Sequence[Recording],
+    contents: Sequence[str],
+) -> str:
+    """What was simulated, and the hashes of the files that came of it."""
+    sealed: dict[str, Any] = {
+        "version": __version__,
+        "seed": seed,
+        "bench": dump_bench(bench),
+        "bench_fingerprint": bench.fingerprint(),
+        "recordings": [
+            {
+                "name": entry.name,
+                "file": entry.file,
+                "sha256": hashlib.sha256(content.encode()).hexdigest(),
+                "gap_rad": recording.metadata["gap_rad"],
+                "start_angle_rad": recording.metadata["start_angle_rad"],
+                "motor_start_angle_rad": entry.motor_start_angle_rad,
+                "reference_speed_rpm": recording.metadata["reference_speed_rpm"],
+                "rotations": entry.rotations,
+                "sampling_hz": entry.sampling_hz,
+            }
+            for entry, recording, content in zip(entries, recordings, contents, strict=True)
+        ],
+    }
+    return json.dumps(sealed, indent=2, ensure_ascii=False) + "\n"
+
+
+def _write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
+    """Under temporary names first: a run that is killed leaves no half-written recording."""
+    partial = [target.with_name(f".{target.name}.partial") for target in targets]
+    try:
+        for path, content in zip(partial, contents, strict=True):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content, encoding="utf-8", newline="\n")
+        for path, target in zip(partial, targets, strict=True):
+            os.replace(path, target)
+    except OSError as error:
+        raise ResultError(
+            "The recordings cannot be written.", file=error.filename, found=error.strerror
+        ) from None
+    finally:
+        for path in partial:
+            path.unlink(missing_ok=True)

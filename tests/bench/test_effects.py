@@ -1,0 +1,319 @@
+"""One law for each effect of the catalogue, and the catalogue's own order."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bayesbl.bench import kernel
+from bayesbl.bench.bench import BenchEffect, EffectParameterValue
+from bayesbl.bench.effects import EFFECT_BY_NAME, EFFECTS, effect_named
+from bayesbl.bench.kernel import CURRENT, POSITION, RPM, SPEED, STATES, Slot
+from bayesbl.bench.simulation import simulate_channels, simulate_states
+from bayesbl.config.bench import reference_bench
+from bayesbl.errors import BenchError
+
+BENCH = reference_bench()
+GAP = 8e-4
+PER_ROTATION = 3600
+MOTOR_SPEED = 2000.0 / RPM
+LOAD_SPEED = MOTOR_SPEED / 120.0
+TORQUE_CONSTANT = 0.5
+
+
+def channels(direction: float = 1.0, rotations: int = 1, **settings: float) -> np.ndarray:
+    """Whole rotations at 1 kHz, without the sample that closes them."""
+    p = BENCH.vector(
+        **{"gap_rad": GAP, "start_angle_rad": 0.4, **settings},
+        reference_speed_rpm=direction * 2000.0,
+    )
+    return simulate_channels(p, rotations * PER_ROTATION, 1000.0)[0]
+
+
+def mean_torque(**settings: float) -> float:
+    """Mean motor torque that the settings add, N m."""
+    direction = settings.pop("direction", 1.0)
+    added = channels(direction, **settings)[CURRENT] - channels(direction)[CURRENT]
+    return float(TORQUE_CONSTANT * np.mean(added))
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("settings", "forward", "reverse"),
+    [
+        ({"motor_coulomb_friction__torque_nm": 0.4}, 0.4, -0.4),
+        (
+            {"motor_viscous_friction__coefficient_nm_s_per_rad": 2e-3},
+            2e-3 * MOTOR_SPEED,
+            -2e-3 * MOTOR_SPEED,
+        ),
+        (
+            {
+                "motor_stribeck_friction__torque_nm": 0.6,
+                "motor_stribeck_friction__speed_rad_per_s": 200.0,
+            },
+            0.6 * math.exp(-((MOTOR_SPEED / 200.0) ** 2)),
+            -0.6 * math.exp(-((MOTOR_SPEED / 200.0) ** 2)),
+        ),
+        (
+            {"friction_asymmetry__coefficient_nm_s_per_rad": 1e-3},
+            1e-3 * MOTOR_SPEED,
+            1e-3 * MOTOR_SPEED,
+        ),
+        ({"motor_torque_offset__torque_nm": 0.3}, 0.3, 0.3),
+        ({"load_coulomb_friction__torque_nm": 15.0}, 15.0 / 120, -15.0 / 120),
+        (
+            {"load_viscous_friction__coefficient_nm_s_per_rad": 10.0},
+            10.0 * LOAD_SPEED / 120,
+            -10.0 * LOAD_SPEED / 120,
+        ),
+        ({"load_torque_offset__torque_nm": 20.0}, 20.0 / 120, 20.0 / 120),
+        ({"friction_drift__torque_nm": 0.4}, 0.4, -0.4),
+    ],
+    ids=lambda value: next(iter(value)).split("__")[0] if isinstance(value, dict) else "",
+)
+def test_mean_current_carries_the_friction(
+    settings: dict[str, float], forward: float, reverse: float, direction: float
+) -> None:
+    expected = forward if direction > 0 else reverse
+    # Where friction depends on speed its mean differs a little from that at the mean speed.
+    assert mean_torque(direction=direction, **settings) == pytest.approx(expected, rel=4e-3)
+
+
+def test_constant_motor_friction_leaves_the_speed_alone() -> None:
+    rubbing = channels(motor_coulomb_friction__torque_nm=0.4)
+    assert np.max(np.abs(rubbing[SPEED] - channels()[SPEED])) < 0.01
+
+
+def test_load_friction_moves_the_pulses_and_motor_friction_does_not() -> None:
+    # Gravity balances load friction at another angle: sin θ = −T/(m g l) at the flips.
+    slow = channels(load_coulomb_friction__torque_nm=60.0)[SPEED] - channels()[SPEED]
+    assert np.max(np.abs(slow)) > 5.0
+
+
+def test_gravity_phase_is_a_start_angle_in_disguise() -> None:
+    sine, cosine = 400.0, 90.0
+    size, shift = math.hypot(sine, cosine), math.atan2(cosine, sine)
+    one = channels(gravity_torque_nm=sine, gravity_phase__torque_nm=cosine)
+    other = channels(gravity_torque_nm=size, start_angle_rad=0.4 + shift)
+    assert np.max(np.abs(one[SPEED] - other[SPEED])) < 0.01
+    assert np.max(np.abs(one[CURRENT] - other[CURRENT])) < 1e-3
+
+
+def test_gear_mesh_friction_takes_its_share_of_the_torque_passed_on() -> None:
+    share = 0.1
+    # Mean of |m g l sin θ| is 2/π of its peak; impacts add a few per cent.
+    expected = share * 425.0 / 120.0 * 2.0 / math.pi
+    assert mean_torque(gear_mesh_friction__coefficient=share) == pytest.approx(expected, rel=0.05)
+
+
+def linear_response(
+    frequency: float, motor_torque: complex, twist: complex, seen: complex
+) -> complex:
+    """Motor speed of the linear bench, rad/s, to torque on the motor, twist error, speed error."""
+    s = 1j * frequency
+    n, stiffness, damping = 120.0, 1.2e5, 231.0
+    shaft = stiffness / s + damping
+    loop = 0.185 + 8.0 / s
+    system = np.array(
+        [
+            [1.21e-3 * s + loop + shaft / n**2, -shaft / n],
+            [-shaft / n, 20.0 * s + shaft],
+        ]
+    )
+    pushed = (stiffness + damping * s) * twist
+    right = [motor_torque - pushed / n - loop * seen, pushed]
+    return complex(np.linalg.solve(system, right)[0])
+
+
+def line(signal: np.ndarray, order: float, motor_angle: np.ndarray) -> complex:
+    """Amplitude of Re(line · e^{j n θ}) in a signal."""
+    centred = signal - signal.mean()
+    return complex(2.0 * np.mean(centred * np.exp(-1j * order * motor_angle)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "order"),
+    [
+        ("ripple", 1.0),
+        ("ripple", 3.0),
+        ("transmission", 1.0),
+        ("transmission", 3.0),
+        ("eccentricity", 1.0),
+    ],
+)
+def test_periodic_effects_drive_the_linear_bench_at_their_order(effect: str, order: float) -> None:
+    phase, frequency = 0.7, order * MOTOR_SPEED
+    turning = -1j * np.exp(1j * phase)  # sin(nθ + φ) = Re(−j e^{jφ} e^{jnθ})
+    settings = {"gap_rad": 0.0, "gravity_torque_nm": 0.0}
+    if effect == "ripple":
+        size = 0.02
+        settings |= {
+            "motor_torque_ripple__torque_nm": size,
+            "motor_torque_ripple__order": order,
+            "motor_torque_ripple__phase_rad": phase,
+        }
+        expected = linear_response(frequency, -size * turning, 0.0, 0.0)
+    elif effect == "transmission":
+        size = 1e-6
+        settings |= {
+            "gear_transmission_error__angle_rad": size,
+            "gear_transmission_error__order": order,
+            "gear_transmission_error__phase_rad": phase,
+        }
+        expected = linear_response(frequency, 0.0, size * turning, 0.0)
+    else:
+        size = 1e-4
+        settings |= {
+            "encoder_eccentricity__angle_rad": size,
+            "encoder_eccentricity__phase_rad": phase,
+        }
+        seen = size * MOTOR_SPEED * np.exp(1j * phase)
+        # recorded: the motor's motion and the encoder's error together
+        expected = linear_response(frequency, 0.0, 0.0, seen) + seen
+    signals = simulate_channels(BENCH.vector(**settings), 3000, 1000.0, accuracy_rpm=1e-4)[0]
+    measured = line(signals[SPEED] / RPM, order, MOTOR_SPEED * np.arange(3000) / 1000.0)
+    # The motor angle starts at the start angle's, zero, plus what the effect itself moves it.
+    assert measured == pytest.approx(expected, rel=5e-3)
+
+
+def test_transmission_error_is_not_felt_inside_the_gap() -> None:
+    p = BENCH.vector(
+        gap_rad=4e-3,
+        gravity_torque_nm=0.0,
+        hard_dead_zone=1.0,
+        gear_transmission_error__angle_rad=1e-4,
+        gear_transmission_error__order=2.0,
+    )[0]
+    start = np.zeros(STATES)
+    start[kernel.MOTOR_SPEED] = MOTOR_SPEED
+    states = simulate_states(p, start, 500, 500.0)
+    assert np.max(np.abs(states[kernel.MOTOR_SPEED] - MOTOR_SPEED)) < 1e-9
+
+
+def test_encoder_eccentricity_shows_in_the_position() -> None:
+    # Speed and position come from one encoder: the one is the other's derivative.
+    p = BENCH.vector(gap_rad=GAP, encoder_eccentricity__angle_rad=0.005)
+    position, speed, _ = simulate_channels(p, 40_000, 20_000.0)[0]
+    difference = np.gradient(position, 5e-5) * RPM
+    # a central difference of a sine at 209 rad/s is short by (ω Δt)²/6
+    assert np.max(np.abs(difference - speed)[1:-1]) < 0.02
+    assert np.ptp(speed) > 2.0 * 0.005 * 1900.0
+
+
+def test_hardening_shaft_winds_up_less() -> None:
+    torque, cubic = 425.0, 5e9
+    p = BENCH.vector(gap_rad=0.0, stiffness_hardening__stiffness_nm_per_rad3=cubic)[0]
+    for slot in (Slot.speed_gain_nm_s_per_rad, Slot.integral_gain_nm_per_rad):
+        p[slot] = 0.0
+    p[Slot.gravity_torque_nm] = 0.0
+    p[Slot.shaft_damping_nm_s_per_rad] = 3e3
+    p[Slot.load_torque_offset__torque_nm] = torque
+    p[Slot.motor_torque_offset__torque_nm] = -torque / 120.0
+    states = simulate_states(p, np.zeros(STATES), 1000, 500.0)
+    twist = states[kernel.TWIST, -1]
+    assert 1.2e5 * twist + cubic * twist**3 == pytest.approx(torque, rel=1e-3)
+
+
+def test_hysteresis_stays_bounded_and_takes_energy() -> None:
+    p = BENCH.vector(
+        gap_rad=0.0, shaft_hysteresis__torque_nm=40.0, shaft_hysteresis__angle_rad=1e-3
+    )[0]
+    for slot in (
+        Slot.speed_gain_nm_s_per_rad,
+        Slot.integral_gain_nm_per_rad,
+        Slot.gravity_torque_nm,
+        Slot.shaft_damping_nm_s_per_rad,
+    ):
+        p[slot] = 0.0
+    start = np.zeros(STATES)
+    start[kernel.TWIST] = 5e-3
+    states = simulate_states(p, start, 2000, 500.0, accuracy_rpm=1e-3)
+    assert np.max(np.abs(states[kernel.DAHL])) <= 1.0 + 1e-6
+    assert np.ptp(states[kernel.TWIST, -200:]) < 0.3 * np.ptp(states[kernel.TWIST, :200])
+
+
+def test_current_loop_lag_is_a_first_order_lag_of_the_demand() -> None:
+    lag = 2e-3
+    p = BENCH.vector(gap_rad=GAP, current_loop_lag__time_s=lag)
+    states_speed, states_current = simulate_channels(p, 40_000, 20_000.0)[0, [SPEED, CURRENT]]
+    error = (2000.0 - states_speed) / RPM
+    demand_rate = 0.185 * np.gradient(error, 5e-5) + 8.0 * error
+    torque = TORQUE_CONSTANT * states_current
+    # T τ̈ + τ̇ = d(demand)/dt
+    rate = np.gradient(torque, 5e-5)
+    residual = lag * np.gradient(rate, 5e-5) + rate - demand_rate
+    assert np.std(residual[5:-5]) < 0.02 * np.std(demand_rate)
+
+
+def test_speed_sensor_lag_records_the_filtered_speed() -> None:
+    lag = 2e-3
+    p = BENCH.vector(gap_rad=GAP, speed_sensor_lag__time_s=lag)
+    position, speed, _ = simulate_channels(p, 40_000, 20_000.0)[0]
+    true = np.gradient(position, 5e-5) * RPM
+    residual = lag * np.gradient(speed, 5e-5) + speed - true
+    assert np.std(residual[5:-5]) < 0.02 * np.std(true)
+
+
+def test_friction_drift_grows_from_rotation_to_rotation() -> None:
+    rate = 0.01
+    drifting = channels(rotations=3, friction_drift__rate_nm_per_s=rate)[CURRENT]
+    means = drifting.reshape(3, PER_ROTATION).mean(axis=1) * TORQUE_CONSTANT
+    assert np.diff(means) == pytest.approx(rate * 3.6, rel=2e-3)
+
+
+@pytest.mark.parametrize("channel", [POSITION, SPEED, CURRENT])
+@pytest.mark.parametrize("shift", [4, -4])
+def test_a_skewed_channel_lags_the_others(channel: int, shift: int) -> None:
+    name = ("position", "speed", "current")[channel]
+    skewed = channels(**{f"channel_time_skew__{name}_s": shift * 1e-3})
+    true = channels()
+    inside = slice(10, -10)
+    moved = np.roll(true, shift, axis=1)
+    for row in range(3):
+        expected = moved[row] if row == channel else true[row]
+        assert np.allclose(skewed[row][inside], expected[inside], atol=1e-3)
+
+
+def test_backlash_is_the_gap_itself() -> None:
+    assert np.array_equal(channels(), channels(gap_rad=0.0, backlash__gap_rad=GAP))
+
+
+def test_effects_at_their_neutral_values_change_nothing() -> None:
+    # Shape parameters alone switch to the general right-hand side, which must agree.
+    shapes = {
+        f"{effect.name}__{item.name}": item.neutral
+        for effect in EFFECTS
+        for item in effect.parameters
+    }
+    assert np.max(np.abs(channels(**shapes)[SPEED] - channels()[SPEED])) < 1e-3
+
+
+def test_a_bench_carries_effects_by_name() -> None:
+    effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0, 0.4)})
+    bench = BENCH.with_effects(effect)
+    assert bench.value("load_coulomb_friction.torque_nm") == 15.0
+    assert bench.fingerprint() != BENCH.fingerprint()
+    assert np.array_equal(
+        bench.simulate_many(GAP, rotations=0.5),
+        BENCH.simulate_many(
+            GAP, rotations=0.5, overrides={"load_coulomb_friction__torque_nm": 15.0}
+        ),
+    )
+    with pytest.raises(BenchError, match="no such effect"):
+        effect_named("friction")
+    with pytest.raises(BenchError, match="no such parameter"):
+        BENCH.with_effects(BenchEffect("backlash", {"size": EffectParameterValue(1.0)}))
+
+
+def test_catalogue_and_parameter_vector_hold_the_same_effects() -> None:
+    slots = [slot for effect in EFFECTS for slot in effect.slots.values()]
+    assert slots == [slot for slot in Slot if "__" in slot.name]
+    assert len(EFFECT_BY_NAME) == len(EFFECTS) == 20
+    for effect in EFFECTS:
+        assert effect.sentence.endswith(".")
+        assert any(not item.shape_only for item in effect.parameters)
+        for item in effect.parameters:
+            assert item.low <= item.neutral <= item.high or item.name == "gap_rad"

@@ -1,0 +1,464 @@
+"""What is missing in a two-mass bench in its closed loop, on data of the independent simulator."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.cli import status
+from bayesbl.config.bench import dump_bench, load_bench, reference_bench
+from bayesbl.config.loading import load_config
+from bayesbl.diagnosis.closed_loop import problem as forward
+from bayesbl.diagnosis.closed_loop.diagnosis import (
+    ForwardDiagnosis,
+    ForwardSettings,
+    diagnose_forward,
+    estimates,
+)
+from bayesbl.diagnosis.closed_loop.motor_orders import order_peaks
+from bayesbl.diagnosis.report import Estimate
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.posterior import sample_direct
+from bayesbl.matching.signals import (
+    GAP,
+    START_ANGLE,
+    Observed,
+    Unknown,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+)
+from bayesbl.presentation.diagnosis import located
+from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
+from bayesbl.results.diagnosis import summarise_diagnosis
+from bayesbl.results.forward_diagnosis import forward_tree
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.runs.diagnose import run_diagnose
+
+FILE = Path(__file__).parents[2] / "experiments" / "independent_bench.py"
+BENCH = reference_bench()
+BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
+GAP_RAD = 8e-4
+HELD_OUT_RPM = 1600.0
+FRICTION_NM = 15.0
+SURE = 4.0
+"""Standard deviations: one estimate in 16,000 is farther off."""
+
+
+@pytest.fixture(scope="module")
+def independent():
+    spec = importlib.util.spec_from_file_location("independent_bench", FILE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def recorded(independent, speeds_rpm, seed, hidden=None, rotations=3.0, **truth) -> list[Recording]:
+    """Rotations at 500 Hz for each speed, start angles at random."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for speed in speeds_rpm:
+        start, motor = rng.uniform(-math.pi, math.pi, 2)
+        run = {
+            "gap_rad": GAP_RAD,
+            "reference_speed_rpm": speed,
+            "start_angle_rad": start,
+            "motor_start_angle_rad": motor,
+        }
+        plant = independent.plant(BELIEVED | run | truth | (hidden or {}))
+        name = f"{speed:g} rpm"
+        made.append(
+            independent.simulate(
+                plant,
+                rng,
+                name=name,
+                rotations=rotations,
+                sampling_hz=500.0,
+                absolute_position=True,
+            ).recording
+        )
+    return made
+
+
+def diagnosed(recordings, effects, held_out=()) -> ForwardDiagnosis:
+    used, checked = (
+        [observed(r, BENCH, float(r.name.removesuffix(" rpm"))) for r in some]
+        for some in (recordings, held_out)
+    )
+    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
+    return diagnose_forward(BENCH, used, checked, unknowns, ForwardSettings(effects))
+
+
+def names(found: ForwardDiagnosis) -> list[str]:
+    return [effect.name for effect in found.naming.effects]
+
+
+def near(estimate: Estimate, truth: float) -> bool:
+    return abs(estimate.value - truth) < SURE * estimate.sd
+
+
+@pytest.fixture(scope="module")
+def friction(independent) -> ForwardDiagnosis:
+    hidden = {"load_coulomb_friction__torque_nm": FRICTION_NM}
+    *used, held_out = recorded(independent, (2000.0, -2000.0, HELD_OUT_RPM), 1, hidden)
+    effects = ("motor_coulomb_friction", "load_coulomb_friction", "gear_mesh_friction")
+    return diagnosed(used, effects, [held_out])
+
+
+def test_a_hidden_effect_is_named_with_its_size(friction: ForwardDiagnosis) -> None:
+    assert friction.verdict == "named"
+    assert names(friction) == ["load_coulomb_friction"]
+    assert not friction.naming.effects[0].indistinguishable
+    size = estimates(friction.final, "load_coulomb_friction")["torque_nm"]
+    assert near(size, FRICTION_NM)
+    assert size.sd < 0.1 * FRICTION_NM
+
+
+def test_intervals_are_those_of_the_draws_that_are_stored(friction: ForwardDiagnosis) -> None:
+    posterior = sample_direct(friction.final.fit, SamplerSettings(), np.random.SeedSequence(1))
+    tree = forward_tree(friction, posterior, BENCH, "", 0.9, "equal_tailed")
+    summary = summarise_diagnosis(tree)
+    assert summary["diagnostics"]["outcome"] == "converged"
+    for told, draws in (
+        (summary["delta_rad_after"], tree["posterior"]["delta_rad"]),
+        (
+            summary["effects"][0]["parameters"]["torque_nm"],
+            tree["posterior"]["load_coulomb_friction__torque_nm"],
+        ),
+    ):
+        assert [told["low"], told["high"]] == pytest.approx(np.quantile(draws, [0.05, 0.95]))
+    # Where recordings say as much as these, the posterior is nearly normal; 1000 draws scatter by
+    # 0.03 sd in the mean and 2.3 % in the sd.
+    laplace, log_gap = friction.delta_after, np.log(tree["posterior"]["delta_rad"])
+    assert laplace is not None
+    assert abs(float(log_gap.mean()) - laplace.value) < 0.2 * laplace.sd
+    assert float(log_gap.std()) == pytest.approx(laplace.sd, rel=0.1)
+
+
+def test_a_stored_diagnosis_says_where_what_was_left_repeats(
+    friction: ForwardDiagnosis, tmp_path: Path
+) -> None:
+    posterior = sample_direct(
+        friction.final.fit, SamplerSettings(), np.random.SeedSequence(2), corrected=False
+    )
+    augmented = dump_bench(friction.bench)
+    path = tmp_path / "result.nc"
+    write_tree(forward_tree(friction, posterior, BENCH, augmented, 0.9, "equal_tailed"), path)
+    before, after = (sentences for _, sentences in located(read_tree(path)))
+    assert any(s.startswith("Motor current: ") and "with the load angle" in s for s in before)
+    assert after[0].startswith("Nothing repeats")
+
+
+def test_naming_what_was_missing_rights_the_gap(friction: ForwardDiagnosis) -> None:
+    before, after = friction.delta_before, friction.delta_after
+    assert before is not None
+    assert after is not None
+    assert not near(before, math.log(GAP_RAD))
+    assert near(after, math.log(GAP_RAD))
+
+
+def test_the_gap_closes_on_what_was_not_fitted(friction: ForwardDiagnosis) -> None:
+    closed = {gap.use: gap.closed_fraction for gap in friction.overall}
+    assert closed["used"] > 0.95
+    assert closed["held_out"] > 0.9
+    held_out = [gap for gap in friction.gaps if gap.use == "held_out"]
+    assert {gap.channel for gap in held_out} == {MOTOR_SPEED, MOTOR_CURRENT}
+    assert all(gap.after < gap.before for gap in held_out)
+
+
+def test_the_augmented_bench_is_a_bench_file_that_simulates(
+    friction: ForwardDiagnosis, tmp_path: Path
+) -> None:
+    assert friction.bench is not None
+    file = tmp_path / "bench.toml"
+    file.write_text(dump_bench(friction.bench))
+    bench = load_bench(file)
+    assert [effect.name for effect in bench.effects] == ["load_coulomb_friction"]
+    with_it = bench.simulate_many(GAP_RAD, rotations=1.0)
+    without = BENCH.simulate_many(GAP_RAD, rotations=1.0)
+    assert np.max(np.abs(with_it - without)) > 1.0
+
+
+def test_where_nothing_is_missing_nothing_is_named(independent) -> None:
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 2),
+        ("motor_coulomb_friction", "load_coulomb_friction", "current_loop_lag"),
+    )
+    assert found.verdict == "nothing_missing"
+    assert not found.naming.effects
+    assert not found.remaining
+    assert found.bench is None
+    assert near(found.delta_after, math.log(GAP_RAD))
+
+
+def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
+    true = 0.9 * BELIEVED["shaft_stiffness_nm_per_rad"]
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 3, shaft_stiffness_nm_per_rad=true),
+        ("load_coulomb_friction", "stiffness_hardening", "current_loop_lag"),
+    )
+    assert found.verdict == "parameter_error"
+    assert names(found) == ["shaft_stiffness_nm_per_rad"]
+    fitted = estimates(found.final, "shaft_stiffness_nm_per_rad")
+    assert near(fitted["shaft_stiffness_nm_per_rad"], true)
+    assert found.bench is not None
+    assert found.bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
+
+
+def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
+    hidden = {"shaft_hysteresis__torque_nm": 40.0, "shaft_hysteresis__angle_rad": 1e-3}
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 6, hidden, gap_rad=2.7e-3),
+        ("shaft_hysteresis",),
+    )
+    assert abs(found.delta_before.value - math.log(2.7e-3)) > 1.0
+    assert names(found) == ["shaft_hysteresis"]
+    assert near(estimates(found.final, "shaft_hysteresis")["torque_nm"], 40.0)
+    assert near(found.delta_after, math.log(2.7e-3))
+
+
+def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(independent) -> None:
+    hidden = {
+        "motor_coulomb_friction__torque_nm": 0.2,
+        "load_coulomb_friction__torque_nm": FRICTION_NM,
+    }
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 7, hidden, gap_rad=2.7e-3),
+        ("motor_coulomb_friction", "load_coulomb_friction"),
+    )
+    assert sorted(names(found)) == ["load_coulomb_friction", "motor_coulomb_friction"]
+    for name, size in (("motor_coulomb_friction", 0.2), ("load_coulomb_friction", FRICTION_NM)):
+        assert near(estimates(found.final, name)["torque_nm"], size)
+    assert near(found.delta_after, math.log(2.7e-3))
+
+
+def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> None:
+    hidden = {
+        "load_torque_offset__torque_nm": FRICTION_NM,
+        "motor_torque_ripple__torque_nm": 0.05,
+        "motor_torque_ripple__order": 6.0,
+        "motor_torque_ripple__phase_rad": 0.7,
+    }
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 8, hidden),
+        ("load_torque_offset", "motor_torque_ripple"),
+    )
+    assert 6.0 not in [round(p.order) for p in order_peaks(found.naming.nominal.fit)]
+    assert sorted(names(found)) == ["load_torque_offset", "motor_torque_ripple"]
+    ripple = estimates(found.final, "motor_torque_ripple")
+    assert ripple["order"].value == 6.0
+    assert near(ripple["torque_nm"], 0.05)
+
+
+def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None:
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 4, {"outside__belt_torque_nm": 0.2}),
+        ("motor_coulomb_friction", "load_coulomb_friction", "motor_torque_ripple"),
+    )
+    assert found.verdict == "unexplained"
+    assert not found.naming.effects
+    assert found.bench is None
+    orders = [e.lowest_order for e in found.remaining if e.dependence == "motor angle"]
+    assert any(abs(order - 1.0 / 1.37) < 0.02 for order in orders)
+
+
+def test_a_torque_in_time_is_no_wrong_parameter(independent) -> None:
+    found = diagnosed(
+        recorded(independent, (2000.0, -2000.0, 1200.0), 8, {"outside__time_torque_nm": 0.3}),
+        (),
+    )
+    assert found.verdict == "unexplained"
+    assert not found.naming.effects
+    assert found.bench is None
+    assert any(abs(e.frequency_hz - 7.3) < 0.05 for e in found.remaining)
+
+
+def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
+    alike = {"motor_coulomb_friction", "motor_viscous_friction", "motor_torque_offset"}
+    found = diagnosed(
+        recorded(independent, (2000.0,), 5, {"motor_coulomb_friction__torque_nm": 0.2}),
+        (*sorted(alike), "load_coulomb_friction"),
+    )
+    assert found.verdict == "named"
+    assert set(found.naming.effects[0].members) >= alike
+    assert found.suggestion is not None
+    assert found.suggestion.reference_speed_rpm < 0.0
+    assert found.suggestion.distance > 5.0
+
+
+@pytest.mark.parametrize("turns", [0, 1, -1])
+def test_a_known_start_angle_counts_in_any_turn(independent, turns: int) -> None:
+    angle = 2.5
+    (made,) = recorded(independent, (-1200.0,), 7, start_angle_rad=angle)
+    seen = observed(made, BENCH, -1200.0)
+    counted = angle + 2.0 * math.pi * turns
+    known = Unknown(START_ANGLE, centre=counted, sd=1e-3, recording=seen.name)
+    fit = fit_aligned(BENCH, [seen], [gap_unknown(1e-4, 4e-3), known])
+    assert abs(fit.value(START_ANGLE, seen.name) - counted) < SURE * known.sd
+    assert near(Estimate(math.log(fit.value(GAP)), fit.sd(GAP)), math.log(GAP_RAD))
+    assert fit.chi_square == pytest.approx(fit.residual.size, rel=0.1)
+
+
+RIPPLE = {"torque_nm": 0.3, "order": 1.0, "phase_rad": 0.7}
+
+
+def explained(seen: Observed, bench: Bench) -> float:
+    """Mean square of what a bench leaves of a recording, gap and start fitted, over the noise's."""
+    unknowns = [gap_unknown(1e-4, 4e-3), start_angle_unknown(seen.name)]
+    fit = fit_aligned(bench, [seen], unknowns)
+    return fit.chi_square / fit.residual.size
+
+
+@pytest.mark.parametrize("start", [0.5, 1.6, 4.7])
+@pytest.mark.parametrize("lost", [0, 20])
+def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
+    independent, tmp_path: Path, start: float, lost: int
+) -> None:
+    values = {name: EffectParameterValue(value) for name, value in RIPPLE.items()}
+    bench = BENCH.with_effects(BenchEffect("motor_torque_ripple", values))
+    hidden = {f"motor_torque_ripple__{name}": value for name, value in RIPPLE.items()}
+    (made,) = recorded(independent, (2000.0,), 9, hidden, rotations=4.1, start_angle_rad=start)
+    channels = (MOTOR_SPEED, MOTOR_CURRENT, MOTOR_POSITION)
+    table = np.column_stack([made.time_s, *(made.channels[c] for c in channels)])
+    if lost:
+        table[3000, 1] = table[4000, 2] = 65535.0
+    table = np.delete(table, [*range(1000, 1000 + lost), *range(5000, 5000 + lost)], axis=0)
+    file = tmp_path / "forward.csv"
+    header = ",".join(("time_s", *channels))
+    np.savetxt(file, table, delimiter=",", header=header, comments="")
+    (tmp_path / "bench.toml").write_text(dump_bench(bench))
+    known = 'method = "forward"\nmotor_angle_known = true'
+    (tmp_path / "config.toml").write_text(CONFIG.replace('method = "forward"', known))
+    config = load_config(tmp_path / "config.toml", kind="diagnose")
+    recording = read_recording(file, name="forward")
+    used, held_out, _, notes = forward.forward_problem(config, bench, [recording])
+    assert len(notes) == (3 if lost else 0)
+    assert all("left out of the fit" in note for note in notes)
+    # 13,000 residuals scatter by 1.2 %; a half without a phase of its own leaves 5 or more.
+    for seen in (*used, *held_out):
+        assert explained(seen, bench) == pytest.approx(1.0, abs=0.06)
+
+
+CONFIG = """
+schema = 1
+kind = "diagnose"
+bench = "bench.toml"
+[run]
+output = "out"
+[comparison]
+method = "forward"
+channels = ["motor_speed_rpm", "motor_current_a"]
+[[recordings]]
+name = "forward"
+file = "forward.csv"
+reference_speed_rpm = 2000.0
+use = "split"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, independent) -> Path:
+    (tmp_path / "bench.toml").write_text(dump_bench(BENCH))
+    (tmp_path / "config.toml").write_text(CONFIG)
+    (made,) = recorded(independent, (2000.0,), 6, rotations=5.0)
+    columns = [made.time_s, *(made.channels[c] for c in (MOTOR_SPEED, MOTOR_CURRENT))]
+    header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+    np.savetxt(
+        tmp_path / "forward.csv",
+        np.column_stack(columns),
+        delimiter=",",
+        header=header,
+        comments="",
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "told"),
+    [
+        ("bench.toml", 'drive = "two_mass"', 'drive = "rigid"', ("two_mass", "inverse")),
+        ("forward.csv", MOTOR_CURRENT, "temperature", (MOTOR_CURRENT, "forward.csv")),
+        ("config.toml", "= 2000.0", "= 1200.0", ("another speed", "2000", "1200")),
+        ("bench.toml", "value = 120.0\n", "value = 150.0\n", ("forward.csv", "4 load", "split")),
+        ("config.toml", 'motor_current_a"]', 'motor_position_rad"]', ("motor_position_rad",)),
+        (
+            "config.toml",
+            "[[recordings]]",
+            '[unknowns]\nbench_parameters = ["load_inertia_kg_m2"]\n[[recordings]]',
+            ("tolerance", "load_inertia_kg_m2"),
+        ),
+    ],
+)
+def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, told) -> None:
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    assert status(["diagnose", str(folder / "config.toml")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Traceback" not in said
+    for word in told:
+        assert word in said
+    assert not (folder / "out").exists()
+
+
+def test_too_few_rotations_to_tell_noise_from_what_repeats_are_refused(folder, capsys) -> None:
+    bench, config = folder / "bench.toml", folder / "config.toml"
+    bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 300.0\n", 1))
+    forward = CONFIG[CONFIG.index("[[recordings]]") :]
+    used = forward.replace('"split"', '"fit"')
+    held_out = forward.replace('"split"', '"hold_out"').replace('"forward"', '"again"')
+    config.write_text(CONFIG.replace(forward, used + held_out))
+    assert status(["diagnose", str(config)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    for word in ("forward.csv", "too short to be fitted", "2 load rotations"):
+        assert word in said
+
+
+def test_a_current_held_by_the_drive_that_is_simulated_is_not_refused(folder: Path) -> None:
+    table = np.loadtxt(folder / "forward.csv", delimiter=",", skiprows=1)
+    limit = 0.9 * table[:, 2].max()
+    table[:, 2] = np.minimum(table[:, 2], limit)
+    header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+    np.savetxt(folder / "forward.csv", table, delimiter=",", header=header, comments="")
+    bench = folder / "bench.toml"
+    text = bench.read_text()
+    i = text.index("value", text.index("[parameters.current_limit_a]"))
+    bench.write_text(f"{text[:i]}value = {limit}{text[text.index(chr(10), i) :]}")
+    assert status(["check", str(folder / "config.toml")]) == 0
+
+
+def test_peaks_that_a_limit_cut_off_are_refused(folder: Path, capsys) -> None:
+    table = np.loadtxt(folder / "forward.csv", delimiter=",", skiprows=1)
+    table[:, 2] = np.minimum(table[:, 2], 0.9 * table[:, 2].max())
+    header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+    np.savetxt(folder / "forward.csv", table, delimiter=",", header=header, comments="")
+    assert status(["diagnose", str(folder / "config.toml")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "current is cut off" in said
+    assert "forward.csv" in said
+
+
+def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatch) -> None:
+    class AskedError(Exception):
+        pass
+
+    def asked(fit: object, settings: SamplerSettings, *_: object) -> None:
+        raise AskedError(settings.level)
+
+    monkeypatch.setattr(forward, "sample_direct", asked)
+    extra = '[interval]\nlevel = 0.99\n[candidates]\neffects = ["current_loop_lag"]\n'
+    (folder / "config.toml").write_text(CONFIG + extra)
+    config = load_config(folder / "config.toml", kind="diagnose")
+    with pytest.raises(AskedError, match=r"0\.99"):
+        run_diagnose(config)

@@ -1,0 +1,108 @@
+"""Recordings beside their simulation: shortcuts that must change nothing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.signals import (
+    SimulatedSignals,
+    Unknown,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+)
+from bayesbl.matching.simulation_cache import RecentSimulations
+from bayesbl.noise.channel_noise import estimate_channel_noise
+from bayesbl.noise.process import NoiseModel
+
+NOISE = Measurement(
+    encoder_counts=None, speed_noise=NoiseModel(1.5, (0.6,)), current_noise=NoiseModel(0.05)
+)
+DRIFT = BenchEffect("friction_drift", {"rate_nm_per_s": EffectParameterValue(1e-3)})
+POINTS = np.array([[math.log(8e-4), 1.0], [math.log(9e-4), 2.0], [math.log(8e-4), 1.0]])
+
+
+def model(bench: Bench, sampling_hz: float = 500.0) -> SimulatedSignals:
+    recording = bench.with_measurement(NOISE).simulate(
+        8e-4,
+        rotations=2.4,
+        sampling_hz=sampling_hz,
+        start_angle_rad=1.0,
+        name="one",
+        seed=np.random.default_rng(1),
+    )
+    seen = observed(recording, bench)
+    noise = estimate_channel_noise(seen.signals, seen.lag)
+    unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown("one")]
+    return SimulatedSignals(bench, [seen], unknowns, [noise])
+
+
+@pytest.mark.parametrize("effects", [(), (DRIFT,)], ids=["repeats", "drifts"])
+def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
+    asked = model(reference_bench().with_effects(*effects))
+    seen, noise = asked.recordings[0], asked.noise[0]
+    assert noise.order > 0
+    stretch = asked.stretch(POINTS, 0).shape[2]
+    assert stretch == (seen.samples if effects else seen.lag)
+    whole = noise.whiten(seen.signals - asked.signals(POINTS, 0))
+    assert asked.whitened(POINTS) == pytest.approx(whole.reshape(len(POINTS), -1), abs=1e-9)
+
+
+def test_a_steady_rotation_repeats_in_a_run_over_all_of_them() -> None:
+    # A drift too small to matter makes the same bench run through the whole recording.
+    tiny = BenchEffect("friction_drift", {"rate_nm_per_s": EffectParameterValue(1e-15)})
+    once = model(reference_bench())
+    whole = model(reference_bench().with_effects(tiny))
+    accuracy_rpm = 0.003 * once.noise[0].sd[0]
+    gap = np.abs(once.signals(POINTS, 0) - whole.signals(POINTS, 0))
+    assert gap[:, 0].max() < 2.0 * accuracy_rpm
+
+
+def test_a_phase_that_nothing_tells_keeps_the_prior_of_an_angle() -> None:
+    names = ("torque_nm", "order", "phase_rad")
+    values = {name: EffectParameterValue(v) for name, v in zip(names, (0.0, 6.0, 0.0), strict=True)}
+    asked = model(reference_bench().with_effects(BenchEffect("motor_torque_ripple", values)))
+    unknowns = (*asked.unknowns, Unknown("motor_torque_ripple__phase_rad"))
+    free = SimulatedSignals(asked.bench, asked.recordings, unknowns, asked.noise)
+    fit = fit_simulated(free, np.array([math.log(8e-4), 1.0, 0.0]))
+    assert fit.sd("motor_torque_ripple__phase_rad") == pytest.approx(math.pi / math.sqrt(3.0))
+    assert fit.sd("start_angle_rad", "one") < 0.01
+
+
+def test_what_was_simulated_is_neither_made_nor_changed_again() -> None:
+    asked: list[int] = []
+
+    def simulate(matrix):
+        asked.append(len(matrix))
+        return matrix[:, None, :] ** 2
+
+    recent = RecentSimulations()
+    rows = np.arange(12.0).reshape(4, 3)
+    first = recent.signals(rows[:3], "a", simulate)
+    first[:] = np.nan  # what a caller does to its array is its own affair
+    again = recent.signals(rows[[3, 1, 0]], "a", simulate)
+    assert np.array_equal(again, rows[[3, 1, 0], None, :] ** 2)
+    recent.signals(rows[:1], "b", simulate)
+    assert asked == [3, 1, 1]
+
+
+def test_the_oldest_simulations_are_forgotten() -> None:
+    asked: list[float] = []
+
+    def simulate(matrix):
+        asked.extend(matrix[:, 0])
+        return matrix[:, None, :]
+
+    recent = RecentSimulations(most_bytes=2 * 8 * 5)
+    for value in (1.0, 2.0, 1.0, 3.0, 1.0, 2.0):
+        recent.signals(np.full((1, 5), value), None, simulate)
+    assert asked == [1.0, 2.0, 3.0, 2.0]
+    # More at once than are kept, known ones among them.
+    many = np.repeat(np.array([[2.0], [4.0], [5.0], [1.0], [6.0]]), 5, axis=1)
+    assert np.array_equal(recent.signals(many, None, simulate)[:, 0], many)

@@ -1,0 +1,296 @@
+"""The direct route: laws of its optimum, its posterior and its predictive check.
+
+Recordings hold three rotations at 250 Hz, so that many can be fitted. Statistical tests have fixed
+seeds; each says how often it would fail by chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest, truncnorm
+
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
+from bayesbl.config.bench import load_bench
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.posterior import sample_direct
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.signals import (
+    GAP,
+    START_ANGLE,
+    Observed,
+    SimulatedSignals,
+    Unknown,
+    effect_unknowns,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+    tolerance_unknowns,
+)
+from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
+from bayesbl.ringing.posterior import SamplerSettings
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SETTINGS = SamplerSettings(ensembles=2)
+FRICTION = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0, 0.4)})
+
+
+@cache
+def bench(tolerances: bool = False, noise: float = 1.0) -> Bench:
+    """The shipped bench; ``noise`` times the noise of the examples."""
+    found = load_bench(CONFIGS / ("bench_tolerances.toml" if tolerances else "bench.toml"))
+    return found.with_measurement(
+        Measurement(
+            encoder_counts=None,
+            speed_noise=NoiseModel(1.5 * noise, (0.6,)),
+            current_noise=NoiseModel(0.05 * noise),
+        )
+    )
+
+
+def record(on: Bench, gap_rad: float, seed: object, name: str = "one") -> Recording:
+    generator = np.random.default_rng(seed)
+    return on.simulate(
+        gap_rad,
+        rotations=3.0,
+        sampling_hz=250.0,
+        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
+        seed=generator,
+        name=name,
+    )
+
+
+def fitted(known: Bench, *recordings: Recording, gap_rad=(1e-4, 1e-2)):
+    names = [r.name for r in recordings]
+    unknowns = [
+        *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
+        *(start_angle_unknown(name) for name in names),
+        *effect_unknowns(known, names),
+        *tolerance_unknowns(known),
+    ]
+    return fit_aligned(known, [observed(r, known) for r in recordings], unknowns)
+
+
+def log_gap(posterior, name="one"):
+    return np.log(posterior.values(GAP, name)).ravel()
+
+
+def test_optima_scatter_as_the_cramer_rao_bound_allows():
+    # χ² of 30 errors within its 99.8 % range: fails by chance in 2 of 1000.
+    z = []
+    for case in range(30):
+        gap = float(np.exp(np.random.default_rng([1, case]).uniform(*np.log([2e-4, 3e-3]))))
+        fit = fitted(bench(), record(bench(), gap, [2, case]))
+        z.append((fit.point[0] - math.log(gap)) / fit.bound[0])
+    low, high = chi2.ppf([0.001, 0.999], 30)
+    assert low < float(np.sum(np.square(z))) < high
+
+
+def test_the_posterior_is_that_of_full_simulations_on_a_grid():
+    # Noise ten times larger, so that the posterior is not normal.
+    known = bench(noise=10.0)
+    fit = fitted(known, record(known, 2.5e-4, 3))
+    posterior = sample_direct(fit, SamplerSettings(), np.random.SeedSequence(1))
+    draws = posterior.draws.reshape(-1, 2)
+    centre, spread = fit.point, np.sqrt(np.diag(fit.covariance))
+    steps = np.linspace(-5.0, 5.0, 33)
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = centre + spread * grid
+    points = points[fit.model.log_prior(points) > -np.inf]
+    residual = np.concatenate([fit.model.whitened(p) for p in np.array_split(points, 20)])
+    weights = np.exp(-0.5 * ((residual**2).sum(axis=1) - fit.chi_square))
+    weights /= weights.sum()
+    mean = weights @ points
+    sd = np.sqrt(weights @ (points - mean) ** 2)
+    # 1000 draws: their mean scatters by 0.03 sd, their sd by 2.3 %; four times that.
+    assert np.abs(draws.mean(axis=0) - mean) / sd == pytest.approx(0.0, abs=0.13)
+    assert draws.std(axis=0) / sd == pytest.approx(1.0, abs=0.09)
+    skewed = float(weights @ ((points[:, 0] - mean[0]) / sd[0]) ** 3)
+    assert abs(skewed) > 0.1  # else the grid would test nothing but the normal approximation
+    assert posterior.effective > 0.8 * posterior.simulated
+
+
+def test_without_correction_the_surrogate_alone_agrees_with_full_simulation():
+    known = bench(tolerances=True)
+    fit = fitted(known, record(known, 8e-4, 4))
+    full = log_gap(sample_direct(fit, SamplerSettings(), np.random.SeedSequence(1)))
+    fast = sample_direct(fit, SamplerSettings(), np.random.SeedSequence(2), corrected=False)
+    assert math.isnan(fast.effective)
+    # Two sets of 1000 draws: means differ by 0.045 sd; four times that.
+    assert log_gap(fast).mean() == pytest.approx(full.mean(), abs=0.18 * full.std())
+    assert log_gap(fast).std() == pytest.approx(full.std(), rel=0.13)
+
+
+class Linear(SimulatedSignals):
+    """Signals that are linear in two unknowns: the limit in which everything is known exactly."""
+
+    def __init__(self, unknowns, matrix, data):
+        seen = Observed("one", data[None], 1.0, 1.0, 100.0)
+        white = ChannelNoise(np.zeros((0, 1, 1)), np.eye(1), np.ones(1), data.size)
+        super().__init__(bench(), [seen], unknowns, [white])
+        self.matrix = matrix
+
+    def stretch(self, points, recording):
+        return (np.atleast_2d(points) @ self.matrix.T)[:, None, :]
+
+
+def linear_posterior(unknowns):
+    generator = np.random.default_rng(5)
+    matrix = generator.standard_normal((400, 2)) @ np.array([[1.0, 0.8], [0.0, 0.3]])
+    data = matrix @ np.array([0.4, -0.2]) + generator.standard_normal(400)
+    fit = fit_simulated(Linear(unknowns, matrix, data), np.zeros(2))
+    settings = SamplerSettings(ensembles=2)
+    return matrix, data, fit, sample_direct(fit, settings, np.random.SeedSequence(3))
+
+
+def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
+    priors = [Unknown("a", centre=0.5, sd=0.05), Unknown("b", centre=0.0, sd=0.2)]
+    matrix, data, fit, posterior = linear_posterior(priors)
+    precision = np.diag([0.05**-2.0, 0.2**-2.0])
+    covariance = np.linalg.inv(matrix.T @ matrix + precision)
+    mean = covariance @ (matrix.T @ data + precision @ np.array([0.5, 0.0]))
+    sd = np.sqrt(np.diag(covariance))
+    assert fit.point == pytest.approx(mean, abs=1e-3 * sd.min())
+    assert fit.covariance == pytest.approx(covariance, rel=1e-6)
+    assert fit.bound == pytest.approx(np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix))), rel=1e-6)
+    draws = posterior.draws.reshape(-1, 2)
+    assert posterior.effective == pytest.approx(len(draws), rel=1e-6)
+    # Means of 1000 draws scatter by 0.032 sd; four times that.
+    assert (draws.mean(axis=0) - mean) / sd == pytest.approx(0.0, abs=0.13)
+    assert draws.std(axis=0) / sd == pytest.approx(1.0, abs=0.09)
+
+
+def test_a_uniform_tolerance_cuts_the_posterior_exactly():
+    # Kolmogorov-Smirnov with 1000 draws, thinned to 250 so that they are independent: fails by
+    # chance in 1 of 1000.
+    priors = [Unknown("a", 0.35, 0.45), Unknown("b", -1e-9, 1e-9)]
+    matrix, data, _, posterior = linear_posterior(priors)
+    column = matrix[:, 0]
+    mean, sd = (column @ data) / (column @ column), (column @ column) ** -0.5
+    exact = truncnorm((0.35 - mean) / sd, (0.45 - mean) / sd, loc=mean, scale=sd)
+    assert kstest(posterior.draws[..., 0].ravel()[::4], exact.cdf).pvalue > 0.001
+
+
+def test_forward_and_reverse_give_the_same_gap():
+    forward = record(bench(), 8e-4, 6)
+    mirrored = {n: -forward.channels[n] for n in (MOTOR_SPEED, MOTOR_CURRENT)}
+    there, back = fitted(bench(), forward), fitted(bench(), replace(forward, channels=mirrored))
+    sd = np.sqrt(np.diag(there.covariance))
+    assert back.point[0] == pytest.approx(there.point[0], abs=0.02 * sd[0])
+    assert math.remainder(back.point[1] + there.point[1], 2.0 * math.pi) == pytest.approx(
+        0.0, abs=0.02 * sd[1]
+    )
+
+
+def test_coverage_with_seven_parameters_off():
+    # 90 % intervals of 16: fewer than 10 hold the truth in 2 of 10 000 studies.
+    known, inside = bench(tolerances=True), 0
+    for case in range(16):
+        generator = np.random.default_rng([7, case])
+        gap = float(np.exp(generator.uniform(*np.log([2e-4, 3e-3]))))
+        fit = fitted(known, record(known.draw(generator), gap, [8, case]))
+        fast = SamplerSettings(ensembles=2, max_steps=500)
+        draws = log_gap(sample_direct(fit, fast, np.random.SeedSequence(case), corrected=False))
+        low, high = np.quantile(draws, [0.05, 0.95])
+        inside += low < math.log(gap) < high
+    assert inside >= 10
+
+
+def test_snapshots_of_one_joint_share_what_is_wrong_with_their_bench():
+    known = bench(tolerances=True)
+    true = known.draw(np.random.default_rng(9))
+    recordings = [record(true, g, [10, i], f"{i}") for i, g in enumerate((8e-4, 9e-4))]
+    fit = fitted(known, *recordings)
+    posterior = sample_direct(fit, SETTINGS, np.random.SeedSequence(1))
+    first, last = (posterior.values(GAP, r.name) for r in recordings)
+    change = last - first
+    assert change.std() < 0.6 * math.hypot(first.std(), last.std())
+    # Fails by chance in 1 of 10 000.
+    assert abs(change.mean() - 1e-4) < 4.0 * change.std()
+
+
+def test_speed_alone_is_less_sharp_than_speed_and_current():
+    whole = record(bench(), 8e-4, 11)
+    alone = replace(whole, channels={MOTOR_SPEED: whole.motor_speed_rpm})
+    both, single = fitted(bench(), whole), fitted(bench(), alone)
+    assert single.bound[0] > 2.0 * both.bound[0]
+    # Fails by chance in 1 of 10 000.
+    assert abs(single.point[0] - math.log(8e-4)) < 4.0 * single.bound[0]
+
+
+def test_excluded_samples_do_not_count():
+    whole = record(bench(), 8e-4, 17)
+    lost = np.zeros(whole.samples, dtype=bool)
+    lost[[100, 101, 1500]] = True
+    broken = {n: np.where(lost, v + 100.0, v) for n, v in whole.channels.items()}
+    model = fitted(bench(), whole).model
+    points = np.array([[math.log(8e-4), 1.0], [math.log(9e-4), 2.0]])
+    kept = [
+        SimulatedSignals(bench(), [observed(r, bench())], model.unknowns, model.noise)
+        for r in (
+            replace(whole, excluded=lost),
+            replace(whole, channels=broken, excluded=lost),
+        )
+    ]
+    assert np.array_equal(kept[0].whitened(points), kept[1].whitened(points))
+    gone = np.count_nonzero(kept[0].whitened(points)[0] == 0.0)
+    assert gone == 2 * (2 * (model.noise[0].order + 1) + 1)
+
+
+def test_a_missing_effect_is_refused_and_a_known_one_is_not():
+    recording = record(bench().with_effects(FRICTION), 8e-4, 12)
+    assert not agrees(disagreements(fitted(bench(), recording)))
+    fit = fitted(bench().with_effects(FRICTION), recording)
+    assert agrees(disagreements(fit))
+    draws = log_gap(sample_direct(fit, SETTINGS, np.random.SeedSequence(1)))
+    low, high = np.quantile(draws, [0.001, 0.999])
+    assert low < math.log(8e-4) < high  # fails by chance in 2 of 1000
+
+
+def test_friction_that_only_shifts_the_mean_current_is_refused():
+    motor = BenchEffect("motor_coulomb_friction", {"torque_nm": EffectParameterValue(0.02)})
+    found = disagreements(fitted(bench(), record(bench().with_effects(motor), 8e-4, 13)))
+    worst = min(found, key=lambda entry: entry.probability)
+    assert not agrees(found)
+    assert (worst.channel, worst.highest_order) == (MOTOR_CURRENT, 0)
+
+
+def test_the_check_raises_false_alarms_as_often_as_it_says():
+    # Ten expected among 1000 residuals of pure noise; more than 22 in 2 of 10 000 studies.
+    generator = np.random.default_rng(14)
+    noise = ChannelNoise(np.zeros((0, 2, 2)), np.eye(2), np.ones(2), 4400)
+    seen = Observed("one", np.zeros((2, 4400)), 1.0, 1.0, 1100.0)
+    model = SimulatedSignals(bench(), [seen], [gap_unknown(1e-4, 1e-2)], [noise])
+    nothing = SimulatedFit(model, np.zeros(1), np.zeros(0), np.zeros((0, 1)), np.eye(1), np.ones(1))
+    alarms = sum(
+        not agrees(disagreements(replace(nothing, residual=generator.standard_normal(8800))), 0.01)
+        for _ in range(1000)
+    )
+    assert 0 < alarms <= 22
+
+
+def test_a_gap_beyond_its_range_is_withheld():
+    fit = fitted(bench(), record(bench(), 8e-4, 15), gap_rad=(1e-4, 7e-4))
+    posterior = sample_direct(fit, SETTINGS, np.random.SeedSequence(1))
+    assert posterior.diagnostics.outcome == "withheld"
+    assert "upper bound of its range" in posterior.diagnostics.reasons[0]
+
+
+def test_the_same_seed_gives_the_same_draws_on_any_number_of_workers():
+    recording = record(bench(), 8e-4, 16)
+    results = []
+    for workers in (1, 2):
+        seen = [observed(recording, bench())]
+        unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown("one")]
+        fit = fit_aligned(bench(), seen, unknowns, workers)
+        results.append(sample_direct(fit, SETTINGS, np.random.SeedSequence(2)).draws)
+    assert np.array_equal(*results)
+    assert fit.model.index(START_ANGLE, "one") == 1

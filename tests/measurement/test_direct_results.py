@@ -1,0 +1,185 @@
+"""The direct route from the command line: what it answers, refuses, stores, draws and prints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl import cli
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.config.bench import load_bench
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
+from bayesbl.results.store import read_tree
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
+FRICTION = """
+[[effects]]
+name = "load_coulomb_friction"
+parameters = {torque_nm = {value = 15.0, sd = 0.4}}
+"""
+
+
+def written(folder: Path, on: Bench, gap_rad: float, seed: int, name: str, current=True) -> Path:
+    """A recording of three rotations at 250 Hz as a file."""
+    generator = np.random.default_rng(seed)
+    found = on.simulate(
+        gap_rad, rotations=3.0, sampling_hz=250.0, start_angle_rad=1.0 + seed, seed=generator
+    )
+    channels = [MOTOR_SPEED, *([MOTOR_CURRENT] if current else [])]
+    table = np.column_stack([found.time_s, *(found.channels[c] for c in channels)])
+    header = ",".join(["time_s", *channels])
+    file = folder / f"{name}.csv"
+    np.savetxt(file, table, "%.10g", ",", header=header, comments="")
+    return file
+
+
+def run(*arguments: object) -> int:
+    return cli.status([str(a) for a in arguments])
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("direct")
+
+
+@pytest.fixture(scope="module")
+def fit(folder) -> Path:
+    """A fit with everything, figures included."""
+    file = written(folder, load_bench(KNOWN), 8e-4, 1, "one")
+    options = ["--route", "direct", "--bench", KNOWN, "--limit-rad", 1e-3]
+    assert run("fit", file, *options, "--out", folder / "fit") == 0
+    return folder / "fit"
+
+
+@pytest.fixture(scope="module")
+def compared(folder) -> Path:
+    """Two snapshots, the second without current, on a bench known within its tolerances."""
+    known = load_bench(TOLERANCES)
+    true = known.draw(np.random.default_rng(1))
+    files = [
+        written(folder, true, 8e-4, 2, "before"),
+        written(folder, true, 9e-4, 3, "after", current=False),
+    ]
+    options = ["--route", "direct", "--bench", TOLERANCES, "--out", folder / "compare"]
+    assert run("compare", *files, *options) == 0
+    return folder / "compare"
+
+
+def test_a_fit_answers_with_the_keys_of_the_contract(fit):
+    found = summary(fit)
+    delta = found["delta_rad"]
+    # Fails by chance in 1 of 10 000: four standard deviations on either side.
+    assert abs(delta["median"] - 8e-4) < 4.0 * found["posterior_sd"]["delta_rad"]
+    assert {"start_angle_rad"} == set(found["parameters"])
+    assert found["budget"] == {"noise": 1.0}
+    assert found["noise"]["kind"] == "ar"
+    assert found["noise"]["sd_a"] == pytest.approx(0.05, rel=0.1)
+    assert found["diagnostics"]["outcome"] == "converged"
+    assert found["probability_above_limit"] == 0.0
+    assert found["excluded_samples"] == 0
+    # Flat prior: as wide as the bound; the sd of 1000 draws scatters by 2.3 %.
+    ratio = found["posterior_sd"]["delta_rad"] / found["cramer_rao_sd"]["delta_rad"]
+    assert ratio == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_fit_shows_the_amplitude_route_beside_it(fit):
+    found = summary(fit)
+    beside = found["amplitude_route"]
+    assert beside["curve"] == "published"
+    assert beside["amplitude_rpm"] == found["amplitude_rpm"]
+    width = beside["delta_rad"]["high"] - beside["delta_rad"]["low"]
+    assert width > 3.0 * (found["delta_rad"]["high"] - found["delta_rad"]["low"])
+
+
+def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):
+    tree = read_tree(fit)
+    posterior = tree["posterior"].to_dataset()
+    assert posterior["delta_rad"].dims == ("chain", "draw")
+    residual = tree["predictive"]["residual_motor_current_a"].values
+    simulated = tree["predictive"]["simulated_motor_current_a"].values
+    assert np.allclose(simulated + residual, tree["observed_data"][MOTOR_CURRENT].values)
+    for node in tree.subtree:
+        for name, variable in node.to_dataset(inherit=False).data_vars.items():
+            assert {"units", "long_name"} <= set(variable.attrs), (node.path, name)
+    assert {p.name for p in (fit / "figures").glob("*.png")} == {"signal.png", "gap.png"}
+    assert run("figures", fit) == 0
+
+
+def test_inspect_shows_the_bound_and_the_predictive_check(fit, capsys):
+    assert run("inspect", fit) == 0
+    text = capsys.readouterr().out
+    for told in ("Cramér-Rao", "Repeating", "mean", "published", "effective of 1000 draws"):
+        assert told in text
+
+
+def test_snapshots_without_current_work_and_say_so(compared):
+    found = summary(compared)
+    before, after = found["snapshots"]
+    assert before["noise"]["sd_a"] is not None
+    assert after["noise"]["sd_a"] is None
+    assert not any("no motor current" in r for r in before["diagnostics"]["reasons"])
+    assert any("no motor current" in r for r in after["diagnostics"]["reasons"])
+    assert {e["channel"] for e in after["predictive_check"]} == {MOTOR_SPEED}
+
+
+def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
+    found, tree = summary(compared), read_tree(compared)
+    first, last = found["snapshots"]
+    shared = set(load_bench(TOLERANCES).tolerances)
+    assert shared <= set(first["parameters"])
+    assert all(first["parameters"][n] == last["parameters"][n] for n in shared)
+    delta = tree["posterior"]["delta_rad"].values
+    assert np.allclose(tree["change"]["change_rad"].values, delta[1] - delta[0])
+    assert 0.0 < first["budget"]["bench"] < 1.0
+    # Fails by chance in 2 of 1000.
+    low, high = np.quantile(tree["change"]["change_rad"].values, [0.001, 0.999])
+    assert low < 1e-4 < high
+
+
+def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
+    effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
+    file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
+    options = ["--route", "direct", "--bench", KNOWN, "--out", folder / "refused"]
+    assert run("fit", file, *options) == cli.WITHHELD
+    found = summary(folder / "refused")
+    assert found["delta_rad"] is None
+    assert "motor_current_a of friction" in found["reason"]
+    assert "bayesbl diagnose" in found["reason"]
+    assert np.isfinite(read_tree(folder / "refused")["posterior"]["delta_rad"].values).all()
+    assert "withheld" in capsys.readouterr().out
+
+    completed = folder / "completed.toml"
+    completed.write_text(KNOWN.read_text() + FRICTION)
+    options = ["--route", "direct", "--bench", completed, "--out", folder / "answered"]
+    assert run("fit", file, *options) == 0
+    found = summary(folder / "answered")
+    sd = found["posterior_sd"]["delta_rad"]
+    # Fails by chance in 1 of 10 000.
+    assert abs(found["delta_rad"]["median"] - 8e-4) < 4.0 * sd
+    torque = found["parameters"]["load_coulomb_friction__torque_nm"]
+    assert 14.0 < torque["low"] < torque["high"] < 16.0
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (('drive = "two_mass"', 'drive = "rigid"'), "no gap to measure"),
+        (("{value = 2000.0}", "{value = 1500.0}"), "another speed"),
+    ],
+)
+def test_a_bench_that_does_not_fit_is_refused(folder, capsys, change, told):
+    other = folder / "other.toml"
+    other.write_text(KNOWN.read_text().replace(*change))
+    file = written(folder, load_bench(KNOWN), 8e-4, 5, "plain")
+    options = ["--route", "direct", "--bench", other, "--out", folder / "none"]
+    assert run("fit", file, *options) == cli.WRONG
+    assert told in capsys.readouterr().err
+    assert not (folder / "none").exists()

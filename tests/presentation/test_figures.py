@@ -1,0 +1,573 @@
+"""Laws of the figures: they show what is stored, all of it, and say where an answer is withheld."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.config.loading import load_config
+from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
+from bayesbl.errors import ResultError
+from bayesbl.measurement.amplitude_route import measure
+from bayesbl.presentation.figures import (
+    bench_draws,
+    convergence,
+    corner,
+    curve,
+    degrees,
+    disturbance,
+    draw_all,
+    gap,
+    misfit,
+    noise,
+    signal,
+    trace,
+)
+from bayesbl.presentation.figures.bench_draws import standardised_slopes
+from bayesbl.presentation.figures.corner import enclosing_levels
+from bayesbl.presentation.figures.curve import departures_from_curve, source_bands
+from bayesbl.presentation.figures.degrees import departure_of_degree
+from bayesbl.presentation.figures.direct_gap import direct_gap
+from bayesbl.presentation.figures.named import named
+from bayesbl.presentation.figures.scales import scale_of
+from bayesbl.presentation.figures.snapshots import snapshots
+from bayesbl.presentation.figures.style import look, publication_style, save
+from bayesbl.presentation.figures.traces import envelope
+from bayesbl.results.curve_file import curve_from_dataset
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.waveform import pulse_train
+from bayesbl.runs.sweep import run_sweep
+
+FIXED = ("window_start_s", "window_end_s")
+FREE = tuple(name for name in SYMBOLS if name not in FIXED)
+REASON = "The ensembles disagree: [posterior] has several modes."
+
+CONFIG = """
+schema = 1
+kind = "compare"
+[run]
+output = "result"
+[joint]
+limit_rad = 1.2e-3
+[posterior]
+ensembles = 2
+max_steps = 150
+[[recordings]]
+name = "old"
+file = "old.csv"
+[[recordings]]
+name = "new"
+file = "new.csv"
+"""
+
+SWEEP = """
+schema = 1
+kind = "sweep"
+bench = "bench.toml"
+[run]
+workers = 1
+output = "sweep"
+[sweep]
+gap_rad = {low = 2e-4, high = 3e-3, count = 8}
+start_angles = 2
+rotations = 2.0
+sampling_hz = 500.0
+bench_draws = 6
+"""
+
+
+def write_recording(path, amplitude_rpm, samples, seed):
+    """A low-rate recording of the disturbance model, with rotations of 1.4 s."""
+    time = np.arange(samples) / 250.0
+    train = pulse_train(time, 0.3, 19.0, 70.0, 0.204, 0.7, 1.4, 1.0 / 250.0)
+    noise_rpm = np.random.default_rng(seed).standard_normal(samples)
+    speed = 2000.0 + amplitude_rpm * train + noise_rpm
+    columns = "time_s,motor_speed_rpm"
+    np.savetxt(path, np.c_[time, speed], "%.9g", ",", header=columns, comments="")
+
+
+def judged(tree, **reasons):
+    """The tree with the given snapshots withheld and every other one converged."""
+    copy = tree.copy()
+    names = [str(n) for n in tree["posterior"]["snapshot"].values]
+    verdicts = {
+        n: {"outcome": "withheld", "reasons": [reasons[n]], "reason": reasons[n]}
+        if n in reasons
+        else {"outcome": "converged", "reasons": [], "reason": None}
+        for n in names
+    }
+    copy["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
+    return copy
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """A stored comparison of two recordings, the second one shorter."""
+    folder = tmp_path_factory.mktemp("compare")
+    write_recording(folder / "old.csv", 30.0, 1300, 1)
+    write_recording(folder / "new.csv", 40.0, 1000, 2)
+    (folder / "compare.toml").write_text(CONFIG)
+    write_tree(judged(measure(load_config(folder / "compare.toml"))), folder / "result.nc")
+    return folder / "result.nc"
+
+
+@pytest.fixture(scope="module")
+def tree(file):
+    return read_tree(file)
+
+
+@pytest.fixture(scope="module")
+def drawn(tree, tmp_path_factory):
+    """Every file that ``draw_all`` writes, by name."""
+    return {path.name: path for path in draw_all(tree, tmp_path_factory.mktemp("figures"))}
+
+
+def texts(figure):
+    """All visible text of a figure."""
+    found = [t for t in figure.findobj(mpl.text.Text) if t.get_visible()]
+    return "\n".join(t.get_text() for t in found)
+
+
+def labelled(axes, label):
+    """The one line of a panel with a label."""
+    (line,) = [line for line in axes.lines if line.get_label() == label]
+    return line
+
+
+# What is drawn is what is stored
+
+
+def test_every_free_symbol_and_the_gap_have_a_row_in_the_corner(tree):
+    snapshot = snapshots(tree)[0]
+    assert snapshot.symbols == (*FREE, "delta_rad")
+    count = len(snapshot.symbols)
+    figure = corner(snapshot)
+    assert len(figure.axes) == count * (count + 1) // 2
+    shown = texts(figure)
+    for name in snapshot.symbols:
+        assert scale_of(name, snapshot.values("posterior", name)).symbol in shown
+    assert "baseline" in shown, "what has no row is named"
+
+
+def test_traces_are_the_stored_draws_of_every_symbol_and_chain(tree):
+    snapshot = snapshots(tree)[1]
+    heads = [axes for axes in trace(snapshot).axes if axes.lines]
+    assert len(heads) == len(snapshot.symbols)
+    for axes, name in zip(heads, snapshot.symbols, strict=True):
+        draws = snapshot.values("posterior", name)
+        scale = scale_of(name, draws)
+        for chain, stored in enumerate(draws):
+            shown = labelled(axes, f"ensemble {chain + 1}").get_ydata()
+            assert np.allclose(shown / scale.factor + scale.reference, stored, rtol=1e-12)
+
+
+def test_titles_of_traces_give_the_stored_diagnostics(tree):
+    snapshot = snapshots(tree)[0]
+    titles = [axes.get_title(loc="left") for axes in trace(snapshot).axes]
+    stored = snapshot.groups["diagnostics"].sel(symbol="decay_rate_per_s")
+    (title,) = [t for t in titles if "τ" in t]
+    assert f"{float(stored['r_hat']):.3f}" in title
+    assert f"ESS {float(stored['ess_bulk']):.0f}" in title
+
+
+def test_pulses_are_drawn_sample_by_sample(tree):
+    axes = signal(tree).axes
+    for snapshot, panels in zip(snapshots(tree), (axes[:6], axes[6:]), strict=True):
+        stored = dict(
+            zip(
+                snapshot.values("observed_data", "time_s"),
+                zip(
+                    snapshot.values("observed_data", "motor_speed_rpm"),
+                    snapshot.values("predictive", "model_rpm"),
+                    strict=True,
+                ),
+                strict=True,
+            )
+        )
+        for panel in (panels[2], panels[4]):
+            measured, model = labelled(panel, "measured"), labelled(panel, "model")
+            expected = np.array([stored[t] for t in measured.get_xdata()])
+            assert len(expected) > 50
+            assert np.array_equal(measured.get_ydata(), expected[:, 0])
+            assert np.array_equal(model.get_ydata(), expected[:, 1])
+
+
+def test_a_positive_pulse_rises_and_a_negative_one_falls(tree):
+    axes = signal(tree).axes
+    for panel, sign in ((axes[2], 1.0), (axes[4], -1.0)):
+        speed = sign * (labelled(panel, "model").get_ydata() - 2000.0)
+        assert np.argmax(speed) < np.argmin(speed)
+        assert speed.max() > -speed.min()
+
+
+def test_an_outline_keeps_every_extreme():
+    generator = np.random.default_rng(3)
+    time, values = np.arange(10_001.0), generator.standard_normal(10_001)
+    values[[17, 9_000]] = 50.0, -60.0
+    middle, low, high = envelope(time, values, 300)
+    assert middle.size == 300
+    assert high.max() == 50.0
+    assert low.min() == -60.0
+    for begin in (0, 4_321, 9_990):
+        inside = np.interp(np.arange(begin, begin + 5), middle, np.arange(300)).round().astype(int)
+        assert np.all(low[inside] <= values[begin : begin + 5].max())
+
+
+def test_a_short_signal_is_outlined_by_its_own_samples():
+    middle, low, high = envelope(np.arange(5.0), np.array([0.0, 1.0, 0.0, -1.0, 0.0]), 700)
+    assert middle.size == 4
+    assert np.array_equal(high, [1.0, 1.0, 0.0, 0.0])
+    assert np.array_equal(low, [0.0, 0.0, -1.0, -1.0])
+
+
+def test_misfit_convergence_and_noise_are_the_stored_arrays(tree):
+    for i, snapshot in enumerate(snapshots(tree)):
+        mean = labelled(misfit(tree).axes[i], "mean over rotations").get_ydata()
+        assert np.array_equal(mean, snapshot.values("misfit", "mean_rpm"))
+        bic = labelled(noise(tree).axes[2 * i], "BIC").get_ydata()
+        assert np.array_equal(bic, snapshot.values("noise", "bic"))
+        runs = [line for line in convergence(tree).axes[i].lines if "run" in str(line.get_label())]
+        errors = np.concatenate([line.get_ydata() for line in runs])
+        stored = snapshot.values("search_history", "rmse_rpm")
+        assert np.array_equal(np.sort(errors), np.sort(stored))
+
+
+def test_the_gap_figure_shows_curve_limit_and_change_as_stored(tree):
+    main, *_ = gap(tree).axes
+    (curve,) = [line for line in main.lines if "gap curve" in str(line.get_label())]
+    assert np.array_equal(curve.get_ydata(), 1e3 * tree["curve"]["delta_rad"].values)
+    assert labelled(main, "limit 1.2 mrad").get_ydata()[0] == pytest.approx(1.2)
+    shown = texts(gap(tree))
+    low, high = 1e3 * np.quantile(tree["change"]["change_rad"].values, [0.05, 0.95])
+    assert re.search(rf"90 % interval {low:.2f}\d* to {high:.2f}\d*", shown)
+
+
+def test_contours_hold_their_share_of_the_draws():
+    x = np.linspace(-4.0, 4.0, 200)
+    density = np.exp(-0.5 * (x[:, None] ** 2 + x**2))
+    nine, half = enclosing_levels(density, (0.9, 0.5))
+    # Of a unit Gaussian in two dimensions, exp(−r²/2) of the mass lies beyond r.
+    assert nine == pytest.approx(0.1, rel=0.02)
+    assert half == pytest.approx(0.5, rel=0.02)
+
+
+# Files
+
+
+def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, drawn, tmp_path):
+    tree = read_tree(file)
+    with publication_style():
+        again = save(gap(tree), tmp_path, "gap") + save(signal(tree), tmp_path, "signal")
+    for path in again:
+        assert path.read_bytes() == drawn[path.name].read_bytes(), path.name
+
+
+def test_every_figure_is_there_as_pdf_and_png(drawn):
+    names = {"signal", "gap", "misfit", "noise", "convergence"}
+    names |= {f"{kind}_{snapshot}" for kind in ("corner", "trace") for snapshot in ("old", "new")}
+    assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
+    assert all(path.stat().st_size < 500_000 for path in drawn.values())
+
+
+def test_pdf_text_is_embedded_truetype_without_a_date(drawn):
+    for name, path in drawn.items():
+        if name.endswith(".pdf"):
+            content = path.read_bytes()
+            assert b"/CIDFontType2" in content, name
+            assert b"/Type3" not in content, name
+            assert b"/CreationDate" not in content, name
+
+
+def test_a_users_settings_of_matplotlib_change_nothing_and_stay(tree):
+    with mpl.rc_context({"font.size": 31.0, "lines.linewidth": 9.0}):
+        figure = misfit(tree)
+        assert mpl.rcParams["font.size"] == 31.0
+    assert figure.axes[0].xaxis.label.get_size() == 7.0
+
+
+def test_a_result_of_another_kind_is_refused(tree, tmp_path):
+    other = tree.copy()
+    other.attrs = {**tree.attrs, "kind": "study"}
+    with pytest.raises(ResultError, match="study"):
+        draw_all(other, tmp_path)
+
+
+# Withheld answers
+
+
+def test_a_withheld_gap_is_said_so_and_its_number_is_not_given(tree):
+    whole = texts(gap(tree))
+    assert "withheld" not in whole
+    assert len(re.findall(r"\d mrad \(", whole)) == 3
+    shown = texts(gap(judged(tree, new=REASON)))
+    assert "new: δ withheld" in shown
+    assert len(re.findall(r"\d mrad \(", shown)) == 1, "only the snapshot that has an answer"
+
+
+def test_a_withheld_reason_is_on_the_corner_and_the_trace(tree):
+    old, new = snapshots(judged(tree, new=REASON))
+    assert REASON.split(":")[0] in " ".join(texts(corner(new)).split())
+    assert "withheld" in texts(trace(new))
+    assert "withheld" not in texts(corner(old)) + texts(trace(old))
+
+
+# Scales
+
+
+@pytest.mark.parametrize("name", [*SYMBOLS, "delta_rad"])
+@pytest.mark.parametrize("middle", [-3.7, 1e-4, 1.8, 1999.99])
+@pytest.mark.parametrize("spread", [0.0, 1e-6, 1e-2, 5.0])
+def test_a_scale_can_be_undone_and_names_its_unit(name, middle, spread):
+    draws = middle + spread * np.linspace(-2.0, 2.0, 50)
+    scale = scale_of(name, draws)
+    back = scale.shown(draws) / scale.factor + scale.reference
+    assert np.allclose(back, draws, rtol=1e-9, atol=1e-12)
+    assert scale.label().endswith(f"({scale.unit})")
+    if scale.reference:
+        told = scale.reference_text.replace("−", "-").replace("+", "-").split()[1]
+        assert float(told) == pytest.approx(abs(scale.reference), rel=1e-9)
+
+
+# A sweep
+
+
+@pytest.fixture(scope="module")
+def sweep_file(tmp_path_factory):
+    """A stored sweep of the reference bench, two of its parameters known to 5 %."""
+    folder = tmp_path_factory.mktemp("sweep")
+    bench = dump_bench(reference_bench())
+    for name in ("shaft_stiffness_nm_per_rad", "speed_gain_nm_s_per_rad"):
+        head = f"[parameters.{name}]\n"
+        assert head in bench
+        bench = bench.replace(head, f"{head}relative_tolerance = 0.05\n")
+    (folder / "bench.toml").write_text(bench)
+    (folder / "sweep.toml").write_text(SWEEP)
+    write_tree(run_sweep(load_config(folder / "sweep.toml")), folder / "result.nc")
+    return folder / "result.nc"
+
+
+@pytest.fixture(scope="module")
+def swept(sweep_file):
+    return read_tree(sweep_file)
+
+
+def points(figure, label):
+    """Every point of the one line with a label in any panel, shape (n, 2)."""
+    (line,) = [x for axes in figure.axes for x in axes.lines if str(x.get_label()) == label]
+    return np.column_stack([line.get_xdata(), line.get_ydata()])
+
+
+def test_the_curve_figure_shows_every_sweep_point_and_the_stored_curve(swept):
+    figure = curve(swept)
+    shown = points(figure, "sweep: 8 gaps, 2 start angles")
+    amplitude = swept["sweep"]["amplitude_rpm"].values
+    assert np.array_equal(shown[:, 0], amplitude.ravel())
+    assert np.array_equal(shown[:, 1], 1e3 * np.repeat(swept["sweep"]["gap_rad"].values, 2))
+    drawn = points(figure, "curve: cubic with lack of fit")
+    assert np.array_equal(drawn[:, 0], swept["curve"]["amplitude"].values)
+    assert np.array_equal(drawn[:, 1], 1e3 * swept["curve"]["delta_rad"].values)
+
+
+def test_every_source_of_the_curve_has_its_band(swept):
+    bands = source_bands(swept)
+    assert set(bands) == {"regression", "lack_of_fit", "bench"}
+    stored = swept["gap_curve"]["source_bench"].values
+    inside = (100.0 * np.expm1(stored) >= bands["bench"][0]) & (
+        100.0 * np.expm1(stored) <= bands["bench"][1]
+    )
+    assert np.allclose(inside.mean(axis=0), 0.9, atol=0.01)
+    shown = texts(curve(swept))
+    for name in ("coefficients", "lack of fit", "tolerances of the bench"):
+        assert re.search(rf"^{name}$", shown, re.MULTILINE), name
+
+
+def test_a_source_that_is_not_known_is_drawn_and_named_too(swept):
+    more = swept.copy()
+    stored = swept["gap_curve"].to_dataset()
+    draws = stored["source_regression"].rename(draw_regression="draw_oil_warmth")
+    more["gap_curve"] = xr.DataTree(stored.assign(source_oil_warmth=draws))
+    assert "oil warmth" in texts(curve(more))
+
+
+def test_departures_are_those_of_the_sweep_and_of_eq_4_from_the_curve(swept):
+    departure = departures_from_curve(swept)
+    stored = curve_from_dataset(swept["gap_curve"].to_dataset(), "")
+    amplitude = swept["sweep"]["amplitude_rpm"].values
+    back = stored.gap(amplitude) * (1.0 + departure / 100.0)
+    assert np.allclose(back, swept["sweep"]["gap_rad"].values[:, None], rtol=1e-12)
+    eq4 = curve(swept).axes[1].lines[0]
+    x, y = eq4.get_xdata(), eq4.get_ydata()
+    cubic = np.polynomial.polynomial.polyval(x, 1e-4 * np.array(PUBLISHED_COEFFICIENTS))
+    assert len(x) > 100
+    assert np.allclose(stored.gap(x) * (1.0 + y / 100.0), cubic, rtol=1e-9)
+
+
+def test_the_disturbance_is_drawn_sample_by_sample_with_both_pulses_in_view(swept):
+    figure = disturbance(swept)
+    examples = swept["examples"].to_dataset()
+    for gap_rad, speed in zip(
+        examples["gap_rad"].values, examples["motor_speed_rpm"].values, strict=True
+    ):
+        shown = points(figure, f"δ = {1e3 * gap_rad:.2f} mrad")
+        assert np.array_equal(shown[:, 1], speed)
+    largest = examples["motor_speed_rpm"].values[-1]
+    _, positive, negative = figure.axes
+    assert positive.lines[-1].get_ydata().max() == largest.max()
+    assert negative.lines[-1].get_ydata().min() == largest.min()
+
+
+def test_a_pulse_that_runs_over_the_end_of_the_rotation_is_drawn_whole(swept):
+    """The rotation begins anywhere: turned by any amount, the views hold the same samples."""
+    examples = swept["examples"].to_dataset()
+    speed = examples["motor_speed_rpm"].values
+    peak = int(np.argmax(speed[-1]))
+    turned = np.roll(speed[:, :-1], -peak, axis=1)
+    other = swept.copy()
+    closed = np.concatenate([turned, turned[:, :1]], axis=1)
+    other["examples"] = xr.DataTree(
+        examples.assign(motor_speed_rpm=examples["motor_speed_rpm"].copy(data=closed))
+    )
+    before, after = (disturbance(t).axes[1].lines[-1].get_ydata() for t in (swept, other))
+    assert abs(len(before) - len(after)) <= 1, "a sample on the edge may fall on either side"
+    assert np.isin(before[1:-1], after).all()
+
+
+def test_departure_along_the_curve_agrees_with_what_is_stored_of_each_degree(swept):
+    stored = swept["degrees"].to_dataset()
+    for degree in stored["degree"].values:
+        _, departure = departure_of_degree(swept, int(degree))
+        largest = float(stored["largest_departure"].sel(degree=degree))
+        assert np.abs(departure).max() == pytest.approx(100.0 * largest, rel=1e-9)
+    shown = points(degrees(swept), "RMS")
+    assert np.array_equal(shown[:, 1], 100.0 * stored["rms_departure"].values)
+
+
+def test_every_bench_draw_is_a_line_and_its_slopes_follow_the_physics(swept):
+    group = swept["bench_draws"].to_dataset()
+    spread = bench_draws(swept).axes[0]
+    percent = 100.0 * np.expm1(group["departure"].sel(quantity="ln_amplitude").values)
+    lines = [line.get_ydata() for line in spread.lines]
+    assert all(any(np.array_equal(row, line) for line in lines) for row in percent)
+    slopes, errors = standardised_slopes(swept)
+    names = [str(n) for n in group["parameter"].values]
+    stiffness, gain = (next(i for i, n in enumerate(names) if k in n) for k in ("stiff", "gain"))
+    # A stiffer shaft rings louder at the same gap, a tighter speed loop holds the ringing down.
+    assert np.all(slopes[stiffness] > 5.0 * errors[stiffness])
+    assert np.all(slopes[gain] < -5.0 * errors[gain])
+
+
+def test_slopes_are_left_out_where_the_draws_are_too_few(swept):
+    few = swept.copy()
+    few["bench_draws"] = xr.DataTree(swept["bench_draws"].to_dataset().isel(draw=slice(3)))
+    assert standardised_slopes(few) is None
+    assert "too few draws" in texts(bench_draws(few))
+
+
+def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monkeypatch):
+    save = "bayesbl.presentation.figures.draw.save"
+    monkeypatch.setattr(save, lambda _, folder, name: [folder / name])
+    nominal = swept.copy()
+    del nominal["bench_draws"]
+    names = {path.name for path in draw_all(nominal, tmp_path)}
+    assert names == {"curve", "disturbance", "degrees"}
+    assert {path.name for path in draw_all(swept, tmp_path)} == names | {"bench_draws"}
+
+
+# Nothing runs out of a figure
+
+
+def beyond(figure):
+    """Texts of a figure that its page cuts off; matplotlib keeps ticks beyond the view too."""
+    figure.canvas.draw()
+    page, text = figure.bbox.padded(0.5), mpl.text.Text
+    ticks = {id(t) for tick in figure.findobj(mpl.axis.Tick) for t in tick.findobj(text)}
+    found = [t for t in figure.findobj(text) if t.get_visible() and t.get_text()]
+    boxes = [(t.get_text(), t.get_window_extent()) for t in found if id(t) not in ticks]
+    return [
+        told
+        for told, box in boxes
+        if not all(map(page.contains, *zip(box.min, box.max, strict=True)))
+    ]
+
+
+def direct_result(names):
+    """As much of a direct comparison as its figure of the gaps reads."""
+    draws = np.random.default_rng(1).normal(7e-4, 2e-6, (len(names), 2, 500))
+    dims = ("snapshot", "chain", "draw")
+    gaps = xr.Dataset({"delta_rad": (dims, draws)}, {"snapshot": names})
+    bound = xr.Dataset(
+        {"cramer_rao_sd": (("snapshot", "parameter"), np.full((len(names), 1), 2e-6))},
+        {"snapshot": names, "parameter": ["delta_rad"]},
+    )
+    groups = {"posterior": gaps, "optimum": bound, "amplitude_route": 1.05 * gaps}
+    tree = xr.DataTree.from_dict({**groups, "diagnostics": None, "curve": None})
+    tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
+    tree["curve"].attrs = {"name": "published"}
+    verdicts = {name: {"reason": None} for name in names}
+    tree["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
+    return tree
+
+
+def test_no_legend_of_the_direct_route_runs_out_of_its_panel():
+    figure = direct_gap(direct_result(["wear_before", "wear_after"]))
+    assert beyond(figure) == []
+    for panel in figure.axes:
+        legend = panel.get_legend().get_window_extent()
+        assert panel.bbox.x0 <= legend.x0
+        assert legend.x1 <= panel.bbox.x1
+
+
+def named_result(believed_rad):
+    """As much of a forward diagnosis as its figure of what was named reads."""
+    draws = np.random.default_rng(2).normal(8e-4, 1e-6, (2, 500))
+    torque = xr.DataArray(2e4 * draws, dims=("chain", "draw"), attrs={"units": "N m"})
+    posterior = xr.Dataset(
+        {"delta_rad": (("chain", "draw"), draws), "load_coulomb_friction__torque_nm": torque}
+    )
+    tree = xr.DataTree.from_dict({"posterior": posterior})
+    answer = {"delta_rad_before": {"median": believed_rad}, "parameter_errors": []}
+    tree.attrs = {"interval_level": 0.9, "interval_kind": "hdi", "diagnosis": json.dumps(answer)}
+    return tree
+
+
+def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
+    near, far = named(named_result(8e-4)), named(named_result(2e-4))
+    for figure in (near, far):
+        shown = texts(figure)
+        assert re.search(r"\(a\)  0\.80\d* mrad \(", shown)
+        assert re.search(r"\(b\)  16\.0\d* N m \(", shown)
+        assert "90 % HDI" in shown
+        assert beyond(figure) == []
+    assert "before: the bench as believed" in texts(near)
+    assert "← before" in texts(far)
+
+
+@pytest.mark.parametrize("count", [2, 6])
+def test_the_whole_change_has_the_colour_of_no_snapshot_and_titles_keep_clear(tree, count):
+    parts = snapshots(tree)
+    several = tree.copy()
+    change = tree["change"]["change_rad"]
+    steps = xr.Dataset(
+        {
+            "change_rad": change,
+            "step_change_rad": change.expand_dims(step=count - 1),
+            "step_from": ("step", [parts[0].name] * (count - 1)),
+            "step_to": ("step", [parts[1].name] * (count - 1)),
+        }
+    )
+    several["change"] = xr.DataTree(steps)
+    figure = gap(several)
+    panel, overview = figure.axes[3:]
+    used = {look(i).colour for i in range(7)}
+    assert mpl.colors.to_hex(panel.containers[0].lines[0].get_color()) not in used
+    assert beyond(figure) == []
+    heading = overview.get_title(loc="left")
+    (title,) = [t for t in overview.findobj(mpl.text.Text) if t.get_text() == heading]
+    assert not panel.xaxis.label.get_window_extent().overlaps(title.get_window_extent())

@@ -1,0 +1,476 @@
+"""Laws of the page: the answer first, all of it inside one file, nothing of a user's text alive."""
+
+from __future__ import annotations
+
+import json
+import re
+from datetime import date
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayesbl import cli
+from bayesbl.measurement.wear import wear as wear_in_time
+from bayesbl.presentation import wear as worn
+from bayesbl.presentation import words
+from bayesbl.presentation.advice import advice
+from bayesbl.presentation.captions import CAPTIONS, caption, reading_order
+from bayesbl.presentation.page.build import page
+from bayesbl.results.provenance import provenance
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.summary import summarise
+from bayesbl.results.wear import wear_group, years_between
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+HOSTILE = "<script>alert('δ')</script> & \"July\""
+CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'
+VOID = {"meta", "img", "br", "link", "input"}
+
+
+class Reader(HTMLParser):
+    """Tags and texts of a page; an end tag without its begin fails."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.texts))
+
+
+def require_closed(reader: Reader) -> None:
+    """Every tag is ended, every address is a picture's data or a place that is there."""
+    assert reader.open == []
+    targets = {attributes["id"] for _, attributes in reader.tags if "id" in attributes}
+    for _, attributes in reader.tags:
+        for name in ("src", "href"):
+            address = attributes.get(name)
+            assert address is None or address.startswith("data:image/") or address[1:] in targets
+
+
+def plain(text: str) -> str:
+    return re.sub(r"\s+", " ", text)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory) -> Path:
+    """The stored comparison of the two examples, without figures."""
+    folder = tmp_path_factory.mktemp("compared")
+    recordings = [str(CONFIGS / "recordings" / f"wear_{name}.csv") for name in ("before", "after")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesbl.library.draw", lambda tree, folder: [])
+        out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
+        assert cli.status(["compare", *recordings, *out]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def written(compared) -> str:
+    """The page that the command writes, figures and all."""
+    assert cli.status(["report", str(compared)]) == 0
+    return (compared / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def tree(compared) -> xr.DataTree:
+    return read_tree(compared)
+
+
+def hostile(tree: xr.DataTree) -> xr.DataTree:
+    """The same result with markup in every text that a user may give."""
+    old = str(tree["posterior"].to_dataset()["snapshot"].values[-1])
+    for node in tree.subtree:
+        data = node.to_dataset(inherit=False)
+        for name in ("snapshot", "step_from", "step_to"):
+            if name in data:
+                labels = [HOSTILE if str(v) == old else str(v) for v in data[name].values]
+                data = (
+                    data.assign_coords({name: (data[name].dims, labels)})
+                    if (name in data.coords)
+                    else data.assign({name: (data[name].dims, labels)})
+                )
+        node.dataset = data
+    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
+    verdicts[HOSTILE] = verdicts.pop(old)
+    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
+    tree.attrs["config"] += f"\n# {HOSTILE}"
+    tree.attrs["input_sha256"] = json.dumps({f"{HOSTILE}.csv": "0" * 64})
+    tree.attrs["warnings"] = [HOSTILE]
+    return tree
+
+
+def test_a_page_needs_no_network_no_script_and_no_other_file(written):
+    reader = Reader(written)
+    require_closed(reader)
+    assert not {tag for tag, _ in reader.tags} & {"script", "link", "iframe", "object"}
+    style = re.search(r"<style>(.*?)</style>", written, re.S)[1]
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_the_answer_stands_before_everything_else(tree):
+    told = plain(Reader(page(tree, [])).text)
+    summary = summarise(tree)
+    places = [
+        told.index(plain(words.glued(words.headline(summary)))),
+        told.index("no repair is due"),
+    ]
+    places += [told.index("+0.246"), told.index("Figures" if "Figures" in told else "Numbers")]
+    assert max(places[:3]) < places[3]
+
+
+def test_the_page_says_what_the_terminal_says(tree, compared, capsys):
+    """Every number of ``inspect`` stands in the page."""
+    assert cli.status(["inspect", str(compared)]) == 0
+    printed = capsys.readouterr().out
+    told = Reader(page(tree, [])).text
+    numbers = set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", printed))
+    assert len(numbers) > 30
+    assert numbers - set(re.findall(r"\d+\.\d+(?:e[-+]\d+)?|[0-9a-f]{64}", told)) == set()
+
+
+def test_every_section_is_there(tree):
+    ids = {attributes.get("id") for _, attributes in Reader(page(tree, [])).tags}
+    assert ids >= {
+        "numbers",
+        "diagnostics",
+        "budget",
+        "assumptions",
+        "config",
+        "provenance",
+        "cite",
+    }
+
+
+def test_a_withheld_gap_is_nowhere_on_the_page(tree):
+    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
+    for verdict in verdicts.values():
+        verdict["reason"] = "The sampler did not converge."
+        verdict["reasons"] = [verdict["reason"]]
+    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
+    tree.attrs["outcome"] = "withheld"
+    told = Reader(page(tree, [])).text
+    assert "Do not decide from these recordings." in told
+    assert "The sampler did not converge." in told
+    assert not re.search(r"\d mrad \(90", told)
+    assert "+0.2" not in told
+
+
+def test_every_picture_has_a_text_and_every_table_a_head(written):
+    reader = Reader(written)
+    pictures = [attributes for tag, attributes in reader.tags if tag == "img"]
+    assert len(pictures) >= 6
+    assert all(attributes["alt"] for attributes in pictures)
+    tags = [tag for tag, _ in reader.tags]
+    assert tags.count("thead") == tags.count("table") > 0
+    assert all(a.get("scope") == "col" for tag, a in reader.tags if tag == "th")
+
+
+def test_markup_in_a_users_text_stays_text(tree):
+    text = page(hostile(tree), [])
+    reader = Reader(text)
+    assert "script" not in {tag for tag, _ in reader.tags}
+    assert "<script" not in text
+    assert reader.text.count("<script>alert('δ')</script>") >= 5
+
+
+def test_a_study_with_a_hostile_row_is_shown(tmp_path):
+    line = {"name": HOSTILE, "cases": 2, "failed": 1, "cover": 0.5, "commit": "abc"}
+    row = xr.Dataset(
+        {"failed": ("case", [0.0, 1.0]), "seconds": ("case", [1.0, 1.0])},
+        attrs={"name": HOSTILE, "line": json.dumps(line), "commit": "abc", "seconds": 2.0},
+    )
+    tree = xr.DataTree.from_dict({"row_1": row})
+    tree.attrs = {"kind": "study", "study": "coverage", "outcome": "done"}
+    tree.attrs |= provenance(CONFIG_OF_A_LOST_STUDY, 1, {})
+    write_tree(tree, tmp_path / "result.nc")
+    assert cli.status(["report", str(tmp_path)]) == 0
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in text
+    require_closed(Reader(text))
+    assert "Study coverage: 2 cases in 1 rows." in plain(Reader(text).text)
+    assert "1 cases failed" in Reader(text).text
+
+
+def test_what_is_no_result_is_refused(tmp_path, capsys):
+    assert cli.status(["report", str(tmp_path)]) == cli.WRONG
+    assert "no such result" in capsys.readouterr().err
+
+
+# Advice
+
+
+def fitted(delta=(6e-4, 8e-4), above=None, limit=None):
+    interval = {"median": sum(delta) / 2, "low": delta[0], "high": delta[1], "level": 0.9,
+                "kind": "equal_tailed"} if delta else None  # fmt: skip
+    part = {"kind": "fit", "delta_rad": interval, "curve": "results/sweep/result.nc"}
+    reason = "The sampler did not converge."
+    part |= {"diagnostics": {"reasons": [reason]}, "reason": None if delta else reason}
+    return part | ({"limit_rad": limit, "probability_above_limit": above} if limit else {})
+
+
+@pytest.mark.parametrize(
+    ("above", "tone"), [(1.0, "act"), (0.96, "act"), (0.5, "watch"), (0.04, "fine"), (0.0, "fine")]
+)
+def test_repair_is_advised_by_the_probability_above_the_limit(above, tone):
+    given = advice(fitted(above=above, limit=1e-3))
+    assert given.tone == tone
+    assert words.probability(above) in given.sentences[0]
+
+
+def test_no_advice_is_given_on_a_withheld_gap():
+    given = advice(fitted(delta=None, above=None, limit=1e-3))
+    assert given.tone == "withheld"
+    assert "The sampler did not converge." in given.sentences
+
+
+def test_the_advice_says_whose_curve_it_rests_on():
+    own, published = fitted(), fitted() | {"curve": "published"}
+    assert not any("paper" in sentence for sentence in advice(own).sentences)
+    assert any("paper" in sentence for sentence in advice(published).sentences)
+
+
+def test_no_all_clear_is_given_by_the_curve_of_another_machine():
+    own = fitted(above=0.0, limit=1e-3)
+    published = advice(own | {"curve": "published"})
+    assert advice(own).tone == "fine"
+    assert published.tone == "watch"
+    assert "another machine" in published.title
+    assert advice(own | {"curve": "published", "route": "direct"}).tone == "fine"
+
+
+def compared_undated(change, above, limit=1.2e-3):
+    low, high = change
+    middle = 0.5 * (low + high)
+    part = fitted(above=above, limit=limit) | {"name": "new"}
+    found = {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
+    return {"kind": "compare", "snapshots": [part], "change_rad": found, "curve": "sweep"}
+
+
+@pytest.mark.parametrize(
+    ("change", "above", "told"),
+    [
+        ((1e-4, 3e-4), 0.0, "0.9 mrad, still below the limit of 1.2 mrad"),
+        ((4e-4, 6e-4), 0.0, "1.2 mrad, close to the limit of 1.2 mrad"),
+        ((5e-4, 7e-4), 0.0, "1.3 mrad, beyond the limit of 1.2 mrad"),
+        ((1e-4, 3e-4), 0.99, None),
+        ((-3e-4, -1e-4), 0.0, None),
+    ],
+)
+def test_growth_again_is_held_against_the_limit_while_that_is_ahead(change, above, told):
+    sentences = [s for s in advice(compared_undated(change, above)).sentences if "again would" in s]
+    assert [told in s and "--date" in s for s in sentences] == ([] if told is None else [True])
+
+
+@pytest.mark.parametrize("limit", [1.2e-3, None])
+def test_a_gap_that_shrank_without_dates_is_no_all_clear(limit):
+    given = advice(compared_undated((-3e-4, -1e-4), 0.0, limit))
+    assert given.tone == "watch"
+    assert words.SHRANK in given.sentences
+
+
+@pytest.mark.parametrize("verdict", ["named", "parameter_error"])
+def test_a_diagnosis_that_found_something_is_no_alarm(verdict):
+    assert advice(diagnosed_summary(verdict, None)).tone == "note"
+
+
+@pytest.mark.parametrize("verdict", ["nothing_missing", "parameter_error", "unexplained", "named"])
+def test_every_verdict_has_its_advice(verdict):
+    effects = [{"name": "load_coulomb_friction"}] if verdict == "named" else []
+    given = advice(
+        {
+            "kind": "diagnose",
+            "verdict": verdict,
+            "effects": effects,
+            "parameter_errors": [],
+            "gap": {"unit": "A"},
+        }
+    )
+    assert given.title
+    assert ("load Coulomb friction" in " ".join(given.sentences)) == (verdict == "named")
+
+
+def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit=1.2e-3, count=3):
+    """The summary of a dated comparison, as far as page and advice read it."""
+
+    def interval(low, high):
+        middle = 0.5 * (low + high)
+        return {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
+
+    part = fitted(above=1e-3, limit=limit)
+    days = {"median": "2028-03-02", "low": "2027-01-05", "high": "2029-02-03"}
+    wear = {
+        "snapshots": [f"s{i}" for i in range(count)],
+        "first_date": "2025-01-01",
+        "last_date": "2026-01-01",
+        "level": 0.9,
+        "rate_rad_per_year": interval(*rate),
+        "rate_at_most_rad_per_year": 0.95 * rate[1],
+        "probability_wear": certain,
+        "limit_rad": limit,
+        "years_to_limit": interval(*years) if limit else None,
+        "limit_date": days if limit else None,
+        "limit_not_before": "2027-02-01" if limit else None,
+        "decide_before": None if before is None else "2027-06-01",
+        "probability_limit_before": before,
+        "reason": None,
+    }
+    snapshots = [{**part, "name": name} for name in wear["snapshots"]]
+    change = interval(1e-4, 3e-4)
+    return {
+        "kind": "compare",
+        "snapshots": snapshots,
+        "change_rad": change,
+        "probability_increase": 0.999,
+        "wear": wear,
+        "curve": "sweep",
+    }
+
+
+def test_no_date_is_advised_from_three_gaps_off_a_line():
+    line = {"is_straight": False, "probability": 1e-4, "snapshot": "s1", "excess_rad": 9e-5}
+    line["standard_deviations"] = 4.2
+    plain, bent = dated(), dated()
+    bent["wear"] |= {"line": line, "scatter_rad_per_root_year": None}
+    assert "Plan the repair for" in advice(plain).title
+    assert advice(bent).tone == "watch"
+    assert "Plan the repair for" not in advice(bent).title
+    assert any("4.2 standard deviations" in sentence for sentence in advice(bent).sentences)
+
+
+@pytest.mark.parametrize(("before", "tone"), [(None, "fine"), (0.01, "fine"), (0.4, "watch")])
+def test_dated_snapshots_are_advised_by_when_the_limit_is_reached(before, tone):
+    given = advice(dated(before=before))
+    assert given.tone == tone
+    assert "2027-02-01" in given.title, "the one-sided answer is the one to plan by"
+    assert (before is not None) == any("2027-06-01" in told for told in given.sentences)
+
+
+def test_no_date_is_planned_by_where_no_wear_is_shown():
+    given = advice(dated(certain=0.6, before=0.4))
+    assert given.tone == "fine"
+    assert "2027" not in given.title
+
+
+def test_a_joint_beyond_its_limit_is_due_whatever_the_forecast():
+    summary = dated()
+    summary["snapshots"][-1]["probability_above_limit"] = 0.99
+    assert advice(summary).title == "The joint is due for repair."
+
+
+def test_without_a_limit_the_rate_is_told_and_without_a_rate_why():
+    assert "a year" in " ".join(advice(dated(limit=None)).sentences)
+    assert "No wear is shown" in advice(dated(limit=None, certain=0.6)).title
+    healed = dated()
+    healed["wear"] |= {"reason": "The gap shrank: was the joint repaired?"}
+    assert "The gap shrank: was the joint repaired?" in advice(healed).sentences
+
+
+def test_the_headline_of_dated_snapshots_claims_growth_only_where_it_is_shown():
+    assert "grows by 0.30 mrad a year" in worn.headline(dated())
+    assert "not shown to have grown" in worn.headline(dated(certain=0.9))
+
+
+def test_dated_snapshots_lead_with_their_wear_and_never_with_a_change_across_a_repair():
+    steady, repaired, untold = dated(), dated(), dated()
+    assert list(worn.answer(steady)) == [worn.headline(steady), words.headline(steady)]
+    repaired["snapshots"].insert(0, {**repaired["snapshots"][0], "name": "worn"})
+    assert list(worn.answer(repaired)) == [worn.headline(repaired)]
+    untold["wear"] |= {"reason": "There is only one snapshot."}
+    assert list(worn.answer(untold)) == [words.headline(untold)]
+
+
+def test_two_snapshots_are_told_to_be_few():
+    assert any("third" in told for told in advice(dated(count=2)).sentences)
+    assert not any("third" in told for told in advice(dated(count=3)).sentences)
+
+
+def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(tree):
+    days = [date(2026, 3, 1), date(2026, 7, 1)]
+    names = [str(n) for n in tree["posterior"].to_dataset()["snapshot"].values]
+    gaps = np.stack([tree["posterior"]["delta_rad"].sel(snapshot=n).values for n in names])
+    years = np.array([years_between(days[0], day) for day in days])
+    found = wear_in_time(gaps, years, np.random.SeedSequence(1), limit_rad=1.2e-3)
+    tree["wear"] = xr.DataTree(wear_group(days, slice(0, 2), found, reason="", decide_before=None))
+    wear = summarise(tree)["wear"]
+    told = plain(Reader(page(tree, [])).text)
+    first = told[: told.index("Numbers")]
+    for expected in (worn.in_mrad(wear["rate_rad_per_year"]), "mrad a year", "Change",
+                     "Limit reached", wear["limit_not_before"], "plan the repair"):  # fmt: skip
+        assert expected in first, expected
+
+
+def diagnosed_summary(verdict, unit, alike=()):
+    effect = {"name": "load_coulomb_friction", "indistinguishable_from": list(alike)}
+    return {
+        "kind": "diagnose",
+        "verdict": verdict,
+        "effects": [effect] if verdict == "named" else [],
+        "parameter_errors": [],
+        "gap": {"unit": unit},
+        "suggested_recording": None,
+    }
+
+
+@pytest.mark.parametrize("verdict", ["named", "parameter_error"])
+def test_the_bench_that_a_diagnosis_wrote_is_the_one_to_go_on_with(verdict):
+    told = advice(diagnosed_summary(verdict, None))
+    assert "augmented_bench.toml" in told.title
+    assert "--bench augmented_bench.toml" in " ".join(told.sentences)
+    other = advice(diagnosed_summary(verdict, "A"))
+    assert "augmented_bench" not in other.title, "a rigid bench's diagnosis writes none"
+
+
+def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
+    sure, unsure = (
+        " ".join(advice(diagnosed_summary("named", None, alike)).sentences)
+        for alike in ((), ("motor_coulomb_friction",))
+    )
+    assert "told apart" in unsure
+    assert "told apart" not in sure
+
+
+# Figures
+
+
+def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
+    text = re.search(r'<section id="figures">.*?</section>', written, re.S)[0]
+    shown, folded = text.split("<details>")
+    assert "ensembles, step by step" not in shown
+    assert "ensembles, step by step" in folded
+    assert "The measured motor speed" in shown
+    numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", text)]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_figures_come_in_one_order_whatever_their_names():
+    names = [f"{kind}_{snapshot}" for kind in ("trace", "corner") for snapshot in ("new", "old")]
+    names += ["gap", "signal", "something"]
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        ordered = reading_order(rng.permutation(names).tolist(), ["old", "new"])
+        assert ordered == [
+            "signal", "gap", "corner_old", "corner_new", "trace_old", "trace_new", "something",
+        ]  # fmt: skip
+    assert all(caption(name) == text for name, text in CAPTIONS.items())
+    assert caption("corner_old").startswith("old: ")

@@ -1,0 +1,524 @@
+"""Laws of the terminal: the answer first, nothing certain, nothing wider than the terminal."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.config.loading import load_config
+from bayesbl.curve.gap_curve import published_curve
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.measurement.amplitude_route import measure
+from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.presentation import words
+from bayesbl.presentation.console import error, print_result, print_summary
+from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
+from bayesbl.presentation.progress import progress
+from bayesbl.presentation.study import print_study
+from bayesbl.presentation.terminal import filled
+from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.waveform import pulse_train
+from bayesbl.units import number, quantity_and_unit
+
+WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
+
+
+def console(*, terminal=False, width=80):
+    return Console(
+        file=io.StringIO(), force_terminal=terminal, width=width, highlight=False, markup=False
+    )
+
+
+def between(low, high, kind="equal_tailed"):
+    return {"median": 0.5 * (low + high), "low": low, "high": high, "level": 0.9, "kind": kind}
+
+
+def part(low=6.85e-4, high=7.31e-4, reasons=()):
+    """A snapshot's part of a summary; with reasons it is withheld."""
+    return {
+        "delta_rad": None if reasons else between(low, high),
+        "amplitude_rpm": between(30.8, 32.3),
+        "rotations": 5.0,
+        "noise": {
+            "kind": "ar",
+            "order": 1,
+            "sd_rpm": 1.51,
+            "coefficients": [0.6],
+            "degrees_of_freedom": None,
+            "student_t_evidence": -9.8,
+            "differentiated": False,
+            "repeating_rounding_sd_rpm": 0.0,
+        },
+        "budget": {"noise": 0.97, "start_angle": 0.0, "rounding": 0.03},
+        "diagnostics": {
+            "r_hat": 1.001,
+            "ess_bulk": 3000.0,
+            "outcome": "withheld" if reasons else "converged",
+            "reasons": list(reasons),
+        },
+        "limit_rad": 1.2e-3,
+        "probability_above_limit": None if reasons else 0.0,
+        "reason": " ".join(reasons) or None,
+    }
+
+
+def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "after"), reasons=()):
+    """A summary of compared snapshots; with reasons the last one is withheld."""
+    snapshots = [{"name": name, **part()} for name in names[:-1]]
+    snapshots.append({"name": names[-1], **part(9.3e-4, 9.8e-4, reasons)})
+    change = None if reasons else between(low, high)
+    given_probability = None if reasons else probability
+    steps = [
+        {"from": a, "to": b, "change_rad": change, "probability_increase": given_probability}
+        for a, b in pairwise(names)
+    ]
+    return {
+        "kind": "compare",
+        "outcome": "withheld" if reasons else "converged",
+        "warnings": [WARNING],
+        "snapshots": snapshots,
+        "change_rad": change,
+        "changes": steps,
+        "probability_increase": given_probability,
+    }
+
+
+def printed(summary, folder=None, **options):
+    target = console(**options)
+    print_result(summary, folder, target)
+    return target.file.getvalue()
+
+
+def flat(text):
+    return " ".join(text.split())
+
+
+# The answer
+
+
+def test_the_answer_comes_first_in_words():
+    first = flat(printed(comparison())).split(" Probability that the gap")[0]
+    assert first == (
+        "The gap grew by 0.25 mrad (90 % interval 0.21 to 0.28 mrad); "
+        "probability that it grew: > 99.9 %."
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "told"),
+    [
+        (-2.81e-4, -2.12e-4, "The gap shrank by 0.25 mrad (90 % interval 0.21 to 0.28 mrad)"),
+        (-1e-4, 2e-4, "may not have changed: the change is 0.05 mrad (90 % interval −0.10 to"),
+    ],
+)
+def test_a_change_is_named_by_where_its_interval_lies(low, high, told):
+    text = flat(printed(comparison(low, high, 0.5)))
+    assert told in text
+    assert "grew by" not in text
+
+
+def test_a_fit_answers_with_the_gap():
+    text = flat(printed({"kind": "fit", "outcome": "converged", "warnings": [], **part()}))
+    assert text.startswith("The gap is 0.708 mrad (90 % interval 0.685 to 0.731 mrad).")
+    assert "limit of 1.2 mrad: < 0.1 %." in text
+
+
+def test_every_snapshot_stands_in_the_table_and_every_step_is_told():
+    names = ("March", "May", "July")
+    text = flat(printed(comparison(names=names)))
+    for first, last in (names[:2], names[1:]):
+        assert f"From {first} to {last}:" in text
+    assert text.count("converged") == 3
+
+
+def test_warnings_sources_and_folder_are_told():
+    text = printed(comparison(), Path("results/wear"))
+    assert f"Warning: {WARNING}" in flat(text)
+    assert "noise of the recording 97.0 %" in flat(text)
+    assert "Written to results/wear\n" in text
+
+
+def test_a_withheld_answer_is_told_with_its_reason_and_without_a_number():
+    reason = "The chain is short; raise [posterior] max_steps."
+    text = flat(printed(comparison(reasons=[reason])))
+    assert text.startswith("The change of the gap is withheld")
+    assert f"Withheld: after: {reason}" in text
+    assert "after withheld withheld" in text, "the table's row"
+    assert "withheld (after)" in text, "the probability above the limit"
+
+
+def test_a_reason_of_several_snapshots_is_told_once_and_a_note_is_no_reason():
+    reason, note = "The curve ends below.", "There is no motor current in the recording."
+    summary = comparison(reasons=[reason])
+    for snapshot in summary["snapshots"]:
+        snapshot |= {"delta_rad": None, "probability_above_limit": None, "reason": reason}
+        snapshot["diagnostics"]["reasons"] = [reason, note]
+    text = flat(printed(summary))
+    assert text.count(reason) == text.count(note) == 1
+    assert f"Withheld: before, after: {reason}" in text
+    assert f"Note: before, after: {note}" in text
+
+
+def test_a_gap_that_shrank_without_dates_asks_for_order_and_repair():
+    assert words.SHRANK in flat(printed(comparison(-2.8e-4, -2.1e-4, 0.0)))
+    assert words.SHRANK not in flat(printed(comparison(-1e-4, 2e-4, 0.5)))
+
+
+def test_an_interval_tells_its_kind():
+    summary = comparison()
+    summary["change_rad"] = between(2.1e-4, 2.8e-4, "hdi")
+    assert "90 % highest-density interval" in flat(printed(summary))
+
+
+# Probabilities and numbers
+
+
+@given(st.floats(0.0, 1.0))
+def test_a_probability_is_never_certain(value):
+    text = words.probability(value)
+    number = float(re.search(r"[\d.]+", text).group())
+    assert 0.0 < number < 100.0
+    assert text.startswith("<") == (value < 1e-3)
+    assert text.startswith(">") == (value > 0.999)
+    if text[0] not in "<>":
+        assert number == pytest.approx(100.0 * value, abs=0.5)
+
+
+@given(st.floats(-5.0, 5.0), st.floats(1e-6, 3.0))
+def test_rounding_never_swallows_an_interval(low, width):
+    found = between(low, low + width)
+    places = words.decimals(found)
+    shown = [float(x) for x in words.bounds(found).replace("−", "-").split(" to ")]
+    assert shown[0] < shown[1]
+    assert shown[1] - shown[0] == pytest.approx(width, rel=0.21)
+    assert "-0" not in number(-0.1 * 10.0**-places, places)
+
+
+def test_the_unit_read_from_a_name_is_that_of_the_catalogue():
+    stated = [(item.name, item.unit) for effect in EFFECTS for item in effect.parameters]
+    stated += [(item.name, item.unit) for item in BENCH_PARAMETERS]
+    assert len(stated) > 30
+    for name, unit in stated:
+        words_of_it, found = quantity_and_unit(name)
+        assert found == unit, name
+        assert "_" not in words_of_it
+
+
+# The terminal
+
+
+@pytest.mark.parametrize("reasons", [(), ("R̂ of amplitude_rpm is 1.2 (below 1.05 is needed).",)])
+@pytest.mark.parametrize("names", [("before", "after"), ("a" * 60, "the other one " * 4 + "b")])
+def test_no_line_is_wider_than_the_terminal(names, reasons):
+    text = printed(comparison(names=names, reasons=reasons), Path("results/wear"))
+    assert max(len(line) for line in text.splitlines()) <= 80
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+def test_every_cell_of_a_table_is_printed_whole(width):
+    summary = comparison()
+    text = printed(summary, width=width)
+    for snapshot in summary["snapshots"]:
+        assert words.bounds(snapshot["delta_rad"], 1e3, 3) in text
+        assert f"{snapshot['rotations']:.1f}" in text
+    for title in ("rotations", "90 % interval"):
+        assert title in text
+    assert text.count("converged") == len(summary["snapshots"])
+
+
+def test_a_pipe_gets_no_colour_codes_and_a_terminal_does():
+    assert "\x1b" not in printed(comparison())
+    assert "\x1b" in printed(comparison(), terminal=True)
+
+
+def test_numbers_stay_with_their_signs_and_units():
+    for width in range(20, 60):
+        lines = words.wrapped("probability that it grew: > 99.9 %; by 0.25 mrad", width).split("\n")
+        assert all(len(line) <= width for line in lines)
+        assert any("> 99.9 %" in line for line in lines)
+        assert any("0.25 mrad" in line for line in lines)
+
+
+def test_an_error_is_one_line_with_its_brackets():
+    target = console()
+    path = "/a/very/long/path/that/does/not/fit/into/a/line/of/eighty/characters/recording.csv"
+    error(target, RecordingError("Not a number.", file=path, where="[[recordings]] 1", found="[x]"))
+    text = target.file.getvalue()
+    assert text == f"Error: {path}, [[recordings]] 1: Not a number. Found: [x].\n"
+
+
+def test_an_error_without_a_place_is_told_too():
+    target = console()
+    error(target, ConfigError("Nothing to do."))
+    assert target.file.getvalue() == "Error: Nothing to do.\n"
+
+
+def test_progress_is_silent_in_a_pipe():
+    target = console()
+    with progress(target) as tell:
+        tell("before", 100, 20_000)
+    assert target.file.getvalue() == ""
+
+
+def test_progress_names_the_recording_on_a_terminal():
+    target = console(terminal=True, width=100)
+    with progress(target) as tell:
+        tell("before [1]", 100, 20_000)
+        tell("before [1]", 900, 20_000)
+        tell("after", 100, 20_000)
+    text = target.file.getvalue()
+    assert "Sampling before [1]" in text
+    assert "Sampling after" in text
+
+
+# Inspecting a stored result
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A small fit as a tree."""
+    folder = tmp_path_factory.mktemp("fit")
+    time = np.arange(1000) / 250.0
+    train = pulse_train(time, 0.3, 19.0, 70.0, 0.204, 0.7, 1.4, 1.0 / 250.0)
+    speed = 2000.0 + 30.0 * train + np.random.default_rng(1).standard_normal(time.size)
+    table = np.c_[time, speed]
+    header = "time_s,motor_speed_rpm"
+    np.savetxt(folder / "one.csv", table, "%.9g", ",", header=header, comments="")
+    (folder / "fit.toml").write_text(
+        'schema = 1\nkind = "fit"\n[run]\noutput = "x"\n[posterior]\nensembles = 2\n'
+        'max_steps = 100\n[[recordings]]\nfile = "one.csv"\n'
+    )
+    return measure(load_config(folder / "fit.toml"))
+
+
+def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
+    target = console()
+    print_summary(stored, target)
+    text = target.file.getvalue()
+    for symbol in SYMBOLS.values():
+        (row,) = [line for line in text.splitlines() if line.startswith(symbol.name)]
+        assert row.rstrip().endswith(symbol.unit)
+        assert ("fixed" in row) == symbol.name.startswith("window")
+    for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
+        assert told in text
+    assert text.startswith(words.headline(_summary(stored)).split(" (")[0])
+
+
+def test_noise_is_told_with_its_evidence():
+    found = part()
+    assert words.noise(found) == (
+        "AR(1), standard deviation 1.51 rpm, coefficients 0.600 (log evidence for Student-t: −10)"
+    )
+    assert list(words.outliers({"kind": "fit", **found})) == []
+    found["noise"] |= {
+        "kind": "student_t",
+        "degrees_of_freedom": 3.0,
+        "student_t_evidence": 3021.4,
+        "repeating_rounding_sd_rpm": 5.98,
+    }
+    assert "Student-t with 3 degrees of freedom (log evidence for Student-t: 3021)" in words.noise(
+        found
+    )
+    assert words.noise(found).endswith("and rounding of 5.98 rpm that repeats every rotation")
+    (sentence,) = words.outliers({"kind": "fit", **found})
+    assert "3 degrees of freedom (log evidence against normal noise: 3021)" in sentence
+
+
+def test_inspect_of_a_withheld_fit_gives_no_gap(stored):
+    withheld = copy.copy(stored)
+    withheld["diagnostics"].attrs = {
+        "verdicts": json.dumps(
+            {"fit": {"outcome": "withheld", "reasons": ["Too weak."], "reason": "Too weak."}}
+        )
+    }
+    target = console()
+    print_summary(withheld, target)
+    text = flat(target.file.getvalue())
+    assert text.startswith("The gap is withheld")
+    assert "Withheld: Too weak." in text
+    assert not re.search(r"\d mrad", text)
+
+
+def _summary(tree):
+    from bayesbl.results.summary import summarise
+
+    return summarise(tree)
+
+
+# Sweeps
+
+
+def sweep_summary(**changes):
+    found = {
+        "kind": "sweep",
+        "outcome": "converged",
+        "reason": None,
+        "warnings": [],
+        "curve": "results/sweep",
+        "coefficients": [-1.921674e-06, 1.283017e-05, 2.922097e-07, -4.716268e-10],
+        "degree": 3,
+        "gap_rad": [1e-4, 4e-3],
+        "amplitude_rpm": [6.89, 104.7],
+        "largest_correction": 0.0106,
+        "relative_sd": {"regression": 0.00036, "lack_of_fit": 0.00055, "bench": 0.051},
+        "largest_departure_from_published": 0.0324,
+        "degrees": {
+            "2": {"rms_departure": 0.0103, "largest_departure": 0.0256, "log_evidence": 795.7},
+            "3": {"rms_departure": 0.0015, "largest_departure": 0.0033, "log_evidence": 820.0},
+            "4": {"rms_departure": 0.0007, "largest_departure": 0.0016, "log_evidence": 822.6},
+        },
+    }
+    return found | changes
+
+
+def test_a_sweep_is_told_with_its_ranges_first():
+    first = flat(printed(sweep_summary())).split(" A cubic")[0]
+    assert first == (
+        "As the gap grows from 0.1 to 4 mrad, the amplitude A of the ringing grows from 6.9 to "
+        "104.7 rpm."
+    )
+
+
+def test_every_coefficient_has_its_unit_and_can_be_read_back():
+    text = printed(sweep_summary()).replace("−", "-")
+    for value, unit in zip(
+        sweep_summary()["coefficients"], ("rad", "rad/rpm", "rad/rpm²", "rad/rpm³"), strict=True
+    ):
+        (found,) = re.findall(rf"(-?\d\.\d+e-\d+)\s+{unit}\s*$", text, re.MULTILINE)
+        assert float(found) == pytest.approx(value, rel=1e-6)
+
+
+def test_every_source_of_the_curve_is_told_the_largest_first():
+    told = flat(printed(sweep_summary(relative_sd={"bench": 0.051, "oil_warmth": 0.2})))
+    assert "by source: oil warmth 20 %, tolerances of the bench 5.1 %." in told
+
+
+def test_what_is_left_is_told_of_the_cubic_of_eq_4_and_of_the_coefficients_alone():
+    told = flat(printed(sweep_summary()))
+    assert "A cubic describes δ of the sweep within 0.33 % (0.15 % RMS)." in told
+    assert "eq. 4 by at most 3.2 %." in told
+    assert "at most 1.1 %" in told
+
+
+def test_the_degree_used_is_marked_and_evidence_is_given_below_the_best():
+    lines = printed(sweep_summary()).splitlines()
+    (used,) = [line for line in lines if line.rstrip().endswith("used")]
+    assert used.split()[:4] == ["3", "0.15", "0.33", "2.6"]
+    (best,) = [line for line in lines if line.split()[:1] == ["4"]]
+    assert best.split()[-1] == "0.0"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_sweep_is_never_wider_than_the_terminal(width):
+    assert max(map(len, printed(sweep_summary(), width=width).splitlines())) <= width
+
+
+def test_significant_digits_are_kept_whatever_the_size():
+    values = (0.000149, 0.15, 1.04, 32.6, 0.0, -2.55)
+    assert [words.significant(v) for v in values] == ["0.00015", "0.15", "1.0", "33", "0", "−2.5"]
+
+
+# A diagnosis
+
+
+def diagnosis(*closed):
+    """The summary of a diagnosis by several channels with these shares of disagreement removed."""
+    gap = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "rpm"}
+    uses = [{"used": {**gap, "closed_fraction": share}} for share in closed]
+    return {
+        "kind": "diagnose",
+        "verdict": "nothing_missing",
+        "effects": [],
+        "parameter_errors": [],
+        "gap": {
+            "unit": None,
+            "recordings": {f"r{i}": {"motor_speed_rpm": use} for i, use in enumerate(uses)},
+            "over_all": {},
+        },
+        "remaining": [],
+        "delta_rad_before": None,
+        "delta_rad_after": None,
+        "suggested_recording": None,
+        "warnings": [],
+    }
+
+
+def test_a_share_that_cannot_be_told_is_a_dash_with_its_reason():
+    text = flat(printed(diagnosis(0.998, None)))
+    assert "1 rpm – " in text
+    assert UNTOLD_SHARE in text
+    assert "–" not in printed(diagnosis(0.998))
+
+
+@given(st.floats(-10.0, 10.0))
+def test_no_more_than_all_of_a_disagreement_is_told_as_removed(closed):
+    told = removed(closed)
+    assert float(told.removesuffix(" %").replace("−", "-")) == pytest.approx(
+        min(100.0 * closed, 100.0), abs=0.05001
+    )
+
+
+# Studies
+
+COLUMNS = ["name", "pairs", "coverage_90", "bias_percent", "width_ratio", "median_error_percent"]
+VALUES = ("bench, AR(1) 0.6, δ 2e-4", 300, 0.893333, -0.0123, 1.0123, 1.2)
+ROWS = [dict(zip(COLUMNS, VALUES, strict=True)), {"name": "[b]", "pairs": 12}]
+
+
+def study(width):
+    target = console(width=width)
+    print_study(ROWS, COLUMNS, target)
+    return target.file.getvalue()
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
+def test_every_value_of_a_study_is_printed_whole_beside_its_column(width):
+    text = study(width)
+    assert "…" not in text
+    for row in ROWS:
+        for column, value in row.items():
+            assert column in text or column == "name"
+            assert str(value) in text
+    if width >= 60:
+        assert max(map(len, text.splitlines())) <= width
+
+
+def test_a_study_that_fits_is_a_table_and_one_that_does_not_a_block_a_row():
+    assert study(200).splitlines()[0].split() == COLUMNS
+    narrow = study(60).splitlines()
+    assert narrow[0] == "bench, AR(1) 0.6, δ 2e-4"
+    assert narrow[1].startswith("  pairs 300, coverage_90 0.893333,")
+    assert narrow[-2:] == ["[b]", "  pairs 12"]
+
+
+@given(
+    st.lists(st.text("ab ", min_size=1, max_size=12).map(str.strip), min_size=1),
+    st.integers(1, 40),
+)
+def test_pairs_are_broken_between_them_alone(pairs, width):
+    lines = filled(pairs, width)
+    assert " ".join(lines) == ", ".join(pairs)
+    alone = {len(pair) + 1 for pair in pairs}
+    assert all(len(line) <= max(width, *alone, 0) for line in lines)
+
+
+def test_a_withheld_gap_beyond_the_curve_claims_no_certainty():
+    curve = published_curve(draws=50)
+    amplitude = np.random.default_rng(1).normal(190.0, 0.5, (2, 200))
+    ringing = MeasuredRinging(amplitude, np.array([190.0, 4.2, 2.9]), np.diag([0.25, 1e-4, 1e-4]))
+    (found,) = gaps(curve, [ringing], np.random.SeedSequence(1))
+    assert np.all(found.outside == 1.0)
+    assert "More than 99 % of the posterior" in found.reason
+    assert "100" not in found.reason

@@ -1,0 +1,172 @@
+"""Posteriors that must not be trusted, each built for real: recognised, said, and withheld."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from bayesbl import cli
+from bayesbl.noise.process import NoiseModel
+from bayesbl.presentation.figures import signal
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.results.store import read_tree
+from bayesbl.ringing.covariance import Covariance
+from bayesbl.ringing.estimator import Estimator, PointEstimate
+from bayesbl.ringing.model import model_speed
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.optimum import exchanged
+from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.refine import refine
+from bayesbl.ringing.symbols import (
+    AMPLITUDE,
+    DECAY,
+    FREQUENCY,
+    MEAN,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+    DisturbanceModel,
+)
+from bayesbl.ringing.synthetic import synthetic_recording
+
+TRUTH = {
+    AMPLITUDE: 30.0,
+    START: 1.3,
+    DECAY: 12.0,
+    FREQUENCY: 62.0,
+    MEAN: 2000.0,
+    WINDOW_START: 0.0,
+    WINDOW_END: 0.204,
+    SEPARATION: 1.7,
+    ROTATION: 3.6,
+}
+NOISE = NoiseModel(1.5)
+SHORT = SamplerSettings(ensembles=2, max_steps=500)
+
+
+def clean(seed: int = 1) -> Recording:
+    return synthetic_recording(TRUTH, NOISE, np.random.default_rng(seed), baseline_rpm=(5.0, -3.0))
+
+
+def ambiguous() -> Recording:
+    """Two trains of pulses on one another, mixed so that either alone explains them as well.
+
+    The second has its pulses exchanged, half a ringing later, and decays faster: with it goes
+    another amplitude.
+    """
+    measured, model = clean(), DisturbanceModel()
+    first = np.array([TRUTH[name] for name in model.searched])
+    other = TRUTH | dict(zip(model.searched, exchanged(model, first)[1], strict=True))
+    other[DECAY] = 18.0
+    second = np.array([other[name] for name in model.searched])
+    pulses = [model_speed(measured.time_s, symbols, [5.0, -3.0]) for symbols in (TRUTH, other)]
+    noise = NoiseModel(4.0).draw(measured.time_s.size, np.random.default_rng(2))
+
+    def mixed(share: float) -> FloatArray:
+        return np.asarray((1.0 - share) * pulses[0] + share * pulses[1] + noise)
+
+    def excess(share: float) -> float:
+        objective = Objective(model, measured.time_s, mixed(share))
+        ends = np.array([refine(objective, point) for point in (first, second)])
+        sse = objective.sum_of_squares(ends)
+        return float(sse[0] - sse[1])
+
+    share = float(brentq(excess, 0.3, 0.9, xtol=1e-5))
+    return Recording("ambiguous", measured.time_s, {MOTOR_SPEED: mixed(share)})
+
+
+@pytest.fixture(scope="module")
+def point() -> PointEstimate:
+    return Estimator().estimate(clean(), np.random.SeedSequence(1))
+
+
+def withheld(
+    recording: Recording, folder: Path, capsys: pytest.CaptureFixture[str], extra: str
+) -> str:
+    """Fit by the command line; checks that nothing is answered, and returns the reason."""
+    table = np.column_stack([recording.time_s, recording.motor_speed_rpm])
+    np.savetxt(
+        folder / "speed.csv", table, "%.12g", ",", header="time_s,motor_speed_rpm", comments=""
+    )
+    (folder / "fit.toml").write_text(
+        f'schema = 1\nkind = "fit"\n[run]\noutput = "out"\n[[recordings]]\nfile = "speed.csv"\n'
+        f"[curve]\nallow_extrapolation = true\n{extra}"
+    )
+    assert cli.status(["run", str(folder / "fit.toml"), "--json"]) == 3
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["outcome"] == summary["diagnostics"]["outcome"] == "withheld"
+    assert summary["delta_rad"] is None
+    assert (folder / "out" / "result.nc").is_file()
+    return str(summary["reason"])
+
+
+@pytest.fixture(autouse=True)
+def _no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
+
+
+def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reason = withheld(ambiguous(), tmp_path, capsys, "")
+    assert "several modes: another optimum" in reason
+
+
+def test_a_chain_too_short_is_withheld(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reason = withheld(clean(), tmp_path, capsys, "[posterior]\nmax_steps = 100\n")
+    assert "The chain is short" in reason
+
+
+def test_a_posterior_at_a_bound_is_withheld(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reason = withheld(
+        clean(), tmp_path, capsys, f"[estimator.model.ranges]\n{DECAY} = [5.0, 11.5]\n"
+    )
+    assert f"draws of {DECAY} lie at a bound" in reason
+
+
+def test_ringing_lost_in_noise_is_the_first_reason_and_its_band_can_be_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent = synthetic_recording(
+        TRUTH | {AMPLITUDE: 0.0}, NOISE, np.random.default_rng(1), baseline_rpm=(5.0, -3.0)
+    )
+    reason = withheld(silent, tmp_path, capsys, "[posterior]\nensembles = 2\nmax_steps = 500\n")
+    assert reason.startswith("The impact ringing is too weak")
+    tree = read_tree(tmp_path / "out")
+    assert all(np.isfinite(tree["predictive"][name]).all() for name in ("low_rpm", "high_rpm"))
+    signal(tree)
+
+
+def test_a_stuck_ensemble_is_withheld(point: PointEstimate) -> None:
+    # Walkers scattered ten thousand times too far find a peak each, and no way between them.
+    spread = point.spread
+    far = Covariance(spread.names, 1e8 * spread.sandwich, 1e8 * spread.inverse_curvature)
+    assert far.scale == pytest.approx(spread.scale)
+    found = sample_posterior(
+        point.objective, point.optimum, far, SHORT, np.random.SeedSequence(1)
+    ).diagnostics
+    assert found.outcome == "withheld"
+    assert any("stuck" in reason for reason in found.reasons)
+
+
+def test_a_posterior_that_fills_its_range_is_at_its_bounds(point: PointEstimate) -> None:
+    sd = point.spread.standard_deviations[FREQUENCY]
+    centre = point.optimum.symbols[FREQUENCY]
+    model = DisturbanceModel(ranges={FREQUENCY: (centre - 0.1 * sd, centre + 0.1 * sd)})
+    found = Estimator(model, sampler=SHORT).fit(clean(), np.random.SeedSequence(1))
+    assert found.posterior.diagnostics.outcome == "withheld"
+
+
+def test_a_clear_optimum_is_answered_whatever_its_rivals() -> None:
+    estimator = Estimator(sampler=SamplerSettings(ensembles=2))
+    found = estimator.fit(clean(), np.random.SeedSequence(1))
+    assert found.point.optimum.rivals
+    assert found.posterior.diagnostics.outcome == "converged"

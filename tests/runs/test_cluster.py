@@ -1,0 +1,270 @@
+"""Studies on a Dask cluster: the numbers are those of processes, and what differs is refused."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl import cli
+from bayesbl.config.loading import load_config
+from bayesbl.errors import ClusterError
+from bayesbl.results.store import read_tree
+from bayesbl.runs import cluster as clusters
+from bayesbl.runs.cases import Job
+from bayesbl.runs.cluster import Common
+from bayesbl.runs.study import prepare, run_study
+
+STUDY = """
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from bayesbl.errors import UserError
+
+running = []
+
+
+def count(row):
+    return 6
+
+
+def run_case(row, index, seed):
+    if index == row.get("dies"):
+        kept = Path(row["note"]).with_suffix(".died")
+        if row.get("always") or not kept.exists():
+            kept.write_text("")
+            os._exit(1)
+    if index == row.get("refuse"):
+        raise UserError("This case is refused.")
+    if index == row.get("bug"):
+        raise KeyError("bug")
+    running.append(index)
+    time.sleep(row.get("sleep", 0.02))
+    assert running == [index], "another case runs in this process"
+    # Rounding depends on the number of threads that a product of this size is split over.
+    draws = np.random.default_rng(seed).standard_normal((300, 300))
+    own = np.random.default_rng(seed.spawn(1)[0]).standard_normal()
+    running.remove(index)
+    return {"norm": np.linalg.norm(draws @ draws), "own": own, "process": os.getpid()}
+
+
+def summarise(row, cases):
+    return {"norm": float(cases["norm"].mean())}
+"""
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """The address of a cluster of two processes on this machine."""
+    distributed = pytest.importorskip("distributed")
+    import dask
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=2, dashboard_address=":0"
+        ) as cluster,
+    ):
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "study.py").write_text(STUDY)
+    (tmp_path / "note.txt").write_text("A file that rows may name.")
+    return tmp_path
+
+
+def configure(folder: Path, output: str, run: str, row: str = "") -> Path:
+    path = folder / f"{output}.toml"
+    path.write_text(
+        f'schema = 1\nkind = "study"\nstudy = "study.py"\n[run]\noutput = "{output}"\n{run}\n'
+        f'[[rows]]\nname = "first"\n[[rows]]\nname = "second"\nnote = "note.txt"\n{row}\n'
+    )
+    return path
+
+
+def run(config: Path) -> list[str]:
+    """Run a study; what was said meanwhile."""
+    said: list[str] = []
+    run_study(load_config(config), say=said.append)
+    return said
+
+
+def numbers(output: Path, *names: str) -> list[list[float]]:
+    """Of all cases, by row."""
+    rows = read_tree(output).children.values()
+    return [row[name].values.tolist() for row in rows for name in names or ("norm", "own")]
+
+
+def test_one_worker_two_workers_and_a_cluster_give_the_same_numbers(folder, scheduler):
+    run(configure(folder, "one", "workers = 1"))
+    run(configure(folder, "two", "workers = 2"))
+    said = run(configure(folder, "cluster", f'scheduler = "{scheduler}"'))
+    assert said == [f"12 cases run on 2 workers of {scheduler}."]
+    assert numbers(folder / "one") == numbers(folder / "two") == numbers(folder / "cluster")
+    assert (folder / "one/table.csv").read_text() == (folder / "cluster/table.csv").read_text()
+    assert len({p for row in numbers(folder / "cluster", "process") for p in row}) == 2
+
+
+def test_a_case_whose_worker_dies_is_run_again_by_another_to_the_same_numbers(folder, scheduler):
+    run(configure(folder, "dies", f'scheduler = "{scheduler}"', "dies = 2"))
+    assert (folder / "note.died").exists()
+    run(configure(folder, "lives", "workers = 2", "dies = 2"))
+    assert numbers(folder / "dies") == numbers(folder / "lives")
+
+
+def test_a_case_that_kills_every_worker_ends_the_study_in_words_and_the_others_are_kept(
+    folder, scheduler, capsys
+):
+    rows = "dies = 2\nalways = true"
+    config = configure(folder, "kept", f'scheduler = "{scheduler}"', rows)
+    assert cli.status(["run", str(config)]) == cli.WRONG
+    told = " ".join(capsys.readouterr().err.split())
+    assert "Workers died again and again" in told
+    assert "Traceback" not in told
+    assert finished(folder) > 0
+
+
+def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folder, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    with distributed.LocalCluster(
+        n_workers=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as cluster:
+        address = cluster.scheduler_address
+        config = configure(folder, "kept", f'scheduler = "{address}"', "sleep = 0.2")
+        with pytest.raises(ClusterError, match="scheduler was lost"):
+            run_study(load_config(config), say=list, progress=lambda *_: cluster.close())
+    before = finished(folder)
+    assert 0 < before < 12
+    run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))
+    run(configure(folder, "whole", "workers = 2", "sleep = 0.2"))
+    assert numbers(folder / "kept") == numbers(folder / "whole")
+
+
+def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
+    folder, scheduler, capsys
+):
+    config = configure(folder, "kept", f'scheduler = "{scheduler}"', "refuse = 1\nbug = 4")
+    assert cli.status(["run", str(config)]) == cli.FAILED
+    assert 'In case 4 of row "second".' in capsys.readouterr().err
+    assert finished(folder) > 0
+    configure(folder, "kept", "workers = 2", "refuse = 1")
+    run(config)
+    run(configure(folder, "whole", "workers = 2", "refuse = 1"))
+    for name in ("norm", "own"):
+        np.testing.assert_array_equal(
+            numbers(folder / "kept", name), numbers(folder / "whole", name)
+        )
+
+
+def finished(folder: Path) -> int:
+    """Cases that the study ``kept`` has stored."""
+    files = (folder / ".kept.cases").glob("*.jsonl")
+    return sum(len(file.read_bytes().splitlines()) - 1 for file in files)
+
+
+def test_a_worker_with_other_code_or_files_is_refused_before_anything_runs(
+    folder, scheduler, monkeypatch, capsys
+):
+    config = configure(folder, "other", f'scheduler = "{scheduler}"')
+    versions = clusters.code_versions() | {"bayesbl": "0.0.1, commit abc", "numpy": "1.0"}
+    with monkeypatch.context() as patch:
+        patch.setattr(clusters, "code_versions", lambda: versions)
+        assert cli.status(["run", str(config)]) == cli.WRONG
+    told = " ".join(capsys.readouterr().err.split())
+    assert "in place of 0.0.1, commit abc" in told
+    assert "in place of 1.0" in told
+    assert "tcp://" in told
+    assert "Traceback" not in told
+    assert not (folder / "other").exists()
+
+
+def test_a_worker_that_joins_later_is_asked_too(folder, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    said = []
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as cluster:
+        config = load_config(
+            configure(folder, "later", f'scheduler = "{cluster.scheduler_address}"')
+        )
+
+        def say(text: str) -> None:
+            said.append(text)
+            cluster.scale(1)
+
+        with pytest.raises(ClusterError, match=r"tcp://.*set OMP_NUM_THREADS=1"):
+            run_study(config, say=say)
+    assert said == [f"{config.run.scheduler} has no workers yet; 12 cases wait for them."]
+
+
+def common(folder: Path) -> Common:
+    study, rows = prepare(load_config(configure(folder, "out", "workers = 1")))
+    return Common.of(study, [Job(row.table, 0, 1) for row in rows])
+
+
+def test_a_worker_tells_what_it_has_otherwise(folder, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    wanted = common(folder)
+    assert wanted.differences() == []
+    (folder / "note.txt").write_text("Another file at the same path.")
+    (folder / "study.py").unlink()
+    gone, other = wanted.differences()
+    assert str(folder / "study.py") in gone
+    assert "No such file" in gone
+    assert f"{folder / 'note.txt'} holds something else" in other
+
+
+def test_linear_algebra_on_many_threads_is_told(folder, monkeypatch):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    [told] = common(folder).differences()
+    assert "OMP_NUM_THREADS=1" in told
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert common(folder).differences() == []
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    assert len(common(folder).differences()) == 1
+
+
+def test_a_scheduler_that_does_not_answer_is_told(folder, monkeypatch, capsys):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(clusters, "ANSWER_WITHIN_S", 1.0)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        config = configure(folder, "none", "workers = 1")
+        assert cli.status(["run", str(config), "--scheduler", address]) == cli.WRONG
+    told = " ".join(capsys.readouterr().err.split())
+    assert (
+        f"{address}: No Dask scheduler answers at this address. Found: nothing within 1 s." in told
+    )
+    assert "dask scheduler" in told
+
+
+def test_without_the_extra_it_is_told_how_to_install_it(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterError, match=r"pip install 'bayesbl\[cluster\]'"):
+        run(configure(folder, "out", 'scheduler = "tcp://127.0.0.1:8786"'))
+
+
+@pytest.mark.parametrize("address", ["host", "host:8786", "tcp://host", "http://host:8786"])
+def test_an_address_that_cannot_be_one_is_refused(folder, address, capsys):
+    config = configure(folder, "out", f'scheduler = "{address}"')
+    assert cli.status(["check", str(config)]) == cli.WRONG
+    assert "tcp://host:8786" in " ".join(capsys.readouterr().err.split())
+
+
+def test_only_studies_take_a_scheduler(capsys):
+    config = Path(__file__).parents[2] / "configs/wear_snapshots.toml"
+    arguments = ["run", str(config), "--scheduler", "tcp://127.0.0.1:1"]
+    assert cli.status(arguments) == cli.WRONG
+    assert "Only studies run on a cluster." in capsys.readouterr().err

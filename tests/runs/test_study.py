@@ -1,0 +1,302 @@
+"""Studies: the numbers of a row depend on that row alone, and none is lost or mixed up."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl import cli
+from bayesbl.config.loading import load_config
+from bayesbl.errors import ConfigError, ResultError
+from bayesbl.results.store import read_tree
+from bayesbl.runs.study import run_study
+from bayesbl.runs.study_file import load_study, seed_of_case
+
+STUDY = '''"""The mean of normal draws."""
+
+import os
+import time
+
+import numpy as np
+from pydantic import BaseModel
+
+from bayesbl.errors import UserError
+
+COLUMNS = {"mean_rpm": ("rpm", "mean of the draws")}
+
+
+class Row(BaseModel):
+    model_config = {"extra": "forbid"}
+
+    draws: int
+    cases: int = 6
+    refuse: int = -1
+    source: str = ""
+
+
+def count(row):
+    return row.cases
+
+
+def run_case(row, index, seed):
+    """One mean."""
+    time.sleep(float(os.environ.get("STUDY_SLEEP", "0")))
+    if index == row.refuse:
+        raise UserError("This case is refused.")
+    draws = np.random.default_rng(seed).standard_normal((50, row.draws))
+    return {"mean_rpm": np.linalg.lstsq(draws, np.ones(50), rcond=None)[0].sum()}
+
+
+def summarise(row, cases):
+    return {"mean_rpm": float(cases["mean_rpm"].mean()), "draws": row.draws}
+'''
+
+ROWS = {"few, AR(1)": "draws = 3", "many": "draws = 30"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "study.py").write_text(STUDY)
+    return tmp_path
+
+
+def configure(folder: Path, rows=ROWS, *, output="out", seed=1, workers=2) -> Path:
+    """A study's configuration with the given rows."""
+    tables = "".join(f'[[rows]]\nname = "{name}"\n{row}\n' for name, row in rows.items())
+    path = folder / f"{output}.toml"
+    path.write_text(
+        f'schema = 1\nkind = "study"\nstudy = "study.py"\n'
+        f'[run]\noutput = "{output}"\nseed = {seed}\nworkers = {workers}\n{tables}'
+    )
+    return path
+
+
+def run(config: Path, **options) -> tuple[dict, list[str]]:
+    """The summary of a study that was run, and what was said meanwhile."""
+    said: list[str] = []
+    return run_study(load_config(config), say=said.append, **options), said
+
+
+def means(output: Path) -> dict[str, list[float]]:
+    """The cases' numbers by row."""
+    tree = read_tree(output)
+    return {g.attrs["name"]: g["mean_rpm"].values.tolist() for g in tree.children.values()}
+
+
+def test_the_numbers_do_not_depend_on_the_workers(folder):
+    run(configure(folder, output="one", workers=1))
+    run(configure(folder, output="three", workers=3))
+    assert means(folder / "one") == means(folder / "three")
+
+
+def test_another_row_or_order_leaves_a_rows_numbers_alone_and_another_seed_does_not(folder):
+    run(configure(folder))
+    more = {"first": "draws = 3", **dict(reversed(ROWS.items()))}
+    run(configure(folder, more, output="more"))
+    run(configure(folder, output="other", seed=2))
+    first, second, other = (means(folder / name) for name in ("out", "more", "other"))
+    assert {name: second[name] for name in ROWS} == first
+    assert second["first"] != first["few, AR(1)"]
+    assert not set(np.ravel(list(first.values()))) & set(np.ravel(list(other.values())))
+
+
+def test_every_case_has_a_seed_of_its_own():
+    seeds = {
+        tuple(seed_of_case(seed, row, index).generate_state(2))
+        for seed in (1, 2)
+        for row in ("a", "b")
+        for index in range(50)
+    }
+    assert len(seeds) == 200
+
+
+def test_the_folder_holds_all_cases_a_table_and_the_configuration(folder):
+    summary, said = run(configure(folder))
+    output = folder / "out"
+    assert {p.name for p in output.iterdir()} == {
+        "result.nc",
+        "summary.json",
+        "table.csv",
+        "config.toml",
+    }
+    assert said == []
+    tree = read_tree(output)
+    assert tree["row_1"]["mean_rpm"].attrs == {"units": "rpm", "long_name": "mean of the draws"}
+    assert json.loads((output / "summary.json").read_text()) == summary
+    with open(output / "table.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["name"] for line in lines] == list(ROWS)
+    assert list(lines[0]) == ["name", "cases", "failed", "mean_rpm", "draws", "commit"]
+    assert float(lines[1]["mean_rpm"]) == pytest.approx(np.mean(means(output)["many"]), rel=1e-5)
+    assert load_config(output / "config.toml").rows == load_config(folder / "out.toml").rows
+    assert not list(folder.glob(".out.*"))
+
+
+def test_a_case_that_is_refused_is_counted_and_its_reason_kept(folder):
+    rows = {
+        "sound": "draws = 3",
+        "partly": "draws = 3\nrefuse = 2",
+        "never": "draws = 3\ncases = 1\nrefuse = 0",
+    }
+    summary, _ = run(configure(folder, rows))
+    assert [(row["cases"], row["failed"]) for row in summary["rows"]] == [(6, 0), (6, 1), (1, 1)]
+    partly = read_tree(folder / "out")["row_2"]
+    assert partly["message"].values[2] == "This case is refused."
+    assert np.flatnonzero(np.isnan(partly["mean_rpm"].values)).tolist() == [2]
+    assert "mean_rpm" not in summary["rows"][2]
+
+
+def test_a_study_that_was_killed_goes_on_to_the_same_numbers(folder, monkeypatch):
+    rows = {"few, AR(1)": "draws = 3\ncases = 30"}
+    run(configure(folder, rows, output="whole"))
+    monkeypatch.setenv("STUDY_SLEEP", "0.1")
+    config = configure(folder, rows, output="killed")
+    process = subprocess.Popen([sys.executable, "-m", "bayesbl", "run", config])
+    deadline = time.monotonic() + 30.0
+    while cases_stored(folder) < 4 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    time.sleep(0.3)  # workers notice that their parent is gone
+    stored = cases_stored(folder)
+    assert 4 <= stored < 30
+    assert not (folder / "killed").exists()
+    [file] = (folder / ".killed.cases").glob("*.jsonl")
+    file.write_bytes(file.read_bytes() + b'{"index": 29, "val')  # cut in the middle of a line
+
+    monkeypatch.setenv("STUDY_SLEEP", "0")
+    _, said = run(config)
+    assert said == [f'Row "few, AR(1)" goes on after {stored} of 30 cases.']
+    assert means(folder / "killed") == means(folder / "whole")
+    assert not (folder / ".killed.cases").exists()
+
+
+def cases_stored(folder: Path) -> int:
+    """Cases in the store of the study ``killed``."""
+    files = folder.glob(".killed.cases/*.jsonl")
+    return sum(max(file.read_bytes().count(b"\n") - 1, 0) for file in files)
+
+
+def test_a_row_defined_otherwise_is_run_again_and_said_so(folder, monkeypatch):
+    config = configure(folder)
+    interrupt_before_the_result(config, monkeypatch)
+    configure(folder, ROWS | {"many": "draws = 20"})
+    _, said = run(config)
+    assert said == [
+        'Row "few, AR(1)" goes on after 6 of 6 cases.',
+        'Row "many" is defined otherwise than before: its cases are run again.',
+    ]
+    fresh = configure(folder, ROWS | {"many": "draws = 20"}, output="fresh")
+    run(fresh)
+    assert means(folder / "out") == means(folder / "fresh")
+
+
+def interrupt_before_the_result(config: Path, monkeypatch) -> None:
+    """Run all cases, and stop before the output folder is written."""
+    with monkeypatch.context() as patch:
+        patch.setattr("bayesbl.runs.study._tree", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(config)
+
+
+def interrupted(*arguments):
+    raise KeyboardInterrupt
+
+
+def test_a_finished_study_is_added_to_but_none_of_its_rows_is_lost(folder):
+    config = configure(folder)
+    run(config)
+    kept = means(folder / "out")
+    with pytest.raises(ResultError, match="finished result, which is not written over"):
+        run(config)
+    configure(folder, {"few, AR(1)": "draws = 3"})
+    with pytest.raises(ResultError, match='"many" not asked for'):
+        run(config)
+    configure(folder, ROWS | {"many": "draws = 20"})
+    with pytest.raises(ResultError, match='"many" defined otherwise'):
+        run(config)
+    assert means(folder / "out") == kept
+
+    configure(folder, ROWS | {"new": "draws = 4"})
+    before = read_tree(folder / "out")["row_1"]["seconds"].values.tolist()
+    run(config)
+    assert {name: values for name, values in means(folder / "out").items() if name in kept} == kept
+    assert read_tree(folder / "out")["row_1"]["seconds"].values.tolist() == before
+
+    configure(folder, ROWS | {"many": "draws = 20"})
+    run(config, force=True)
+    assert list(means(folder / "out")) == list(ROWS)
+
+
+def test_only_what_decides_the_cases_defines_a_row(folder):
+    table = {"name": "a", "draws": 3, "source": str(folder / "bench.toml")}
+    (folder / "bench.toml").write_text("stiffness = 1")
+    first = load_study(folder / "study.py").definition(table, 1)
+
+    def changed(old: str, new: str) -> bool:
+        (folder / "study.py").write_text(STUDY.replace(old, new))
+        return load_study(folder / "study.py").definition(table, 1) != first
+
+    assert not changed('"""One mean."""', '"""One mean of normal draws."""')
+    assert not changed("import time\n", "import time  # to be killed in\n")
+    assert not changed('"draws": row.draws', '"count": row.draws')
+    assert changed("(50, row.draws)", "(60, row.draws)")
+    assert not changed("", "")
+    (folder / "bench.toml").write_text("stiffness = 2")
+    assert load_study(folder / "study.py").definition(table, 1) != first
+
+
+def test_rows_and_study_files_that_cannot_be_used_are_refused(folder):
+    with pytest.raises(ConfigError, match=r'\[\[rows\]\] "a" drws.*Did you mean "draws"'):
+        run(configure(folder, {"a": "drws = 3\ndraws = 2"}))
+    (folder / "study.py").write_text(STUDY.replace("def count", "def counts"))
+    with pytest.raises(ConfigError, match="no count"):
+        run(configure(folder))
+    (folder / "study.py").write_text("import nowhere\n")
+    with pytest.raises(ConfigError, match=r"study.py, line 1: .*No module named 'nowhere'"):
+        run(configure(folder))
+
+
+def test_a_bug_in_a_case_names_it_and_keeps_the_others(folder, capsys):
+    (folder / "study.py").write_text(STUDY.replace("raise UserError", "raise KeyError"))
+    config = configure(folder, {"a": "draws = 3\nrefuse = 5"}, workers=1)
+    assert cli.status(["run", str(config)]) == cli.FAILED
+    assert 'In case 5 of row "a".' in capsys.readouterr().err
+    [file] = (folder / ".out.cases").glob("*.jsonl")
+    assert file.read_bytes().count(b"\n") == 6
+
+
+def test_a_study_runs_and_is_inspected_on_the_command_line(folder, capsys):
+    (folder / "study.py").write_text(
+        STUDY
+        + """
+
+def figure(table, cases):
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    figure.add_subplot().plot([cases[line["name"]]["mean_rpm"].mean() for line in table])
+    return figure
+"""
+    )
+    config = str(configure(folder))
+    assert cli.status(["check", config]) == 0
+    assert '"many" 6 cases' in capsys.readouterr().out
+    assert cli.status(["run", config]) == 0
+    assert "few, AR(1)" in capsys.readouterr().out
+    assert cli.status(["inspect", str(folder / "out")]) == 0
+    assert "mean_rpm" in capsys.readouterr().out
+    assert cli.status(["figures", str(folder / "out")]) == 0
+    assert {p.name for p in (folder / "out" / "figures").iterdir()} == {"study.pdf", "study.png"}
+    capsys.readouterr()
+    assert cli.status(["run", config, "--json", "--out", str(folder / "b")]) == 0
+    assert json.loads(capsys.readouterr().out)["kind"] == "study"
+    assert cli.status(["run", config]) == cli.WRONG
