@@ -107,15 +107,15 @@ def test_every_amplitude_shows_at_its_typical_strength(
     assert largest[SPEED] > 0.1 or largest[CURRENT] > 0.02 or largest[POSITION] > 0.1
 
 
-def refused(effect: Effect, name: str, value: float) -> bool:
+def refused(effect: Effect, item: EffectParameter, value: float) -> bool:
     """Whether the simulator refuses the effect with another value of one parameter."""
-    given = settings(effect, effect.amplitudes) | {f"{effect.name}__{name}": value}
+    given = settings(effect, effect.amplitudes) | {f"{effect.name}__{item.name}": value}
+    wrong = ""
     try:
         check_parameters(bench(**given))
     except BenchError as error:
-        assert error.where == f"{effect.name}.{name}"
-        return True
-    return False
+        wrong = error.where
+    return wrong == f"{effect.name}.{item.name}"
 
 
 @BY_NAME
@@ -123,13 +123,13 @@ def test_the_simulator_refuses_what_the_declaration_excludes_and_nothing_else(
     effect: Effect,
 ) -> None:
     for item in effect.parameters:
-        assert not refused(effect, item.name, item.typical)
-        assert not refused(effect, item.name, item.high)
-        assert refused(effect, item.name, -abs(item.typical)) is (
+        assert not refused(effect, item, item.typical)
+        assert not refused(effect, item, item.high)
+        assert refused(effect, item, -abs(item.typical)) is (
             item.not_negative or item.positive_scale
         )
-        assert refused(effect, item.name, 0.0) is item.positive_scale
-        assert refused(effect, item.name, 1e9) is (item.smaller_than is not None)
+        assert refused(effect, item, 0.0) is item.positive_scale
+        assert refused(effect, item, 1e9) is (item.smaller_than is not None)
 
 
 def torque_of(effect: Effect, speed: float) -> np.ndarray:
