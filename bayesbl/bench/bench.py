@@ -183,7 +183,7 @@ class Bench:
         return dataclasses.replace(self, effects=tuple(effects))
 
     def with_measurement(self, measurement: Measurement) -> Bench:
-        """The same bench, seen otherwise."""
+        """The same bench, measured differently."""
         return dataclasses.replace(self, measurement=measurement)
 
     def draw(self, rng: np.random.Generator) -> Bench:

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 class ParameterInfo:
     """What a bench parameter is.
 
-    ``positive``: it must be above zero; otherwise zero is allowed, and negative values only where
+    ``positive``: it must be above zero; if not, zero is allowed, and negative values only where
     ``signed``. ``default``: value in a bench file that does not give it, ``None`` if it must.
     ``idle``: value in the file of a rigid bench that does not give it and is only compared with
     recordings, never driven. ``correctable``: a wrong value of it is an explanation of its own (a
