@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench import effects
-from bayesbl.bench.effect_declaration import ORDER, Effect, EffectParameter
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, EffectParameter
 from bayesbl.bench.effects import (
     EFFECT_BY_NAME,
     EFFECTS,
@@ -164,6 +164,8 @@ def test_a_declaration_is_complete_and_consistent(effect: Effect) -> None:
     assert effect.amplitudes
     for item in effect.parameters:
         assert (item.repeats is not None) is (item.role == "amplitude")
+        assert (item.role == "order") is (item.name == ORDER)
+        assert (item.role == "phase") is (item.name == PHASE)
         assert item.low <= item.typical <= item.high
         assert item.low <= item.neutral <= item.high or effect.replaces == item.name
     names = {item.name: item.role for item in effect.parameters}

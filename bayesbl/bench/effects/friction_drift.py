@@ -1,6 +1,8 @@
 """Drift: motor friction that changes during the recording as the joint warms up.
 
-J_m dω_m/dt = … − (T₀ + r t) sign ω_m
+    J_m dω_m/dt = … − (T₀ + r t) sign ω_m
+
+T₀ repeats every load rotation, the change r does not: such a bench is simulated in full length.
 """
 
 from __future__ import annotations

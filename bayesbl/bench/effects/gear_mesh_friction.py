@@ -1,6 +1,8 @@
 """Friction between the teeth: a loss in proportion to the torque that the gear passes on.
 
-J_m dω_m/dt = … − μ |τ_s|/N sign ω_m
+    J_m dω_m/dt = … − μ |τ_s|/N sign ω_m
+
+Gravity lifted or held back costs current, gravity crossed costs none: twice a load rotation.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Transmission error: the gear passes motion on unevenly.
 
-Δθ → Δθ + a sin(n θ_m + φ),   Δω → Δω + a n ω_m cos(n θ_m + φ)
+    Δθ → Δθ + a sin(n θ_m + φ),   Δω → Δω + a n ω_m cos(n θ_m + φ)
+
+Felt only while the teeth touch. It repeats with the load only if the gear ratio times n is whole.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """A constant torque at the load: a weight on a cable, a spring, wind.
 
-J_l dω_l/dt = … − T
+    J_l dω_l/dt = … − T
+
+It moves the two pulses of a rotation in opposite directions, and alike whichever way the load turns.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Viscous friction at the load, behind the gap.
 
-J_l dω_l/dt = … − b ω_l
+    J_l dω_l/dt = … − b ω_l
+
+At one speed it moves the pulses as Coulomb friction at the load does.
 """
 
 from __future__ import annotations

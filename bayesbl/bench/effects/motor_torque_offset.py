@@ -1,6 +1,8 @@
-"""A constant torque at the motor: a spring, a counterweight's cable, an offset current sensor.
+"""A constant torque at the motor: a spring, a cable, a current sensor that does not read zero.
 
-J_m dω_m/dt = … − T
+    J_m dω_m/dt = … − T
+
+Forward and reverse recordings together tell it from friction.
 """
 
 from __future__ import annotations

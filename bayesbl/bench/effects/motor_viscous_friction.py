@@ -1,6 +1,9 @@
 """Viscous friction at the motor: lubricant that is sheared.
 
-J_m dω_m/dt = … − b ω_m
+    J_m dω_m/dt = … − b ω_m
+
+Recordings at two speeds tell it from Coulomb friction. On a rigid bench load friction b_l is the
+same law, b = b_l/N².
 """
 
 from __future__ import annotations

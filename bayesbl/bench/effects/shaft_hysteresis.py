@@ -1,6 +1,8 @@
 """Hysteresis of the shaft, Dahl's law: friction whose size depends on where the twist came from.
 
-τ_s → τ_s + T z,   dz/dt = (Δω/θ_p)(1 − z sign Δω),   also inside the gap
+    τ_s → τ_s + T z,   dz/dt = (Δω/θ_p)(1 − z sign Δω)
+
+It acts inside the gap too. On a rigid bench it shows as twist between motor and load position.
 """
 
 from __future__ import annotations

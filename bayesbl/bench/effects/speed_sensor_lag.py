@@ -1,6 +1,8 @@
 """Lag of the speed sensor: a filter between the motor and the controller.
 
-T dω_meas/dt = ω_m − ω_meas
+    T dω_meas/dt = ω_m − ω_meas
+
+The recorded speed is the filtered one. Nearly the same as a lag of the current loop with a skew.
 """
 
 from __future__ import annotations

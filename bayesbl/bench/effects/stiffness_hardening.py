@@ -1,6 +1,8 @@
 """Hardening: the shaft, or the gear's teeth, stiffen as they are wound up.
 
-τ_s → τ_s + k₃ e³,   e the compression beyond the gap
+    τ_s → τ_s + k₃ e³,   e the compression beyond the gap
+
+A rigid bench has no shaft, so no law there.
 """
 
 from __future__ import annotations
