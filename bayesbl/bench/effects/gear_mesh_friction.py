@@ -2,7 +2,7 @@
 
     J_m dω_m/dt = … − μ |τ_s|/N sign ω_m
 
-Gravity lifted or held back costs current, gravity crossed costs none: twice a load rotation.
+The loss is largest where gravity is lifted or held back, so twice in a load rotation.
 """
 
 from __future__ import annotations

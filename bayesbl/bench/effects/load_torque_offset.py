@@ -2,7 +2,7 @@
 
     J_l dω_l/dt = … − T
 
-It moves the two pulses of a rotation in opposite directions, and alike whichever way the load turns.
+It moves the two pulses of a rotation towards each other or apart, whichever way the load turns.
 """
 
 from __future__ import annotations
