@@ -195,15 +195,14 @@ def _check_gap(matrix: FloatArray) -> None:
         )
 
 
-_EVERY = tuple(
-    (effect, item, effect.slots[item.name]) for effect in EFFECTS for item in effect.parameters
-)
-_NOT_NEGATIVE = [slot for _, item, slot in _EVERY if item.not_negative]
-_BOUNDED = [(slot, item.smaller_than, item.unit) for _, item, slot in _EVERY if item.smaller_than]
+_AMPLITUDES = [(item, effect.slots[item.name]) for effect in EFFECTS for item in effect.amplitudes]
+_NOT_NEGATIVE = [slot for item, slot in _AMPLITUDES if item.not_negative]
+_BOUNDED = [(slot, item.smaller_than, item.unit) for item, slot in _AMPLITUDES if item.smaller_than]
 _SCALES = [
-    (slot, [effect.slots[amplitude.name] for amplitude in effect.amplitudes])
-    for effect, item, slot in _EVERY
-    if item.positive_scale
+    (effect.slots[scale.name], [effect.slots[item.name] for item in effect.amplitudes])
+    for effect in EFFECTS
+    for scale in effect.shapes
+    if scale.positive_scale
 ]
 
 
