@@ -92,7 +92,10 @@ _SAME_IN_THESE = (
     {"current_loop_lag", "channel_time_skew"},
     {"speed_sensor_lag", "channel_time_skew"},
 )
-"""Pairs declared indistinguishable beforehand (design.md section 9); a drift holds a constant."""
+"""Pairs declared indistinguishable beforehand; a drift contains a constant.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 PAIRS = tuple(
     pair
     for pair in combinations([name for name in EFFECT_NAMES if name not in _ONLY_ALONE], 2)

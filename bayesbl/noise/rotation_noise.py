@@ -125,7 +125,9 @@ def estimate_noise(
     order: int | None = None,
     steps: SpeedSteps | None = None,
 ) -> Noise:
-    """Noise order, coefficients and scale from what does not repeat (design.md section 5).
+    """Noise order, coefficients and scale from what does not repeat.
+
+    See docs/design.md, "Statistics".
 
     Parameters
     ----------

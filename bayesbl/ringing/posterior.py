@@ -1,9 +1,9 @@
 """The posterior of the disturbance model around its RMSE optimum, by emcee.
 
 The likelihood is exp(−SSE(θ) / 2κ): centred on the least-squares optimum, which is what the gap
-curve means by A, and as wide as the recording's own noise makes it (design.md section 5). Priors
-are flat in every symbol within its range. emcee walks over the symbols that enter nonlinearly;
-A, v_t and the baseline, linear, are integrated out exactly and drawn afterwards.
+curve means by A, and as wide as the recording's own noise makes it (docs/design.md, "Statistics").
+Priors are flat in every symbol within its range. emcee walks over the symbols that enter
+nonlinearly; A, v_t and the baseline are linear, integrated out exactly and drawn afterwards.
 """
 
 from __future__ import annotations
