@@ -23,6 +23,11 @@ def anchor(heading: str) -> str:
     return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
+def has_section(page: Path, section: str) -> bool:
+    """Whether a page has a heading with this address; an empty one is the page itself."""
+    return not section or section in map(anchor, headings(page.read_text(encoding="utf-8")))
+
+
 def references() -> Iterator[tuple[str, str | None]]:
     """File and line of every mention of the design in code, and the section that it names."""
     for folder in CODE_FOLDERS:
@@ -48,16 +53,11 @@ def test_code_refers_to_sections_of_the_design_that_are_there() -> None:
 @pytest.mark.parametrize("page", PAGES)
 def test_links_of_a_page_lead_somewhere(page: str) -> None:
     file = ROOT / page
-    text = file.read_text(encoding="utf-8")
     broken = []
-    for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if "://" in target:
-            continue
+    for target in re.findall(r"\]\(([^)\s]+)\)", file.read_text(encoding="utf-8")):
         path, _, section = target.partition("#")
         there = file.parent / path if path else file
-        if not there.exists():
-            broken.append(target)
-        elif section and section not in map(anchor, headings(there.read_text(encoding="utf-8"))):
+        if "://" not in target and not (there.exists() and has_section(there, section)):
             broken.append(target)
     assert broken == []
 
@@ -65,9 +65,8 @@ def test_links_of_a_page_lead_somewhere(page: str) -> None:
 @pytest.mark.parametrize("page", PAGES)
 def test_files_that_a_page_names_are_there(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
-    named = set(
-        re.findall(r"\b((?:configs|experiments|paper_figures|tests)/[\w/]+\.(?:toml|py|csv|json))", text)
-    )
+    folders, endings = "configs|experiments|paper_figures|tests", "toml|py|csv|json"
+    named = set(re.findall(rf"\b((?:{folders})/[\w/]+\.(?:{endings}))", text))
     # What the README has the reader write.
     own = {"configs/my_sweep.toml"}
     assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
