@@ -119,7 +119,7 @@ def observed(
         raise RecordingError(
             " ".join(
                 [
-                    "The recording was made at a different speed from the bench's.",
+                    "The recording was made at another speed than the bench's.",
                     speed_in_another_unit(recording, reference) or "",
                 ]
             ).strip(),

@@ -325,7 +325,7 @@ def test_what_was_meant_is_told(arguments, told, foreign, capsys):
         (
             ["fit", "monday.csv", "--route", "direct", "--bench", "friday.csv"],
             "friday.csv: This is a recording, or not a configuration at all. Found: a file ending "
-            '.csv. Expected: a file of kind "bench" (a virtual bench) in TOML.',
+            'in .csv. Expected: a file of kind "bench" (a virtual bench) in TOML.',
         ),
         (["compare", "result.nc", "monday.csv"], "This is a result of bayesbl, not a recording."),
         (["init", "result.nc"], "This is a result of bayesbl, not a recording."),
