@@ -114,7 +114,10 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
 PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
 
 CORRECTABLE_PARAMETERS = tuple(info.name for info in BENCH_PARAMETERS if info.correctable)
-"""Whose wrong values explain a disagreement, as a missing effect does."""
+"""Parameters whose wrong values are a class of explanations of their own.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
