@@ -26,8 +26,8 @@ from bayesbl.diagnosis.closed_loop.naming import NamedEffect
 from bayesbl.diagnosis.report import Estimate
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP
+from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
 from bayesbl.results.diagnosis import GAP_WORDS, interval_of
-from bayesbl.results.direct_tree import result_name, unit_and_meaning
 from bayesbl.results.intervals import IntervalKind, interval
 from bayesbl.results.located import located_dataset, plain
 from bayesbl.results.tree import dataset
