@@ -92,7 +92,7 @@ class _Intervals:
             return interval_of(estimate, self.level)
         unknown = self.posterior.fit.model.unknowns[place]
         draws = unknown.value(self.posterior.draws[..., place])
-        return interval(draws, self.level, self.kind)
+        return dict(interval(draws, self.level, self.kind))
 
     def of_gap(self, estimate: Estimate | None, place: int | None) -> dict[str, Any] | None:
         """Of δ, whose logarithm is estimated."""
