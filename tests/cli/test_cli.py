@@ -47,12 +47,6 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
-@pytest.fixture
-def no_figures(monkeypatch):
-    """Runs without drawing, which takes as long as the rest."""
-    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
-
-
 @pytest.fixture(scope="module")
 def snapshots(tmp_path_factory):
     """Two short recordings and a configuration that compares them."""

@@ -48,9 +48,7 @@ TOLERANT = (
 
 @pytest.fixture(scope="session")
 def nominal() -> SweepRow:
-    return sweep_nominal(
-        reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1), workers=2
-    )
+    return sweep_nominal(reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="session")

@@ -47,7 +47,12 @@ def summary(folder: Path) -> dict:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("direct")
+    """Where everything is written, with a configuration of two ensembles for either command."""
+    folder = tmp_path_factory.mktemp("direct")
+    for kind in ("fit", "compare"):
+        text = f'schema = 1\nkind = "{kind}"\n[posterior]\nensembles = 2\n'
+        (folder / f"{kind}.toml").write_text(text)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +73,8 @@ def compared(folder) -> Path:
         written(folder, true, 8e-4, 2, "before"),
         written(folder, true, 9e-4, 3, "after", current=False),
     ]
-    options = ["--route", "direct", "--bench", TOLERANCES, "--out", folder / "compare"]
-    assert run("compare", *files, *options) == 0
+    options = ["--route", "direct", "--bench", TOLERANCES, "--config", folder / "compare.toml"]
+    assert run("compare", *files, *options, "--out", folder / "compare") == 0
     return folder / "compare"
 
 
@@ -144,11 +149,12 @@ def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
     assert low < 1e-4 < high
 
 
-def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
+def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures, capsys):
     effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
     file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
-    options = ["--route", "direct", "--bench", KNOWN, "--out", folder / "refused"]
-    assert run("fit", file, *options) == cli.WITHHELD
+    options = ["--route", "direct", "--config", folder / "fit.toml"]
+    refused = ["--bench", KNOWN, "--out", folder / "refused"]
+    assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")
     assert found["delta_rad"] is None
     assert "motor_current_a of friction" in found["reason"]
@@ -158,8 +164,8 @@ def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
 
     completed = folder / "completed.toml"
     completed.write_text(KNOWN.read_text() + FRICTION)
-    options = ["--route", "direct", "--bench", completed, "--out", folder / "answered"]
-    assert run("fit", file, *options) == 0
+    answered = ["--bench", completed, "--out", folder / "answered"]
+    assert run("fit", file, *options, *answered) == 0
     found = summary(folder / "answered")
     sd = found["posterior_sd"]["delta_rad"]
     # Fails by chance in 1 of 10 000.

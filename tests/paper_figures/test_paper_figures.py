@@ -101,7 +101,7 @@ def tolerance(figure: str, path: str, golden: dict, values: np.ndarray) -> float
 def test_the_arrays_of_a_figure_are_those_of_its_golden(shown, name):
     goldens = json.loads(GOLDEN.read_text(encoding="utf-8"))[name]
     found = described(shown[name])
-    assert set(found) == set(goldens), "python tests/paper_results.py makes goldens anew"
+    assert set(found) == set(goldens), "python tests/support/paper_results.py makes goldens anew"
     for path, golden in goldens.items():
         assert found[path]["units"] == golden["units"], path
         old, new = (np.array(part["values"], dtype=float) for part in (golden, found[path]))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from quick import without_figures
 
 from bayesbl import cli
 from bayesbl.measurement.wear import wear as wear_in_time
@@ -77,8 +78,7 @@ def compared(tmp_path_factory) -> Path:
     """The stored comparison of the two examples, without figures."""
     folder = tmp_path_factory.mktemp("compared")
     recordings = [str(CONFIGS / "recordings" / f"wear_{name}.csv") for name in ("before", "after")]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesbl.library.draw", lambda tree, folder: [])
+    with without_figures():
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
         assert cli.status(["compare", *recordings, *out]) == 0
     return folder / "out"

@@ -106,9 +106,7 @@ def withheld(
     return str(summary["reason"])
 
 
-@pytest.fixture(autouse=True)
-def _no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
+pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(

@@ -2,22 +2,23 @@
 
 Goldens are made anew, after a change that is meant to move them, by
 
-    python tests/paper_results.py
+    python tests/support/paper_results.py
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 import tempfile
 from contextlib import chdir
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import xarray as xr
+from quick import without_figures
 
 ROOT = Path(__file__).parents[2]
 GOLDEN = Path(__file__).with_name("golden_paper_figures.json")
@@ -40,6 +41,11 @@ SMALLER = {
 }
 """What the tests leave out of the configurations: nothing that changes what is learnt."""
 
+ROTATIONS = 3
+"""That a recording holds here, of five: the fits take half as long."""
+
+SAMPLES_A_ROTATION = 3600
+
 
 def make(folder: Path) -> Path:
     """Run all quick experiments in a copy of ``configs``; the folder of their results."""
@@ -53,8 +59,13 @@ def make(folder: Path) -> Path:
         for old, new in SMALLER.get(path.name, {}).items():
             assert text.count(old) == 1, f"{path.name} no longer says {old}"
             text = text.replace(old, new)
+        if path.name.startswith("simulate"):
+            text = re.sub("^gap_rad = .*", rf"\g<0>\nrotations = {ROTATIONS}", text, flags=re.M)
         path.write_text(text, encoding="utf-8")
-    with chdir(folder), patch("bayesbl.presentation.figures.draw_all", lambda tree, folder: []):
+    for path in (folder / "configs/recordings").glob("wear_*.csv"):
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        path.write_text("".join(lines[: 1 + ROTATIONS * SAMPLES_A_ROTATION]), encoding="utf-8")
+    with chdir(folder), without_figures():
         for made in RESULTS.values():
             for config in made.configs:
                 assert cli.status(["run", config]) == 0, config
