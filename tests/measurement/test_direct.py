@@ -121,8 +121,8 @@ def test_the_posterior_is_that_of_full_simulations_on_a_grid():
 def test_without_correction_the_surrogate_alone_agrees_with_full_simulation():
     known = bench(tolerances=True)
     fit = fitted(known, record(known, 8e-4, 4))
-    full = log_gap(sample_direct(fit, SamplerSettings(), np.random.SeedSequence(1)))
-    fast = sample_direct(fit, SamplerSettings(), np.random.SeedSequence(2), corrected=False)
+    full = log_gap(sample_direct(fit, SETTINGS, np.random.SeedSequence(1)))
+    fast = sample_direct(fit, SETTINGS, np.random.SeedSequence(2), corrected=False)
     assert math.isnan(fast.effective)
     # Two sets of 1000 draws: means differ by 0.045 sd; four times that.
     assert log_gap(fast).mean() == pytest.approx(full.mean(), abs=0.18 * full.std())

@@ -187,7 +187,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict
     folder = tmp_path_factory.mktemp("warm")
     for name in ("before", "after"):
         lines = (CONFIGS / "recordings" / f"wear_{name}.csv").read_text().splitlines(keepends=True)
-        (folder / f"wear_{name}.csv").write_text(lines[0] + "".join(lines[1 : SHORT : THINNED]))
+        (folder / f"wear_{name}.csv").write_text(lines[0] + "".join(lines[1:SHORT:THINNED]))
 
     def run_one(kind: str, names: list[str], out: str, **options: Any) -> tuple[Any, str]:
         said: list[str] = []
