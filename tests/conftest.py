@@ -1,4 +1,4 @@
-"""How tests run: linear algebra on one thread, all tests on every core, figures where asked for.
+"""How tests run: linear algebra on one thread, a whole run on every core, figures on demand.
 
 The threads are set before NumPy is imported; processes that tests start inherit them. On busy
 cores, threads waiting for one another cost tenfold.

@@ -13,12 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import AFTER, BEFORE, CONFIGS, RECORDINGS
 
 from bayesbl import cli
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-BEFORE = CONFIGS / "recordings" / "wear_before.csv"
-AFTER = CONFIGS / "recordings" / "wear_after.csv"
 ROTATION_SAMPLES = 3600
 
 
@@ -285,7 +283,7 @@ def test_the_examples_pass_their_check(name, capsys):
 
 def test_a_check_names_every_recording_that_cannot_be_used(snapshots, tmp_path, capsys):
     for name, samples in (("wear_before.csv", 5000), ("wear_after.csv", 5400)):
-        cut(CONFIGS / "recordings" / name, tmp_path / name, samples)
+        cut(RECORDINGS / name, tmp_path / name, samples)
     (tmp_path / "wear.toml").write_text((snapshots / "wear.toml").read_text())
     assert cli.status(["check", str(tmp_path / "wear.toml")]) == cli.WRONG
     errors = capsys.readouterr().err

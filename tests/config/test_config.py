@@ -14,6 +14,7 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import BEFORE, CONFIGS
 from pydantic import ValidationError
 
 from bayesbl.config.loading import (
@@ -27,8 +28,6 @@ from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.measurement.amplitude_route import estimator_of
 from bayesbl.recording.channels import ColumnSpec
-
-CONFIGS = Path(__file__).parents[2] / "configs"
 
 COMPARE = """schema = 1
 kind = "compare"
@@ -68,7 +67,7 @@ def test_the_shipped_configurations_load(name: str) -> None:
 
 def test_the_shipped_fit_writes_out_exactly_the_defaults(folder: Path) -> None:
     written = load_config(CONFIGS / "fit_example.toml")
-    bare = config_from_options("fit", [CONFIGS / "recordings" / "wear_before.csv"])
+    bare = config_from_options("fit", [BEFORE])
     assert isinstance(written, FitConfig)
     assert isinstance(bare, FitConfig)
     for section in ("estimator", "posterior", "interval", "curve"):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import EXPERIMENTS
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.parameters import BENCH_PARAMETERS
@@ -44,7 +45,7 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.runs.diagnose import run_diagnose
 
-FILE = Path(__file__).parents[2] / "experiments" / "independent_bench.py"
+FILE = EXPERIMENTS / "independent_bench.py"
 BENCH = reference_bench()
 BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
 GAP_RAD = 8e-4

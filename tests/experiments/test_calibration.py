@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from places import ROOT
 from scipy.stats import binom, norm
 
 from bayesbl.bench.bench import Bench
@@ -32,8 +33,6 @@ from bayesbl.sampling.calibration import (
     rank,
     uniformity,
 )
-
-ROOT = Path(__file__).parents[2]
 
 
 def ranks_of(count: int, *, claimed: float = 1.0, bias: float = 0.0, seed: int = 1) -> np.ndarray:

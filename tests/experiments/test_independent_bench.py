@@ -5,17 +5,17 @@ from __future__ import annotations
 import importlib.util
 import math
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import EXPERIMENTS
 
 from bayesbl.bench.effects import EFFECT_BY_NAME
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 
-FILE = Path(__file__).parents[2] / "experiments" / "independent_bench.py"
+FILE = EXPERIMENTS / "independent_bench.py"
 BENCH = reference_bench()
 VALUES = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
 RUN = {"gap_rad": 8e-4, "start_angle_rad": 0.4, "reference_speed_rpm": -1200.0}

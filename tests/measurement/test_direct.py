@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
 from scipy.stats import chi2, kstest, truncnorm
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
@@ -38,7 +38,6 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.ringing.posterior import SamplerSettings
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SETTINGS = SamplerSettings(ensembles=2)
 FRICTION = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0, 0.4)})
 

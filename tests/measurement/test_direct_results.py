@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
+from quick import two_ensembles
 
 from bayesbl import cli
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
@@ -14,7 +16,6 @@ from bayesbl.config.bench import load_bench
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.results.store import read_tree
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
 FRICTION = """
 [[effects]]
@@ -47,12 +48,7 @@ def summary(folder: Path) -> dict:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Where everything is written, with a configuration of two ensembles for either command."""
-    folder = tmp_path_factory.mktemp("direct")
-    for kind in ("fit", "compare"):
-        text = f'schema = 1\nkind = "{kind}"\n[posterior]\nensembles = 2\n'
-        (folder / f"{kind}.toml").write_text(text)
-    return folder
+    return tmp_path_factory.mktemp("direct")
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +56,7 @@ def fit(folder) -> Path:
     """A fit with everything, figures included."""
     file = written(folder, load_bench(KNOWN), 8e-4, 1, "one")
     options = ["--route", "direct", "--bench", KNOWN, "--limit-rad", 1e-3]
+    options += ["--config", two_ensembles(folder, "fit")]
     assert run("fit", file, *options, "--out", folder / "fit") == 0
     return folder / "fit"
 
@@ -73,7 +70,14 @@ def compared(folder) -> Path:
         written(folder, true, 8e-4, 2, "before"),
         written(folder, true, 9e-4, 3, "after", current=False),
     ]
-    options = ["--route", "direct", "--bench", TOLERANCES, "--config", folder / "compare.toml"]
+    options = [
+        "--route",
+        "direct",
+        "--bench",
+        TOLERANCES,
+        "--config",
+        two_ensembles(folder, "compare"),
+    ]
     assert run("compare", *files, *options, "--out", folder / "compare") == 0
     return folder / "compare"
 
@@ -152,7 +156,7 @@ def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
 def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures, capsys):
     effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
     file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
-    options = ["--route", "direct", "--config", folder / "fit.toml"]
+    options = ["--route", "direct", "--config", two_ensembles(folder, "fit")]
     refused = ["--bench", KNOWN, "--out", folder / "refused"]
     assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")

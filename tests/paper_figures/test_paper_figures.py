@@ -14,7 +14,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
-from paper_results import FROM_TABLES, GOLDEN, ROOT, SAMPLED, described, make
+from paper_results import FROM_TABLES, GOLDEN, SAMPLED, described, make
+from places import EXPERIMENTS, ROOT
 
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.presentation.figures.calibration import draw_calibration
@@ -23,7 +24,7 @@ from bayesbl.presentation.figures.style import publication_style
 from bayesbl.results.calibration import calibration_line
 
 SCRIPTS = ROOT / "paper_figures"
-TABLES = ROOT / "experiments/results"
+TABLES = EXPERIMENTS / "results"
 sys.path.insert(0, str(SCRIPTS))
 common = importlib.import_module("common")
 make_all = importlib.import_module("make_all")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from places import RECORDINGS
 from quick import without_figures
 
 from bayesbl import cli
@@ -25,7 +26,6 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.summary import summarise
 from bayesbl.results.wear import wear_group, years_between
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""
 CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'
 VOID = {"meta", "img", "br", "link", "input"}
@@ -77,7 +77,7 @@ def plain(text: str) -> str:
 def compared(tmp_path_factory) -> Path:
     """The stored comparison of the two examples, without figures."""
     folder = tmp_path_factory.mktemp("compared")
-    recordings = [str(CONFIGS / "recordings" / f"wear_{name}.csv") for name in ("before", "after")]
+    recordings = [str(RECORDINGS / f"wear_{name}.csv") for name in ("before", "after")]
     with without_figures():
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
         assert cli.status(["compare", *recordings, *out]) == 0

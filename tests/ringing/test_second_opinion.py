@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import BEFORE
+from quick import two_ensembles
 from recording_files import write_csv
 from test_convergence import ambiguous, clean
 
@@ -20,16 +22,13 @@ from bayesbl.ringing.symbols import AMPLITUDE
 
 pytest.importorskip("dynesty")
 
-RECORDING = Path(__file__).parents[2] / "configs" / "recordings" / "wear_before.csv"
-
 
 def test_both_samplers_agree_on_a_posterior_with_one_mode_and_it_is_stored_and_printed(
     tmp_path: Path, no_figures: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     measured = clean()
     columns = {"time_s": measured.time_s, MOTOR_SPEED: measured.motor_speed_rpm}
-    file, config = write_csv(tmp_path / "clean.csv", columns), tmp_path / "fit.toml"
-    config.write_text('schema = 1\nkind = "fit"\n[posterior]\nensembles = 2\n')
+    file, config = write_csv(tmp_path / "clean.csv", columns), two_ensembles(tmp_path, "fit")
     options = ["--check-sampler", "--config", str(config), "--out", str(tmp_path / "out")]
     assert cli.status(["fit", str(file), *options]) == 0
     assert "Nested sampling agrees with emcee" in capsys.readouterr().out
@@ -69,12 +68,12 @@ def test_without_the_sampler_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "dynesty", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     options = ["--check-sampler", "--out", str(tmp_path / "out")]
-    assert cli.status(["fit", str(RECORDING), *options]) == 2
+    assert cli.status(["fit", str(BEFORE), *options]) == 2
     assert "pip install 'bayesbl[check]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     config = tmp_path / "fit.toml"
     config.write_text(
-        f'schema = 1\nkind = "fit"\n[run]\noutput = "out"\n[[recordings]]\nfile = "{RECORDING}"\n'
+        f'schema = 1\nkind = "fit"\n[run]\noutput = "out"\n[[recordings]]\nfile = "{BEFORE}"\n'
         "[posterior]\ncheck_sampler = true\n"
     )
     assert cli.status(["check", str(config)]) == 2

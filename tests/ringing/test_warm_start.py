@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from places import BEFORE, CONFIGS, RECORDINGS
+from quick import two_ensembles
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
@@ -38,7 +40,6 @@ from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.runs.run import check, run
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 NOISE = NoiseModel(1.5, (0.6,))
 TRUTH = {
     AMPLITUDE: 20.0,
@@ -186,14 +187,15 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict
     """Runs over short example recordings without figures: summary, and what was said."""
     folder = tmp_path_factory.mktemp("warm")
     for name in ("before", "after"):
-        lines = (CONFIGS / "recordings" / f"wear_{name}.csv").read_text().splitlines(keepends=True)
+        lines = (RECORDINGS / f"wear_{name}.csv").read_text().splitlines(keepends=True)
         (folder / f"wear_{name}.csv").write_text(lines[0] + "".join(lines[1:SHORT:THINNED]))
 
     def run_one(kind: str, names: list[str], out: str, **options: Any) -> tuple[Any, str]:
         said: list[str] = []
         files = [folder / f"wear_{name}.csv" for name in names]
         options = {k: folder / v if k == "start_from" else v for k, v in options.items()}
-        config = config_from_options(kind, files, out=folder / out, **options)
+        short = two_ensembles(folder, kind)
+        config = config_from_options(kind, files, short, out=folder / out, **options)
         return run(config, lambda tree, place: None, say=said.append), " ".join(said)
 
     run_one("compare", ["before", "after"], "old")
@@ -228,7 +230,7 @@ kind = "fit"
 [run]
 output = "out"
 [[recordings]]
-file = "{CONFIGS / "recordings" / "wear_before.csv"}"
+file = "{BEFORE}"
 [estimator.search]
 start_from = "result.nc"
 """
@@ -239,6 +241,4 @@ start_from = "result.nc"
 
 def test_a_result_that_is_not_there_is_refused_by_its_option(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--start-from: There is no such file"):
-        config_from_options(
-            "fit", [CONFIGS / "recordings" / "wear_before.csv"], start_from=tmp_path
-        )
+        config_from_options("fit", [BEFORE], start_from=tmp_path)

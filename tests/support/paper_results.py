@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from places import ROOT
 from quick import without_figures
 
-ROOT = Path(__file__).parents[2]
 GOLDEN = Path(__file__).with_name("golden_paper_figures.json")
 POINTS = 13
 """Of an array along each dimension that a golden keeps: first, last, and evenly between."""
