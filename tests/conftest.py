@@ -6,10 +6,14 @@ cores, threads waiting for one another cost tenfold.
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import sys
 from collections.abc import Iterator
+from types import ModuleType
 
 import pytest
+from places import EXPERIMENTS
 from quick import without_figures
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -50,3 +54,17 @@ def no_figures() -> Iterator[None]:
     """Runs of this test write no figures."""
     with without_figures():
         yield
+
+
+@pytest.fixture(scope="session")
+def independent() -> Iterator[ModuleType]:
+    """The simulator that shares only equations with the package's own."""
+    path = EXPERIMENTS / "independent_bench.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[path.stem]

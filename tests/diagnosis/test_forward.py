@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from places import EXPERIMENTS
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.parameters import BENCH_PARAMETERS
@@ -45,7 +42,6 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.runs.diagnose import run_diagnose
 
-FILE = EXPERIMENTS / "independent_bench.py"
 BENCH = reference_bench()
 BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
 GAP_RAD = 8e-4
@@ -53,16 +49,6 @@ HELD_OUT_RPM = 1600.0
 FRICTION_NM = 15.0
 SURE = 4.0
 """Standard deviations: one estimate in 16,000 is farther off."""
-
-
-@pytest.fixture(scope="module")
-def independent():
-    spec = importlib.util.spec_from_file_location("independent_bench", FILE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
 
 
 def recorded(independent, speeds_rpm, seed, hidden=None, rotations=3.0, **truth) -> list[Recording]:

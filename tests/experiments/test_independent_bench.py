@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 
 import numpy as np
 import pytest
-from places import EXPERIMENTS
 
 from bayesbl.bench.effects import EFFECT_BY_NAME
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 
-FILE = EXPERIMENTS / "independent_bench.py"
 BENCH = reference_bench()
 VALUES = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
 RUN = {"gap_rad": 8e-4, "start_angle_rad": 0.4, "reference_speed_rpm": -1200.0}
@@ -25,16 +21,6 @@ OUTSIDE = {
     "belt": {"outside__belt_torque_nm": 0.3},
     "second gap": {"outside__second_gap_rad": 4e-4},
 }
-
-
-@pytest.fixture(scope="module")
-def independent():
-    spec = importlib.util.spec_from_file_location("independent_bench", FILE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
 
 
 @pytest.fixture(scope="module")

@@ -70,15 +70,8 @@ def compared(folder) -> Path:
         written(folder, true, 8e-4, 2, "before"),
         written(folder, true, 9e-4, 3, "after", current=False),
     ]
-    options = [
-        "--route",
-        "direct",
-        "--bench",
-        TOLERANCES,
-        "--config",
-        two_ensembles(folder, "compare"),
-    ]
-    assert run("compare", *files, *options, "--out", folder / "compare") == 0
+    options = ["--route", "direct", "--bench", TOLERANCES, "--out", folder / "compare"]
+    assert run("compare", *files, *options, "--config", two_ensembles(folder, "compare")) == 0
     return folder / "compare"
 
 

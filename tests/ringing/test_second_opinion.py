@@ -11,7 +11,7 @@ import pytest
 from places import BEFORE
 from quick import two_ensembles
 from recording_files import write_csv
-from test_convergence import ambiguous, clean
+from synthetic_ringing import ambiguous, clean
 
 from bayesbl import cli
 from bayesbl.recording.types import MOTOR_SPEED

@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 from places import BEFORE, CONFIGS, RECORDINGS
 from quick import two_ensembles
+from synthetic_ringing import TRUTH
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
@@ -32,8 +33,6 @@ from bayesbl.ringing.symbols import (
     ROTATION,
     SEPARATION,
     START,
-    WINDOW_END,
-    WINDOW_START,
     DisturbanceModel,
 )
 from bayesbl.ringing.synthetic import synthetic_recording
@@ -41,17 +40,6 @@ from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimu
 from bayesbl.runs.run import check, run
 
 NOISE = NoiseModel(1.5, (0.6,))
-TRUTH = {
-    AMPLITUDE: 20.0,
-    START: 1.3,
-    DECAY: 12.0,
-    FREQUENCY: 62.0,
-    MEAN: 2000.0,
-    WINDOW_START: 0.0,
-    WINDOW_END: 0.204,
-    SEPARATION: 1.7,
-    ROTATION: 3.6,
-}
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)
 
 
