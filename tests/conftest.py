@@ -21,7 +21,16 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 LONGEST = (
     "test_paper_figures.py",
-    "test_inference.py",
+    "test_golden.py",
+    "test_forward.py",
+    "test_calibration.py",
+    "test_direct.py",
+    "test_wear_detection.py",
+    "test_cli.py",
+    "test_sweep.py",
+    "test_direct_results.py",
+    "test_figures.py",
+    "test_page.py",
 )
 """Files that a whole run starts with, or it would end with one core waiting for another.
 
