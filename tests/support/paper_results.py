@@ -59,6 +59,8 @@ def make(folder: Path) -> Path:
         for old, new in SMALLER.get(path.name, {}).items():
             assert text.count(old) == 1, f"{path.name} no longer says {old}"
             text = text.replace(old, new)
+        if path.name.startswith("wear"):
+            text += "[posterior]\nensembles = 2\n"
         if path.name.startswith("simulate"):
             text = re.sub("^gap_rad = .*", rf"\g<0>\nrotations = {ROTATIONS}", text, flags=re.M)
         path.write_text(text, encoding="utf-8")
