@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import sys
 import tempfile
@@ -41,11 +40,6 @@ SMALLER = {
 }
 """What the tests leave out of the configurations: nothing that changes what is learnt."""
 
-ROTATIONS = 3
-"""That a recording holds here, of five: the fits take half as long."""
-
-SAMPLES_A_ROTATION = 3600
-
 
 def make(folder: Path) -> Path:
     """Run all quick experiments in a copy of ``configs``; the folder of their results."""
@@ -59,14 +53,7 @@ def make(folder: Path) -> Path:
         for old, new in SMALLER.get(path.name, {}).items():
             assert text.count(old) == 1, f"{path.name} no longer says {old}"
             text = text.replace(old, new)
-        if path.name.startswith("wear"):
-            text += "[posterior]\nensembles = 2\n"
-        if path.name.startswith("simulate"):
-            text = re.sub("^gap_rad = .*", rf"\g<0>\nrotations = {ROTATIONS}", text, flags=re.M)
         path.write_text(text, encoding="utf-8")
-    for path in (folder / "configs/recordings").glob("wear_*.csv"):
-        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-        path.write_text("".join(lines[: 1 + ROTATIONS * SAMPLES_A_ROTATION]), encoding="utf-8")
     with chdir(folder), without_figures():
         for made in RESULTS.values():
             for config in made.configs:
