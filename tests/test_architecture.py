@@ -174,6 +174,10 @@ def test_circles_are_found():
     assert circles(graph) == {("a", "b", "c"), ("d", "e"), ("f",)}
 
 
+def test_every_room_has_its_place():
+    assert {name.split(".")[0] for name in files()} == set(ROOMS)
+
+
 def test_imports_go_downwards(imports):
     upwards = {
         (module, target)
