@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import RECORDINGS
 
 from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.errors import RecordingError, ResultError
@@ -20,6 +19,7 @@ from bayesbl.results.folder import is_finished
 from bayesbl.results.store import read_tree
 from bayesbl.runs.run import run
 
+RECORDINGS = Path(__file__).parents[2] / "configs" / "recordings"
 SAMPLES, THINNED = 8000, 4  # 8 s, every fourth sample: 250 Hz
 STEPS = 600
 KILLS = 20
