@@ -208,7 +208,7 @@ def rows(folder) -> dict[str, str]:
     """One row of each kind, few cases each."""
     bench = f'bench = "{ROOT}/configs/bench.toml"'
     return {
-        "amplitude": f'cases = 2\n{bench}\ncurve = "{folder}/curve.nc"\n{RECORDED}\n'
+        "amplitude": f'cases = 3\n{bench}\ncurve = "{folder}/curve.nc"\n{RECORDED}\n'
         'posterior = "normal"\nemcee_cases = 1',
         "direct": f'cases = 2\n{bench}\nroute = "direct"\n{RECORDED}',
         "model": "cases = 2\nrotations = 3.0\nsampling_hz = 500.0\nspeed_noise_sd_rpm = 0.5\n"
@@ -240,7 +240,7 @@ def test_emcee_and_the_normal_posterior_rank_a_truth_alike(result):
     cases = stored_rows(result)[1]["amplitude"]
     for name in ("delta", "change"):
         beside = cases[f"{name}_emcee_rank"].values
-        assert np.isfinite(beside).tolist() == [True, False]
+        assert np.isfinite(beside).tolist() == [True, False, False]
         # Ranks among 1000 effective draws have a standard error of at most 0.016 each.
         assert abs(beside[0] - cases[f"{name}_rank"].values[0]) < 0.1
 
@@ -248,7 +248,7 @@ def test_emcee_and_the_normal_posterior_rank_a_truth_alike(result):
 def test_ranks_of_bench_recordings_are_uniform_and_would_not_be_if_intervals_were_narrower(
     folder, rows
 ):
-    text = rows["amplitude"].replace("cases = 2", "cases = 24").replace("emcee_cases = 1", "")
+    text = rows["amplitude"].replace("cases = 3", "cases = 24").replace("emcee_cases = 1", "")
     run_study(load_config(study_of(folder, "many", {"a": text})), say=lambda _: None)
     cases = stored_rows(read_tree(folder / "many"))[1]["a"]
     for name in ("delta", "change"):
