@@ -36,7 +36,7 @@ from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -51,6 +51,7 @@ from bayesbl.ringing.symbols import (
 )
 from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.ringing.warm_start import EarlierOptimum, warm_optimum
+from bayesbl.sampling.chains import SamplerSettings
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
 POPULATION = 1000

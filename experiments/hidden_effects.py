@@ -46,7 +46,7 @@ from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, observed
 from bayesbl.matching.signals import start_angle_unknown as start_angle
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 HELD_OUT_RPM = 1600.0
 GAP_RANGE_RAD = (1e-4, 4e-3)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayesbl.diagnosis.comparison import Comparison, Fit, Piece, Use
-from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise
+from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.recording.types import FloatArray
 
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]

@@ -35,9 +35,9 @@ from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.ringing.memory import Forgetful
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.second_sampler import require_second_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, DisturbanceModel
+from bayesbl.sampling.chains import SamplerSettings
 
 __all__ = ["StageProgress", "measure"]
 

@@ -55,8 +55,8 @@ from bayesbl.results.direct_tree import AmplitudeRoute, direct_groups
 from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, stack_snapshots
 from bayesbl.ringing.estimator import Estimator, Fit
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.symbols import AMPLITUDE
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import Diagnostics
 
 FALSE_ALARM = 0.01

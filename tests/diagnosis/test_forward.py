@@ -41,8 +41,8 @@ from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, 
 from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.forward_diagnosis import forward_tree
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.runs.diagnose import run_diagnose
+from bayesbl.sampling.chains import SamplerSettings
 
 FILE = Path(__file__).parents[2] / "experiments" / "independent_bench.py"
 BENCH = reference_bench()

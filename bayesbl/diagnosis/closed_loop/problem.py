@@ -36,7 +36,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.forward_diagnosis import forward_tree
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
 DEFAULT_GAP_RAD = (1e-4, 4e-3)

@@ -37,7 +37,7 @@ from bayesbl.diagnosis.report import (
     gaps_of,
     verdict_of,
 )
-from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise, distance, sandwich
+from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.recording.types import FloatArray
 
 ALIKE = 5.0

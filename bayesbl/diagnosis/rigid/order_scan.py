@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesbl.diagnosis.report import Remaining
-from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise
+from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.recording.types import FloatArray
 
 FEWEST_CYCLES = 3.0

@@ -13,7 +13,14 @@ import numpy as np
 from scipy.linalg import matmul_toeplitz
 
 from bayesbl.diagnosis.comparison import Fit
-from bayesbl.noise.rotation_noise import HIGHEST_ORDER, autocorrelation, burg, innovation_share
+from bayesbl.noise.autoregression import (
+    autocorrelation,
+    bic,
+    burg,
+    innovation_share,
+    log_variances,
+)
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.types import FloatArray
 
 
@@ -29,10 +36,8 @@ class ResidualNoise:
         """Burg's estimate on a residual of shape (n,)."""
         n = residual.size
         fits = burg(residual, min(HIGHEST_ORDER, n // 20))
-        variances = np.array([variance for variance, _ in fits])
-        orders = np.arange(variances.size)
-        bic = n * np.log(np.maximum(variances, 1e-300)) + orders * math.log(n)
-        return cls(math.sqrt(float(residual @ residual) / n), fits[int(np.argmin(bic))][1])
+        order = int(np.argmin(bic(log_variances(fits), n)))
+        return cls(math.sqrt(float(residual @ residual) / n), fits[order][1])
 
     @property
     def innovation(self) -> float:
