@@ -1,16 +1,15 @@
-"""What a comparison of bench and recordings hands to naming, whatever the method behind it."""
+"""What a least-squares comparison of bench and recordings hands to the selection of effects."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.recording.types import BoolArray, FloatArray
-
-Use = Literal["used", "held_out"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +116,22 @@ class Comparison(Protocol):
 
     def fit(self, effects: tuple[str, ...], start: Fit | None) -> Fit:
         """Fit on the used pieces; what ``start`` has found is where the search starts."""
+
+
+def residuals_of_pieces(comparison: Comparison, before: Fit, after: Fit) -> list[PieceResiduals]:
+    """Of every piece, at the samples that count."""
+    return [
+        piece_residuals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            piece.kept(piece.measured - first),
+            piece.kept(piece.measured - last),
+        )
+        for piece, first, last in zip(
+            comparison.pieces, before.predictions, after.predictions, strict=True
+        )
+    ]
 
 
 def residuals(comparison: Comparison, fit: Fit, use: Use) -> list[FloatArray]:

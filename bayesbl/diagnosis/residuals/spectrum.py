@@ -1,4 +1,4 @@
-"""Spectrum of what a simulation leaves: the noise's floor, lines above it, which are significant.
+"""Spectrum of a residual: the noise's floor, lines above it, which are significant.
 
 Periodograms are |X_k|²/n with X the real FFT of n samples, so white noise of variance σ² has the
 floor σ² at every bin, and of noise alone the periodogram over its floor is standard exponential.

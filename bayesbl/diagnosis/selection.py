@@ -1,4 +1,7 @@
-"""Which effect is missing: forward selection by evidence and by prediction of what was held out.
+"""Effects named one by one, by evidence and by prediction of what was held out.
+
+For comparisons that are cheap least squares; the closed loop has a search of its own
+(:mod:`bayesbl.diagnosis.closed_loop.naming`).
 
 One effect at a time: every candidate is fitted beside those named already. It is believed if
 
@@ -7,8 +10,9 @@ One effect at a time: every candidate is fitted beside those named already. It i
 - held-out pieces are predicted better with it than without, beyond what the noise does to that;
 - it has the sign that physics gives it.
 
-Of those, the one that closes most of the gap is named; an earlier one that no longer stands out is
-dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the effective samples.
+Of those, the one that closes most of the disagreement is named; an earlier one that no longer
+stands out is dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the
+effective samples.
 """
 
 from __future__ import annotations
@@ -26,32 +30,32 @@ from bayesbl.diagnosis.comparison import (
     Comparison,
     Fit,
     residuals,
+    residuals_of_pieces,
     sum_of_squares,
 )
-from bayesbl.diagnosis.report import (
+from bayesbl.diagnosis.diagnosis import (
+    ALIKE,
     Diagnosis,
     Estimate,
     NamedEffect,
     ParameterError,
-    Remaining,
-    gaps_of,
+    PieceSignals,
+    probability_of,
     verdict_of,
 )
+from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.task import Progress, Task
 from bayesbl.recording.types import FloatArray
-
-ALIKE = 5.0
-"""|z| between two best fits below which the recordings do not tell them apart."""
 
 BETTER = 2.0
 """Standard errors by which held-out pieces must be predicted better."""
 
 WORTH = 0.01
-"""Share of the held-out gap that an effect must close: less may be anything."""
+"""Share of the held-out RMS that an effect must close: less may be anything."""
 
 SURE_PARAMETER = 3.0
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,43 @@ class Settings:
 
     most: int = 3
     false_alarm: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A comparison with its candidates.
+
+    Attributes
+    ----------
+    remaining
+        Describes what still repeats in a fit's residuals.
+    notes
+        Sentences about what these recordings cannot show.
+    """
+
+    comparison: Comparison
+    remaining: Callable[[Fit], tuple[Unexplained, ...]]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BySelection:
+    """A method of diagnosis whose comparison is cheap: effects are named one by one."""
+
+    name: str
+    problem: Callable[[Task], Problem]
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        comparison = self.problem(task).comparison
+        names = ", ".join(candidate.name for candidate in comparison.candidates)
+        return f"{self.name}, {comparison.pieces[0].channel}; candidates {names}"
+
+    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = task.config.candidates
+        settings = Settings(asked.max_effects, asked.false_alarm)
+        return diagnose(self.problem(task), task.bench, settings, progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,43 +123,42 @@ class _Trial:
 
 
 def diagnose(
-    comparison: Comparison,
-    bench: Bench,
-    settings: Settings,
-    find_remaining: Callable[[Fit], tuple[Remaining, ...]],
-    notes: tuple[str, ...] = (),
-    progress: Progress | None = None,
+    problem: Problem, bench: Bench, settings: Settings, progress: Progress | None = None
 ) -> Diagnosis:
-    """Name what is missing, and tell the gap before and after.
+    """Name what is missing; the disagreement before and after.
 
     Parameters
     ----------
     bench
         The one believed, for the tolerances of parameters that were fitted.
-    find_remaining
-        Describes what still repeats in a fit's residuals.
-    notes
-        Sentences about what these recordings cannot tell.
     """
+    comparison = problem.comparison
     before = comparison.fit((), None)
     named = _select(comparison, before, settings, progress)
     after = named[-1].fit if named else before
-    effects = tuple(_named(comparison, trial, after) for trial in _again(comparison, after))
+    effects = tuple(_named(comparison, trial, after) for trial in _retested(comparison, after))
     estimates = _bench_estimates(comparison, after)
     errors = _parameter_errors(bench, estimates)
-    remaining = find_remaining(after)
-    single, overall = gaps_of(comparison, before, after)
+    remaining = problem.remaining(after)
+    pieces = residuals_of_pieces(comparison, before, after)
     return Diagnosis(
-        verdict_of(effects, errors, remaining),
+        verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
         effects,
         errors,
-        estimates,
         remaining,
-        single,
-        overall,
-        notes,
-        before,
-        after,
+        disagreement_table(pieces, in_units_of_noise=False),
+        problem.notes,
+        bench_parameters=estimates,
+        signals=_signals(comparison, before, after),
+    )
+
+
+def _signals(comparison: Comparison, before: Fit, after: Fit) -> tuple[PieceSignals, ...]:
+    return tuple(
+        PieceSignals(piece.name, piece.channel, piece.use, piece.time_s, piece.measured, *made)
+        for piece, *made in zip(
+            comparison.pieces, before.predictions, after.predictions, strict=True
+        )
     )
 
 
@@ -151,7 +191,7 @@ def _select(
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
-    """The trial that leaves least, or a simpler one that it cannot be told from.
+    """The trial with the smallest residual, or a simpler one that cannot be told from it.
 
     Simpler: fewer parameters, then earlier in the catalogue.
     """
@@ -175,7 +215,10 @@ def _used(comparison: Comparison, fit: Fit) -> list[FloatArray]:
 
 
 def _open(candidates: tuple[Candidate, ...], current: Fit, dropped: set[str]) -> list[Candidate]:
-    """Not named, not dropped, not inside a named one; a wider one only after its simpler."""
+    """Candidates still open: skip those named, dropped or contained in a named one.
+
+    A composite effect comes only after its simpler part.
+    """
     inside = {c.contains for c in candidates if c.name in current.effects}
     return [
         c
@@ -200,7 +243,7 @@ def _wald(comparison: Comparison, fit: Fit, candidate: Candidate) -> tuple[float
     """z of the amplitude, ln p corrected for the shapes tried, and log evidence."""
     noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
     index = fit.names.index(f"{candidate.name}.{candidate.amplitude}")
-    variance = float(sandwich(fit, noises)[index, index])
+    variance = float(sandwich(fit.columns, noises)[index, index])
     amplitude = fit.effects[candidate.name][candidate.amplitude]
     z = abs(amplitude) / math.sqrt(variance) if variance > 0.0 else 0.0
     phases = sum(name.startswith(f"{candidate.name}.phase_rad") for name in fit.names)
@@ -230,7 +273,7 @@ def _held_out(comparison: Comparison, old: Fit, new: Fit) -> tuple[float, float]
     return gain / (2.0 * math.sqrt(spread)), closed
 
 
-def _again(comparison: Comparison, after: Fit) -> list[_Trial]:
+def _retested(comparison: Comparison, after: Fit) -> list[_Trial]:
     """Every named effect, tested once more beside all the others."""
     found = []
     for name in after.effects:
@@ -247,9 +290,8 @@ def _named(comparison: Comparison, trial: _Trial, after: Fit) -> NamedEffect:
         key: Estimate(value, spread.get(f"{name}.{key}", math.nan))
         for key, value in after.effects[name].items()
     }
-    probability = 1.0 / (1.0 + math.exp(-min(700.0, max(-700.0, trial.log_evidence))))
     alike = (*trial.candidate.same_as, *_rivals(comparison, after, trial.candidate))
-    return NamedEffect(name, parameters, probability, trial.z, alike)
+    return NamedEffect(name, parameters, probability_of(trial.log_evidence), trial.z, alike)
 
 
 def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
@@ -273,7 +315,7 @@ def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
 
 def _deviations(comparison: Comparison, fit: Fit) -> dict[str, float]:
     noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
-    variances: FloatArray = np.diag(sandwich(fit, noises)) if fit.names else np.array([])
+    variances: FloatArray = np.diag(sandwich(fit.columns, noises)) if fit.names else np.array([])
     return dict(zip(fit.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
 
 
