@@ -21,8 +21,8 @@ from bayesbl.diagnosis.disagreement import DisagreementTable
 from bayesbl.diagnosis.residual_groups import residuals_dataset
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.direct_tree import result_name, unit_and_meaning
 from bayesbl.results.intervals import IntervalKind
 from bayesbl.results.variables import Group, Variable, dataset, labels
 from bayesbl.units import unit_of

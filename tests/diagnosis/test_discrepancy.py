@@ -8,6 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayesbl.diagnosis.report import Diagnosis, gaps_of
+from bayesbl.diagnosis.rigid.free_motion import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.rigid.naming import Settings, diagnose
 from rigid_machine import LOAD_INERTIA, RATIO, bench, motion, recording
 from scipy.integrate import solve_ivp
 
@@ -15,12 +18,9 @@ from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParame
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece, residuals
-from bayesbl.diagnosis.report import Diagnosis, gaps_of
 from bayesbl.diagnosis.residual_noise import ResidualNoise, sandwich
-from bayesbl.diagnosis.rigid.free_motion import FreeMotionComparison, free_motion_candidates
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of, settled
-from bayesbl.diagnosis.rigid.naming import Settings, diagnose
 from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, dahl, play, required_torque
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (

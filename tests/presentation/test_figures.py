@@ -15,6 +15,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
 from bayesbl.measurement.amplitude_route import measure
+from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation.figures import (
     bench_draws,
     convergence,
@@ -39,7 +40,6 @@ from bayesbl.presentation.figures.scales import scale_of
 from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import look, publication_style, save
 from bayesbl.presentation.figures.traces import envelope
-from bayesbl.results.curve_file import curve_from_dataset
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train

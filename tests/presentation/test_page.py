@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 from bayesbl import cli
+from bayesbl.measurement.dated_wear import wear_group, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation import words
@@ -22,7 +23,6 @@ from bayesbl.presentation.page.build import page
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.summary import summarise
-from bayesbl.results.wear import wear_group, years_between
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""

@@ -1,6 +1,7 @@
 """Wear in time, as ``result.nc`` and ``summary.json`` of a comparison hold it.
 
-Group ``wear`` of ``result.nc``: ``date`` of every snapshot and whether it is ``used`` (taken since
+
+Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
 the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
 where the answer is withheld, ``decide_before`` where that was asked, and with three snapshots or
 more those of :class:`bayesbl.measurement.wear.Straightness`, ``line_`` before their names.
@@ -32,6 +33,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayesbl.measurement.shared_groups import DRAWS
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
     LONGEST_YEARS,
@@ -39,11 +41,10 @@ from bayesbl.measurement.wear import (
     Wear,
     probability_before,
 )
-from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
+from bayesbl.results.variables import Group, Variable, dataset
 
 DAYS_PER_YEAR = 365.25
-GROUP = "wear"
 
 
 def years_between(first: Date, last: Date) -> float:
@@ -58,6 +59,40 @@ def date_after(first: Date, years: float) -> Date | None:
     return first + timedelta(days=round(years * DAYS_PER_YEAR))
 
 
+WEAR = Group(
+    "wear",
+    (
+        Variable("date", ("dated",), "", "date of snapshot", "text"),
+        Variable("used", ("dated",), "1", "1 where taken since the last repair"),
+        Variable(
+            "rate_rad_per_year",
+            DRAWS,
+            "rad/year",
+            "growth of the gap, of either sign",
+            optional=True,
+        ),
+        Variable(
+            "current_rad",
+            DRAWS,
+            "rad",
+            "gap at the last snapshot, from all of them",
+            optional=True,
+        ),
+        Variable(
+            "scatter_rad_per_root_year", DRAWS, "rad/year^0.5", "irregular wear", optional=True
+        ),
+        Variable(
+            "years_to_limit",
+            DRAWS,
+            "year",
+            "time from the last snapshot to the limit; none where the gap would heal",
+            optional=True,
+        ),
+    ),
+    optional=True,
+)
+
+
 def wear_group(
     dates: Sequence[Date],
     used: slice,
@@ -67,42 +102,11 @@ def wear_group(
     decide_before: Date | None,
     line: Straightness | None = None,
 ) -> xr.Dataset:
-    """Group of :data:`GROUP`; ``wear`` is ``None`` where nothing could be computed."""
+    """Group :data:`WEAR`; ``wear`` is ``None`` where nothing could be computed."""
     chosen = np.zeros(len(dates))
     chosen[used] = 1.0
-    group = xr.Dataset(
-        {
-            "date": ("dated", [d.isoformat() for d in dates], {"long_name": "date of snapshot"}),
-            "used": (
-                "dated",
-                chosen,
-                {"units": "1", "long_name": "1 where taken since the last repair"},
-            ),
-        }
-    )
-    draws: dict[str, tuple[FloatArray | None, str, str]] = {}
-    if wear is not None:
-        draws = {
-            "rate_rad_per_year": (
-                wear.rate_rad_per_year,
-                "rad/year",
-                "growth of the gap, of either sign",
-            ),
-            "current_rad": (wear.current_rad, "rad", "gap at the last snapshot, from all of them"),
-            "scatter_rad_per_root_year": (
-                wear.scatter_rad_per_root_year,
-                "rad/year^0.5",
-                "irregular wear",
-            ),
-            "years_to_limit": (
-                wear.years_to_limit,
-                "year",
-                "time from the last snapshot to the limit; none where the gap would heal",
-            ),
-        }
-    for name, (values, unit, long_name) in draws.items():
-        if values is not None:
-            group[name] = (("chain", "draw"), values, {"units": unit, "long_name": long_name})
+    draws = {} if wear is None else {f.name: getattr(wear, f.name) for f in fields(Wear)}
+    group = dataset(WEAR, {"date": [d.isoformat() for d in dates], "used": chosen, **draws})
     group.attrs = {"reason": reason}
     if decide_before is not None:
         group.attrs["decide_before"] = decide_before.isoformat()
@@ -119,9 +123,9 @@ def used_dates(group: xr.Dataset) -> list[Date]:
 
 def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | None:
     """``wear`` of the summary of a comparison (see the module)."""
-    if GROUP not in tree.children:
+    if WEAR.name not in tree.children:
         return None
-    group = tree[GROUP].to_dataset()
+    group = tree[WEAR.name].to_dataset()
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     limit, before = tree.attrs.get("limit_rad"), group.attrs.get("decide_before")
     dates = used_dates(group)
