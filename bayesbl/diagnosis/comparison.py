@@ -46,7 +46,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class TestedEffect:
     """An effect that may be missing.
 
     Attributes
@@ -72,7 +72,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class EffectsFit:
     """Least squares with a set of effects in the bench.
 
     Attributes
@@ -111,14 +111,16 @@ class Comparison(Protocol):
         """Everything compared, in the order of a fit's predictions."""
 
     @property
-    def candidates(self) -> tuple[Candidate, ...]:
+    def candidates(self) -> tuple[TestedEffect, ...]:
         """Effects that these recordings can show."""
 
-    def fit(self, effects: tuple[str, ...], start: Fit | None) -> Fit:
+    def fit(self, effects: tuple[str, ...], start: EffectsFit | None) -> EffectsFit:
         """Fit on the used pieces; what ``start`` has found is where the search starts."""
 
 
-def residuals_of_pieces(comparison: Comparison, before: Fit, after: Fit) -> list[PieceResiduals]:
+def residuals_of_pieces(
+    comparison: Comparison, before: EffectsFit, after: EffectsFit
+) -> list[PieceResiduals]:
     """Of every piece, at the samples that count."""
     return [
         piece_residuals(
@@ -134,7 +136,7 @@ def residuals_of_pieces(comparison: Comparison, before: Fit, after: Fit) -> list
     ]
 
 
-def residuals(comparison: Comparison, fit: Fit, use: Use) -> list[FloatArray]:
+def residuals(comparison: Comparison, fit: EffectsFit, use: Use) -> list[FloatArray]:
     """Measured less predicted at the samples that count, for the pieces of one use."""
     return [
         piece.kept(piece.measured - prediction)

@@ -26,9 +26,9 @@ from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import (
-    Candidate,
     Comparison,
-    Fit,
+    EffectsFit,
+    TestedEffect,
     residuals,
     residuals_of_pieces,
     sum_of_squares,
@@ -79,7 +79,7 @@ class Problem:
     """
 
     comparison: Comparison
-    remaining: Callable[[Fit], tuple[Unexplained, ...]]
+    remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
     notes: tuple[str, ...] = ()
 
 
@@ -105,8 +105,8 @@ class BySelection:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    candidate: Candidate
-    fit: Fit
+    candidate: TestedEffect
+    fit: EffectsFit
     z: float
     log_p: float
     log_evidence: float
@@ -153,7 +153,9 @@ def diagnose(
     )
 
 
-def _signals(comparison: Comparison, before: Fit, after: Fit) -> tuple[PieceSignals, ...]:
+def _signals(
+    comparison: Comparison, before: EffectsFit, after: EffectsFit
+) -> tuple[PieceSignals, ...]:
     return tuple(
         PieceSignals(piece.name, piece.channel, piece.use, piece.time_s, piece.measured, *made)
         for piece, *made in zip(
@@ -163,7 +165,7 @@ def _signals(comparison: Comparison, before: Fit, after: Fit) -> tuple[PieceSign
 
 
 def _select(
-    comparison: Comparison, before: Fit, settings: Settings, progress: Progress | None
+    comparison: Comparison, before: EffectsFit, settings: Settings, progress: Progress | None
 ) -> list[_Trial]:
     """The trials whose effects were added, last fit last."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
@@ -208,13 +210,15 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
     return min(alike, key=simplicity)
 
 
-def _used(comparison: Comparison, fit: Fit) -> list[FloatArray]:
+def _used(comparison: Comparison, fit: EffectsFit) -> list[FloatArray]:
     """Predictions of the used pieces, at the samples that count."""
     pairs = zip(comparison.pieces, fit.predictions, strict=True)
     return [piece.kept(prediction) for piece, prediction in pairs if piece.use == "used"]
 
 
-def _open(candidates: tuple[Candidate, ...], current: Fit, dropped: set[str]) -> list[Candidate]:
+def _open(
+    candidates: tuple[TestedEffect, ...], current: EffectsFit, dropped: set[str]
+) -> list[TestedEffect]:
     """Candidates still open: skip those named, dropped or contained in a named one.
 
     A composite effect comes only after its simpler part.
@@ -230,7 +234,7 @@ def _open(candidates: tuple[Candidate, ...], current: Fit, dropped: set[str]) ->
     ]
 
 
-def _trial(comparison: Comparison, current: Fit, candidate: Candidate) -> _Trial:
+def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect) -> _Trial:
     kept = tuple(name for name in current.effects if name != candidate.contains)
     fit = comparison.fit((*kept, candidate.name), current)
     z, log_p, log_evidence = _wald(comparison, fit, candidate)
@@ -239,7 +243,9 @@ def _trial(comparison: Comparison, current: Fit, candidate: Candidate) -> _Trial
     return _Trial(candidate, fit, z, log_p, log_evidence, held_out_z, closed, squares)
 
 
-def _wald(comparison: Comparison, fit: Fit, candidate: Candidate) -> tuple[float, float, float]:
+def _wald(
+    comparison: Comparison, fit: EffectsFit, candidate: TestedEffect
+) -> tuple[float, float, float]:
     """z of the amplitude, ln p corrected for the shapes tried, and log evidence."""
     noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
     index = fit.names.index(f"{candidate.name}.{candidate.amplitude}")
@@ -255,7 +261,7 @@ def _wald(comparison: Comparison, fit: Fit, candidate: Candidate) -> tuple[float
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
-def _held_out(comparison: Comparison, old: Fit, new: Fit) -> tuple[float, float]:
+def _held_out(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> tuple[float, float]:
     """How surely held-out pieces are predicted better: z, and the share of the RMS closed.
 
     ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
@@ -273,7 +279,7 @@ def _held_out(comparison: Comparison, old: Fit, new: Fit) -> tuple[float, float]
     return gain / (2.0 * math.sqrt(spread)), closed
 
 
-def _retested(comparison: Comparison, after: Fit) -> list[_Trial]:
+def _retested(comparison: Comparison, after: EffectsFit) -> list[_Trial]:
     """Every named effect, tested once more beside all the others."""
     found = []
     for name in after.effects:
@@ -283,7 +289,7 @@ def _retested(comparison: Comparison, after: Fit) -> list[_Trial]:
     return found
 
 
-def _named(comparison: Comparison, trial: _Trial, after: Fit) -> NamedEffect:
+def _named(comparison: Comparison, trial: _Trial, after: EffectsFit) -> NamedEffect:
     name = trial.candidate.name
     spread = _deviations(comparison, after)
     parameters = {
@@ -294,7 +300,7 @@ def _named(comparison: Comparison, trial: _Trial, after: Fit) -> NamedEffect:
     return NamedEffect(name, parameters, probability_of(trial.log_evidence), trial.z, alike)
 
 
-def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
+def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> list[str]:
     """Effects that, put in the place of a named one, predict what it predicts within the noise."""
     used = _used(comparison, after)
     noises = [ResidualNoise.of(part) for part in residuals(comparison, after, "used")]
@@ -313,13 +319,13 @@ def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
     return found
 
 
-def _deviations(comparison: Comparison, fit: Fit) -> dict[str, float]:
+def _deviations(comparison: Comparison, fit: EffectsFit) -> dict[str, float]:
     noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
     variances: FloatArray = np.diag(sandwich(fit.columns, noises)) if fit.names else np.array([])
     return dict(zip(fit.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
 
 
-def _bench_estimates(comparison: Comparison, fit: Fit) -> dict[str, Estimate]:
+def _bench_estimates(comparison: Comparison, fit: EffectsFit) -> dict[str, Estimate]:
     spread = _deviations(comparison, fit)
     return {name: Estimate(value, spread.get(name, math.nan)) for name, value in fit.bench.items()}
 
@@ -334,5 +340,5 @@ def _parameter_errors(bench: Bench, estimates: dict[str, Estimate]) -> tuple[Par
     return tuple(found)
 
 
-def _by_name(comparison: Comparison, name: str) -> Candidate:
+def _by_name(comparison: Comparison, name: str) -> TestedEffect:
     return next(c for c in comparison.candidates if c.name == name)

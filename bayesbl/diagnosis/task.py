@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from bayesbl.bench.bench import Bench, Drive
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.comparison import Candidate, Piece
+from bayesbl.diagnosis.comparison import Piece, TestedEffect
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.checks import require_channels
@@ -116,7 +116,9 @@ def notes_of(recordings: Sequence[Recording]) -> list[str]:
     return [f"{recording.name}: {note}" for recording in recordings for note in recording.notes]
 
 
-def wanted(config: DiagnoseConfig, bench: Bench, every: Iterable[Candidate]) -> list[Candidate]:
+def wanted(
+    config: DiagnoseConfig, bench: Bench, every: Iterable[TestedEffect]
+) -> list[TestedEffect]:
     """Candidates that were asked for and that the bench does not have already.
 
     A name that means the same law here finds a candidate too.

@@ -163,7 +163,7 @@ def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> l
 
 
 def _require_rotations(seen: Observed, file: str, split: bool) -> None:
-    """What repeats is told from noise by whole rotations, of each half if it is split."""
+    """Whole rotations separate what repeats from noise, in each half if it is split."""
     fewest = (2 * seen.lag + HIGHEST_ORDER) * (2 if split else 1)
     if seen.samples >= fewest:
         return

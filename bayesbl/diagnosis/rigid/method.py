@@ -20,7 +20,12 @@ from bayesbl.diagnosis.rigid.preparation import (
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, Term
+from bayesbl.diagnosis.rigid.terms import (
+    POSITION_TERMS,
+    TORQUE_TERMS,
+    uncomputable,
+    without_load_angle,
+)
 from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, rows_of, wanted
 from bayesbl.errors import ConfigError
@@ -37,9 +42,9 @@ from bayesbl.recording.types import (
 CHANNELS = (MOTOR_TORQUE, MOTOR_CURRENT, LOAD_POSITION)
 MOTION_ALONE = (
     "There is neither torque nor current of the motor, nor a second encoder at the load. "
-    "From motion alone it cannot be told what the motor had to give: friction, offsets, "
-    "ripple and inertia all stay unknown. What motion alone can tell, it tells when the "
-    "motor is switched off (free_motion)."
+    "From motion alone the torque of the motor is unknown, and with it friction, offsets, "
+    "ripple and inertia. Motion alone is enough when the motor is switched off "
+    "(free_motion)."
 )
 
 ONE_WAY = 0.9
@@ -77,14 +82,11 @@ def inverse_problem(task: Task) -> Problem:
         sum((part.channels[n] for n in compared.known_torque), np.zeros(part.samples))
         for part in parts
     )
-    gravity = bench.value(GRAVITY) > 0.0
     every = POSITION_TERMS if load else TORQUE_TERMS
-    left_out = {"gravity_phase"} if not (compared.load_angle_known and gravity) else set()
-    if load and "shaft_stiffness_nm_per_rad" in bench.assumed:
-        left_out.add("shaft_hysteresis")
-    if gravity and not compared.load_angle_known:
-        left_out.add("gear_mesh_friction")
-    terms: dict[str, Term] = {name: term for name, term in every.items() if name not in left_out}
+    if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
+        every = without_load_angle(every)
+    left_out = uncomputable(every, bench, compared.load_angle_known)
+    terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
     comparison = InverseComparison(
         pieces,
@@ -110,10 +112,9 @@ def inverse_problem(task: Task) -> Problem:
             "unknown, so a ripple has its own phase in every recording, and gravity's direction "
             "is fitted."
         )
-    if left_out & {"shaft_hysteresis", "gear_mesh_friction"}:
-        names = ", ".join(sorted(left_out & {"shaft_hysteresis", "gear_mesh_friction"}))
+    if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
-        notes.append(f"Not tried, as {why}: {names}.")
+        notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
     alarm = config.candidates.false_alarm
     used = tuple(piece.name for piece in pieces if piece.use == "used")
     return Problem(
