@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -17,18 +18,34 @@ from bayesbl.presentation.figures.style import MODEL, NEUTRAL, head_panels, publ
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
+if TYPE_CHECKING:
+    from bayesbl.diagnosis.summary import Answer
+
 _BINS = 25
 _BELIEVED = "#d55e00"
 
 
+def can_be_drawn(tree: xr.DataTree) -> bool:
+    """Whether anything but phases and start angles was sampled."""
+    if "posterior" not in tree.children or "diagnosis" not in tree.attrs:
+        return False
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
+
+
+def figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    """File name and figure."""
+    yield "named", named_effects(tree)
+
+
 @publication_style()
-def named(tree: xr.DataTree) -> Figure:
+def named_effects(tree: xr.DataTree) -> Figure:
     """A panel for δ and one for each size that was named, with what was believed before.
 
     Phases and start angles, another in every recording, are left out.
     """
     posterior = tree["posterior"].to_dataset()
-    answer = json.loads(tree.attrs["diagnosis"])
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
     shown = [name for name in map(str, posterior) if _is_size(name, answer)]
     figure, axes = one_panel_each(len(shown), height_in=1.9, shared=False, above=0.2)
     values = [
@@ -44,27 +61,21 @@ def named(tree: xr.DataTree) -> Figure:
     return figure
 
 
-def can_be_drawn(tree: xr.DataTree) -> bool:
-    """Whether anything but phases and start angles was sampled."""
-    answer = json.loads(tree.attrs["diagnosis"])
-    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
-
-
-def _is_size(name: str, answer: dict[str, Any]) -> bool:
+def _is_size(name: str, answer: Answer) -> bool:
     if name == GAP:
         return True
     errors = [error["name"] for error in answer["parameter_errors"]]
     return name in errors or ("__" in name and "__phase_rad" not in name)
 
 
-def _believed(name: str, answer: dict[str, Any]) -> dict[str, Any] | None:
-    """Interval, or value alone, that the bench as believed has."""
+def _believed(name: str, answer: Answer) -> float | None:
+    """The value that the bench as believed has."""
     if name == GAP:
-        before: dict[str, Any] | None = answer["delta_rad_before"]
-        return before
+        before = answer["delta_rad_before"]
+        return None if before is None else before["median"]
     for error in answer["parameter_errors"]:
         if error["name"] == name:
-            return {"median": error["believed"], "low": None, "high": None}
+            return error["believed"]
     return None
 
 
@@ -72,7 +83,7 @@ def _draw(
     panel: Axes,
     tree: xr.DataTree,
     variable: xr.DataArray,
-    believed: dict[str, Any] | None,
+    believed: float | None,
 ) -> str:
     """Draw, and say the values."""
     factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
@@ -87,21 +98,17 @@ def _draw(
             label=f"posterior: median and {interval_name(tree)}",
         )  # fmt: skip
     if believed is not None:
-        _draw_believed(panel, factor * believed["median"], edges)
+        _draw_believed(panel, factor * believed, edges)
     panel.set_ylim(0.0, 1.1 * counts.max())
     quantity = _quantity(str(variable.name))
     panel.set_xlabel(quantity if unit == "1" else f"{quantity} ({unit})")
     panel.set_ylabel("Density")
     panel.set_yticks([])
     panel.locator_params(axis="x", nbins=5)
-    told = "" if unit == "1" else f" {unit}"
-    values = f"{_digits(found['median'])}{told}"
+    units = "" if unit == "1" else f" {unit}"
+    values = f"{_digits(found['median'])}{units}"
     values += f" ({_digits(found['low'])} to {_digits(found['high'])})"
-    return (
-        values
-        if believed is None
-        else f"{values}, before {_digits(factor * believed['median'])}{told}"
-    )
+    return values if believed is None else f"{values}, before {_digits(factor * believed)}{units}"
 
 
 def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
@@ -121,8 +128,8 @@ def _quantity(name: str) -> str:
     """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
     if name == GAP:
         return "Gap δ"
-    told = ": ".join(map(in_words, name.split("__")))
-    return told[0].upper() + told[1:]
+    text = ": ".join(map(in_words, name.split("__")))
+    return text[0].upper() + text[1:]
 
 
 def _digits(value: float) -> str:

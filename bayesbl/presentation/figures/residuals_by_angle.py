@@ -1,6 +1,8 @@
-"""Where recording and simulation disagree: one figure for each recording."""
+"""Where recording and simulation disagree, over the load angle and by order, for each recording."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
@@ -40,15 +42,29 @@ _NAMES = {
 }
 
 
+def can_be_drawn(tree: xr.DataTree) -> bool:
+    """Whether residuals in steady rotation are stored."""
+    return "residuals_before" in tree.children
+
+
+def figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    """File name and figure of every recording."""
+    before, after = (tree[f"residuals_{stage}"].to_dataset() for stage in ("before", "after"))
+    for name in map(str, before["recording"].values):
+        yield f"diagnosis_{name.replace(' ', '_')}", residuals_by_angle(before, name, after)
+
+
 @publication_style()
-def discrepancy(before: xr.Dataset, recording: str, after: xr.Dataset | None = None) -> Figure:
-    """A row for each channel: overlay, what is left against load angle, its order spectrum.
+def residuals_by_angle(
+    before: xr.Dataset, recording: str, after: xr.Dataset | None = None
+) -> Figure:
+    """A row for each channel: overlay, residual against load angle, its order spectrum.
 
     Parameters
     ----------
     before, after
-        As :func:`bayesbl.results.located.located_dataset` gives them, of the bench as it was
-        believed and with what was named added.
+        As :mod:`bayesbl.diagnosis.residual_groups` stores them, of the bench as believed and with
+        what was named.
     recording
         Name of one recording of theirs.
     """
@@ -69,9 +85,8 @@ def discrepancy(before: xr.Dataset, recording: str, after: xr.Dataset | None = N
         spectrum = figure.add_subplot(spec[row, 2])
         _spectrum(spectrum, stages, channel)
         axes += [overlay, maps[0], spectrum]
-        said = CHANNELS.get(channel, channel)
-        left = "what is left" + (": before, after" if after is not None else "")
-        titles += [said, left, "its spectrum"]
+        residual = "residual" + (": before, after" if after is not None else "")
+        titles += [CHANNELS.get(channel, channel), residual, "its spectrum"]
     head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure

@@ -1,6 +1,8 @@
-"""One figure per recording of a diagnosis: measured, bench before and after, and what is left."""
+"""A recording over time, with the bench before and after naming, and the residuals of both."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
@@ -22,11 +24,24 @@ from bayesbl.recording.types import CHANNELS
 
 BEFORE = "#d55e00"
 _HEIGHT_IN = 3.6
+_USES = {"used": "fitted on", "held_out": "held out"}
+
+
+def can_be_drawn(tree: xr.DataTree) -> bool:
+    """Whether the signals of a diagnosis are stored."""
+    return "signals" in tree.children
+
+
+def figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
+    """File name and figure of every recording."""
+    stored = tree["signals"].to_dataset()["recording"].values
+    for name in dict.fromkeys(map(str, stored)):
+        yield f"diagnosis_{name.replace(' ', '_')}", recorded_and_predicted(tree, name)
 
 
 @publication_style()
-def diagnosis_of(tree: xr.DataTree, recording: str) -> Figure:
-    """Overlay above, residuals below; the half that was held out on a tinted ground."""
+def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
+    """Overlay above, residuals below; the half that was held out is tinted."""
     signals = tree["signals"].to_dataset()
     rows = [i for i, name in enumerate(signals["recording"].values) if str(name) == recording]
     figure = new_figure(DOUBLE_COLUMN_IN, _HEIGHT_IN)
@@ -36,24 +51,18 @@ def diagnosis_of(tree: xr.DataTree, recording: str) -> Figure:
     for row in rows:
         _draw(upper, lower, signals.isel(piece=row), row == rows[0], len(rows) > 1)
     unit = signals["measured"].attrs["units"]
-    name = CHANNELS.get(str(tree.attrs["channel"]), str(tree.attrs["channel"]))
+    channel = str(signals["channel"].values[rows[0]])
+    name = CHANNELS.get(channel, channel)
     upper.set_ylabel(f"{name.capitalize()} ({unit})")
     lower.set_ylabel(f"Residual ({unit})")
     lower.axhline(0.0, color=NEUTRAL, linewidth=0.6)
     lower.set_xlabel("Time (s)")
     upper.tick_params(labelbottom=False)
     uses = {str(signals["use"].values[row]) for row in rows}
-    told = {"used": "fitted on", "held_out": "held out"}
-    whole = " and ".join(told[use] for use in sorted(uses, reverse=True))
+    whole = " and ".join(_USES[use] for use in sorted(uses, reverse=True))
     head_panels([upper, lower], [f"{recording} ({whole})", "measured less bench"])
     legend_above(upper)
     return figure
-
-
-def diagnosed(tree: xr.DataTree) -> dict[str, Figure]:
-    """Recording to its figure."""
-    names = dict.fromkeys(str(name) for name in tree["signals"].to_dataset()["recording"].values)
-    return {name: diagnosis_of(tree, name) for name in names}
 
 
 def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bool) -> None:
