@@ -189,7 +189,7 @@ def test_the_disagreement_closes_on_what_was_not_fitted(friction: Found) -> None
     table = friction.answer.disagreement
     assert table.overall["used"].closed_fraction > 0.95
     assert table.overall["held_out"].closed_fraction > 0.9
-    held_out = {piece.channel: found for piece, found in table.pieces if piece.use == "held_out"}
+    held_out = {piece.channel: piece for piece in table.pieces if piece.use == "held_out"}
     assert set(held_out) == {MOTOR_SPEED, MOTOR_CURRENT}
     assert all(found.after < found.before for found in held_out.values())
 
