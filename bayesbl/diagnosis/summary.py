@@ -17,7 +17,7 @@ from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import IntervalKind, interval
-from bayesbl.results.store import texts
+from bayesbl.results.summary_types import Head, head
 
 _PLACE = ("recording", "channel", "use")
 
@@ -122,31 +122,16 @@ class Answer(TypedDict):
     diagnostics: NotRequired[SamplingSummary]
 
 
-class DiagnosisSummary(Answer):
+class DiagnosisSummary(Head, Answer):
     """``summary.json``."""
 
     kind: Literal["diagnose"]
-    outcome: str
-    reason: str | None
-    warnings: list[str]
-    version: str | None
-    commit: str | None
-    seed: int | None
 
 
 def summarise_diagnosis(tree: xr.DataTree) -> DiagnosisSummary:
     """``summary.json`` of a stored diagnosis."""
     answer: Answer = json.loads(tree.attrs["diagnosis"])
-    return {
-        "kind": "diagnose",
-        "outcome": tree.attrs["outcome"],
-        "reason": tree.attrs.get("reason") or None,
-        "warnings": texts(tree.attrs.get("warnings")),
-        "version": tree.attrs.get("bayesbl_version"),
-        "commit": tree.attrs.get("git_commit"),
-        "seed": tree.attrs.get("seed"),
-        **answer,
-    }
+    return {"kind": "diagnose", **head(tree), **answer}
 
 
 def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
