@@ -1,7 +1,7 @@
 """A diagnosis in words: what is missing, how sure that is, and what it explains.
 
 The difference between simulation and recording, ``gap`` in ``summary.json``, is called
-disagreement here: the gap is δ to whoever reads this.
+disagreement here: to a reader the gap is δ.
 """
 
 from __future__ import annotations
@@ -10,35 +10,39 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
-from bayesbl.presentation.terminal import add_row, new_table, print_table, say
+from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
 from bayesbl.presentation.words import Summary
 from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
-    from rich.table import Table
 
 FAR_BEYOND_NOISE = 10.0
-"""Standard deviations from nothing above which their number tells a reader no more."""
+"""Standard deviations from zero above which their number is of no use to a reader."""
 
 UNTOLD_SHARE = (
-    "–: before naming, the disagreement is too small beside the noise to tell a share of it."
+    "–: before naming, the disagreement is too small beside the noise to give a share of it."
 )
 
 _USES = {"used": "fitted on", "held_out": "held out"}
 
 
-def print_diagnosis(summary: Summary, console: Console) -> None:
-    """Verdict, one sentence per effect and parameter, the disagreement, what still repeats."""
-    say(console, headline(summary), "bold")
+def blocks(summary: Summary) -> Iterator[Block]:
+    """One sentence per effect and parameter, the disagreement, what still repeats."""
     for sentence in (*effects(summary), *parameter_errors(summary)):
-        say(console, sentence)
-    print_table(_gap_table(summary), console)
+        yield Sentence(sentence)
+    yield _gap_table(summary)
     if any(gap["closed_fraction"] is None for *_, gap in _gaps(summary["gap"])):
-        say(console, UNTOLD_SHARE, "dim")
+        yield Sentence(UNTOLD_SHARE, "aside")
     for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
-        say(console, sentence)
+        yield Sentence(sentence)
+
+
+def located_blocks(tree: xr.DataTree, _: Summary) -> Iterator[Block]:
+    """Residuals of a comparison of several channels, where the result holds them."""
+    for heading, sentences in located(tree):
+        yield Heading(heading)
+        yield from map(Sentence, sentences)
 
 
 def headline(summary: Summary) -> str:
@@ -53,7 +57,7 @@ def headline(summary: Summary) -> str:
         case "unexplained":
             return "Something repeats that no effect of the catalogue explains."
         case _:
-            return "Nothing is missing: what is left does not repeat, or does not generalise."
+            return "Nothing is missing: the residuals do not repeat, or no finding generalises."
 
 
 def has_augmented_bench(summary: Summary) -> bool:
@@ -70,7 +74,7 @@ def use_in_words(use: str) -> str:
 
 
 def effects(summary: Summary) -> Iterator[str]:
-    """Each named effect with its parameters and what it cannot be told from."""
+    """Each named effect with its parameters and what it cannot be distinguished from."""
     for effect in summary["effects"]:
         parameters = ", ".join(
             _sized(name, interval) for name, interval in effect["parameters"].items()
@@ -78,7 +82,7 @@ def effects(summary: Summary) -> Iterator[str]:
         text = f"{in_words(effect['name'])}: {parameters}; {_beyond_noise(effect['z'])}."
         alike = effect["indistinguishable_from"]
         if alike:
-            text += f" Not told apart from {', '.join(in_words(name) for name in alike)}."
+            text += f" Cannot be told apart from {', '.join(in_words(name) for name in alike)}."
         yield text[0].upper() + text[1:]
 
 
@@ -100,18 +104,18 @@ def remaining(summary: Summary) -> Iterator[str]:
             yield f"Still there: {_phrase(line)}."
             continue
         yield (
-            f"What is left repeats {line['order']:.2f} times per turn of the motor, with "
+            f"The residuals repeat {line['order']:.2f} times per turn of the motor, with "
             f"{words.significant(line['amplitude'])} {unit}."
         )
 
 
 def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
-    """What a forward comparison leaves as believed and with what was named: heading, sentences."""
+    """Residuals of a comparison of several channels before and after naming: heading, sentences."""
     from bayesbl.presentation.residuals import located_sentences
 
-    stages = {"located_before": "What the bench as believed leaves"}
+    stages = {"located_before": "Residuals of the bench before naming"}
     if tree.attrs.get("augmented_bench"):
-        stages["located_after"] = "What is left with what was named"
+        stages["located_after"] = "Residuals with what was named"
     for group, heading in stages.items():
         # Results of versions before this one hold no entries.
         if group in tree.children and "unexplained" in tree[group].attrs:
@@ -119,44 +123,43 @@ def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
 
 
 def wear(summary: Summary) -> Iterator[str]:
-    """The gap with the bench as believed and with what was named: what the effect does to it."""
+    """The gap before and after naming: what the effects do to it."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
     if before is None or after is None:
         return
-    told = words.in_mrad(after)
+    gap = words.in_mrad(after)
     if summary["verdict"] == "unexplained":
         yield (
-            f"With what is unexplained in it the gap would be {told}: do not rely on it before "
-            "you know what it is."
+            f"Fitted in spite of what is unexplained, the gap would be {gap}: do not rely on it."
         )
     elif summary["effects"] or summary["parameter_errors"]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
         size = f"{words.significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
         yield (
-            f"The gap is {told}; the bench as believed gives {1e3 * before['median']:.4g} mrad, "
+            f"The gap is {gap}; the bench before naming gives {1e3 * before['median']:.4g} mrad, "
             f"{size}."
         )
     else:
-        yield f"The gap is {told}."
+        yield f"The gap is {gap}."
 
 
 def suggestion(summary: Summary) -> Iterator[str]:
-    """The recording that would tell apart what these cannot."""
+    """The recording that would separate what these cannot."""
     found = summary["suggested_recording"]
     if found is None:
         return
     load = (
         "" if found["payload_share"] == 1.0 else f" with {found['payload_share']:g} times the load"
     )
-    names = " from ".join(in_words(name) for name in found["separates"][0][:2])
+    names = " and ".join(in_words(name) for name in found["separates"][0][:2])
     yield (
-        f"A recording at {found['reference_speed_rpm']:g} rpm{load} would tell {names} "
+        f"A recording at {found['reference_speed_rpm']:g} rpm{load} would separate {names} "
         f"({found['distance']:.0f} standard deviations apart)."
     )
 
 
 def _phrase(line: dict[str, Any]) -> str:
-    # Imported here: it stands on the compiled simulator, which takes a second.
+    # Imported here: the compiled simulator is behind it, which takes a second.
     from bayesbl.presentation.residuals import unexplained, unexplained_phrase
 
     return unexplained_phrase(unexplained(line))
@@ -188,28 +191,23 @@ def _beyond_noise(deviations: float) -> str:
     """How clearly an effect stands out."""
     if deviations > FAR_BEYOND_NOISE:
         return "far beyond noise"
-    return f"{deviations:.0f} standard deviations from nothing"
+    return f"{deviations:.0f} standard deviations from zero"
 
 
 def _gap_table(summary: Summary) -> Table:
     unit = summary["gap"]["unit"]
-    table = new_table(
-        ("Recording", "left"),
-        ("Use", "left"),
-        (f"Disagreement\nbefore ({unit})" if unit else "Disagreement\nbefore", "right"),
-        (f"after\n({unit})" if unit else "after", "right"),
-        (f"Noise\n({unit})" if unit else "Noise", "right"),
-        ("Removed", "right"),
-    )
-    for name, use, gap in _gaps(summary["gap"]):
-        add_row(
-            table,
+    units = f" ({unit})" if unit else ""
+    titles = (f"Disagreement\nbefore{units}", f"after{units}", f"Noise{units}", "Removed")
+    rows = [
+        (
             name,
             _USES[use],
             *(f"{gap[key]:.3g}{_own_unit(gap)}" for key in ("before", "after", "noise_floor")),
             removed(gap["closed_fraction"]),
         )
-    return table
+        for name, use, gap in _gaps(summary["gap"])
+    ]
+    return table((text("Recording"), text("Use"), *map(numbers, titles)), rows)
 
 
 def _gaps(gap: Summary) -> Iterator[tuple[str, str, Summary]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from bayesbl.errors import UserError
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table
@@ -18,7 +18,13 @@ from bayesbl.presentation.words import glued
 if TYPE_CHECKING:
     from rich.console import Console
 
-_STYLES = {"": "", "answer": "bold", "aside": "dim", "warning": "yellow"}
+_STYLES = {
+    "": "",
+    "answer": "bold",
+    "withheld": "bold yellow",
+    "aside": "dim",
+    "warning": "yellow",
+}
 
 _BETWEEN = 2
 """What a table takes between two columns."""
@@ -105,7 +111,7 @@ def _print_lines(table: Table, console: Console) -> None:
 
     lines = Lines(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for i, column in enumerate(table.columns):
-        justify = "right" if column.numeric else "left"
+        justify: Literal["left", "right"] = "right" if column.numeric else "left"
         lines.add_column(Text(column.title), justify=justify, overflow="fold", no_wrap=i > 0)
     for row in table.rows:
         lines.add_row(*map(Text, row))

@@ -99,6 +99,15 @@ def source_in_words(source: str) -> str:
     return _SOURCES.get(source, source.replace("_", " "))
 
 
+def sampling(part: Summary) -> str:
+    """Convergence in one line."""
+    found = part["diagnostics"]
+    return (
+        f"{found['outcome']}, largest R̂ {found['r_hat']:.3f}, "
+        f"smallest effective sample size {found['ess_bulk']:.0f}"
+    )
+
+
 def glued(sentence: str) -> str:
     """With no-break spaces between a number and its sign or unit."""
     before_unit = r"(?<=\d) (?=%|mrad|rpm|rad|A\b|N m|kg m)"

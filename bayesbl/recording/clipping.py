@@ -92,7 +92,7 @@ def require_unclipped(recording: Recording, channel: str) -> None:
             extreme = values.max() if side == "largest" else values.min()
             first, *_, last = recording.time_s[values == extreme]
             raise RecordingError(
-                f"The {CHANNELS.get(channel, channel)} is clipped, or does not change.",
+                f"The {CHANNELS.get(channel, channel)} is cut off, or does not change.",
                 file=recording.place,
                 where=f"{channel} from {first:.6g} to {last:.6g} s",
                 found=f"{count} samples exactly at the {side} value, {extreme:.6g}",

@@ -12,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.layout import one_panel_each
+from bayesbl.presentation.figures.panels import density
 from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name
-from bayesbl.presentation.figures.style import MODEL, NEUTRAL, head_panels, publication_style
+from bayesbl.presentation.figures.stored_figure import stored_figure
+from bayesbl.presentation.figures.style import MODEL, NEUTRAL, head_panels
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
@@ -21,9 +23,17 @@ _BINS = 25
 _BELIEVED = "#d55e00"
 
 
-@publication_style()
+def has_sizes(tree: xr.DataTree) -> bool:
+    """Whether anything but phases and start angles was sampled."""
+    if "posterior" not in tree.children or "diagnosis" not in tree.attrs:
+        return False
+    answer = json.loads(tree.attrs["diagnosis"])
+    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
+
+
+@stored_figure("The posterior of the gap and of what was named.", 100, has_sizes)
 def named(tree: xr.DataTree) -> Figure:
-    """A panel for δ and one for each size that was named, with what was believed before.
+    """A panel for δ and one for each size that was named, with its value before.
 
     Phases and start angles, another in every recording, are left out.
     """
@@ -42,12 +52,6 @@ def named(tree: xr.DataTree) -> Figure:
     }
     figure.legend(handles=list(by_label.values()), loc="upper left", ncols=2)
     return figure
-
-
-def can_be_drawn(tree: xr.DataTree) -> bool:
-    """Whether anything but phases and start angles was sampled."""
-    answer = json.loads(tree.attrs["diagnosis"])
-    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
 
 
 def _is_size(name: str, answer: dict[str, Any]) -> bool:
@@ -78,9 +82,7 @@ def _draw(
     factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
     draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
     found = credible_interval(tree, draws)
-    counts, edges = np.histogram(draws, _BINS, density=True)
-    panel.stairs(counts, edges, fill=True, color=MODEL, alpha=0.3)
-    panel.stairs(counts, edges, color=MODEL)
+    counts, edges = density(panel, draws, MODEL, bins=_BINS)
     for end in ("low", "median", "high"):
         panel.axvline(
             found[end], color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
@@ -94,20 +96,20 @@ def _draw(
     panel.set_ylabel("Density")
     panel.set_yticks([])
     panel.locator_params(axis="x", nbins=5)
-    told = "" if unit == "1" else f" {unit}"
-    values = f"{_digits(found['median'])}{told}"
+    ending = "" if unit == "1" else f" {unit}"
+    values = f"{_digits(found['median'])}{ending}"
     values += f" ({_digits(found['low'])} to {_digits(found['high'])})"
     return (
         values
         if believed is None
-        else f"{values}, before {_digits(factor * believed['median'])}{told}"
+        else f"{values}, before {_digits(factor * believed['median'])}{ending}"
     )
 
 
 def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
     """A line, or an arrow to where it would be beyond the panel."""
     if edges[0] < value < edges[-1]:
-        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: the bench as believed")
+        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: as in the bench file")
         return
     left = value <= edges[0]
     panel.annotate(
@@ -121,8 +123,8 @@ def _quantity(name: str) -> str:
     """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
     if name == GAP:
         return "Gap δ"
-    told = ": ".join(map(in_words, name.split("__")))
-    return told[0].upper() + told[1:]
+    words = ": ".join(map(in_words, name.split("__")))
+    return words[0].upper() + words[1:]
 
 
 def _digits(value: float) -> str:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from bayesbl.presentation.figures.style import WITHHELD, look
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
+from bayesbl.results.store import texts
 from bayesbl.ringing.symbols import SYMBOLS
 
 GAP = "delta_rad"
@@ -61,15 +65,19 @@ class Snapshot:
         """Whether δ must not be read."""
         return self.reason is not None
 
+    def colour(self, index: int) -> str:
+        """Of what shows δ, by the snapshot's place among the others; grey where withheld."""
+        return WITHHELD if self.withheld else look(index).colour
+
 
 def snapshots(tree: xr.DataTree) -> list[Snapshot]:
     """Every snapshot of a fit or a comparison, in the order of the configuration."""
     verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
     datasets = {name: node.to_dataset() for name, node in tree.children.items()}
-    if tree.attrs["kind"] != "compare":
-        name = _recording_names(tree)[0]
+    if "snapshot" not in datasets["posterior"].dims:
+        (name,) = texts(tree.attrs["recordings"])
         return [Snapshot(name, datasets, verdicts["fit"]["reason"] or None)]
-    names = [str(n) for n in tree["posterior"].to_dataset()["snapshot"].values]
+    names = [str(n) for n in datasets["posterior"]["snapshot"].values]
     return [
         Snapshot(
             name,
@@ -89,13 +97,26 @@ def credible_interval(tree: xr.DataTree, draws: FloatArray) -> dict[str, Any]:
     return interval(draws, level, kind)
 
 
+def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> dict[str, Any]:
+    """Median and interval of a snapshot's δ, in mrad."""
+    return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
+
+
+def interval_in_words(tree: xr.DataTree, found: Mapping[str, float]) -> str:
+    """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
+    places = max(0, 1 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))))
+    low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
+    return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
+
+
+def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
+    """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
+    if snapshot.withheld:
+        return f"{snapshot.name}: δ withheld"
+    return f"{snapshot.name}: {interval_in_words(tree, gap_interval(tree, snapshot))}"
+
+
 def interval_name(tree: xr.DataTree) -> str:
     """``90 % interval``."""
     kind = "HDI" if tree.attrs["interval_kind"] == "hdi" else "interval"
     return f"{100.0 * float(tree.attrs['interval_level']):g} % {kind}"
-
-
-def _recording_names(tree: xr.DataTree) -> list[str]:
-    names = tree.attrs["recordings"]
-    # NetCDF gives a list of one back as a plain string.
-    return [names] if isinstance(names, str) else [str(n) for n in names]

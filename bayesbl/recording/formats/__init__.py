@@ -1,4 +1,4 @@
-"""File formats of recordings: each module here that declares a ``FORMAT`` is one.
+"""File formats of recordings: each module here that declares a :class:`Format` adds one.
 
 Asked by the command line's help and by configurations before any number is read, so a format
 imports what it reads with only when it reads.
@@ -39,7 +39,7 @@ class Format:
 
 def formats() -> dict[str, Format]:
     """Suffix to the format of files that end in it."""
-    found: list[Format] = declared(sys.modules[__name__], "FORMAT")
+    found = declared(sys.modules[__name__], Format)
     return {suffix: format_ for format_ in found for suffix in format_.suffixes}
 
 
