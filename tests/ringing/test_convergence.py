@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from bayesbl import cli
 from bayesbl.noise.process import NoiseModel
-from bayesbl.presentation.figures import signal
+from bayesbl.presentation.figures.signal import signal
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance

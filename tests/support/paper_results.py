@@ -54,7 +54,10 @@ def make(folder: Path) -> Path:
             assert text.count(old) == 1, f"{path.name} no longer says {old}"
             text = text.replace(old, new)
         path.write_text(text, encoding="utf-8")
-    with chdir(folder), patch("bayesbl.presentation.figures.draw_all", lambda tree, folder: []):
+    with (
+        chdir(folder),
+        patch("bayesbl.presentation.figures.draw.draw_all", lambda tree, folder: []),
+    ):
         for made in RESULTS.values():
             for config in made.configs:
                 assert cli.status(["run", config]) == 0, config
