@@ -112,7 +112,7 @@ def draw(tree: xr.DataTree, folder: Path) -> list[Path]:
         from bayesbl.runs.study import draw_study
 
         return draw_study(tree, folder)
-    from bayesbl.presentation.figures import draw_all
+    from bayesbl.presentation.figures.draw import draw_all
 
     return draw_all(tree, folder)
 

@@ -40,7 +40,7 @@ from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, Recording
 from bayesbl.ringing.estimator import Fit
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 FALSE_ALARM = 0.01
 """Of the predictive check, over all channels and bands of a run."""

@@ -19,8 +19,8 @@ from bayesbl.recording.types import Recording
 from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
 from bayesbl.results.provenance import file_sha256
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.symbols import DisturbanceModel
+from bayesbl.sampling.chains import SamplerSettings
 
 StageProgress = Callable[[str, int, int], None]
 """Called with (recording, steps made, steps allowed)."""

@@ -9,7 +9,7 @@ nonlinearly; A, v_t and the baseline are linear, integrated out exactly and draw
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,14 @@ from bayesbl.ringing.memory import Forgetful, Memory
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
+from bayesbl.sampling.chains import (
+    BOUND_TOLERANCE_SD,
+    STEPS_BETWEEN_CHECKS,
+    Progress,
+    SamplerSettings,
+    burn_in,
+    thinned,
+)
 from bayesbl.sampling.convergence import (
     STEPS_PER_AUTOCORRELATION,
     Contender,
@@ -29,33 +37,6 @@ from bayesbl.sampling.convergence import (
     rank_r_hat_and_ess,
 )
 from bayesbl.sampling.ensemble import Ensemble
-
-STEPS_BETWEEN_CHECKS = 250
-BURN_IN_AUTOCORRELATIONS = 5.0
-DRAWS_KEPT = 1000
-BOUND_TOLERANCE_SD = 0.05
-"""Interval bounds count as stable when they move less than this many standard deviations."""
-
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class SamplerSettings:
-    """How the posterior is sampled; never part of what A means.
-
-    Attributes
-    ----------
-    ensembles
-        Independent emcee ensembles; these are the chains.
-    max_steps
-        Upper limit of steps per ensemble; the sampler stops by itself when converged.
-    level
-        Interval level whose bounds must be stable.
-    """
-
-    ensembles: int = 4
-    max_steps: int = 20000
-    level: float = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,18 +186,6 @@ def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory
     for i, ensemble in enumerate(ensembles):
         end = f"_{i}"
         ensemble.put_back({k.removesuffix(end): x for k, x in stored.items() if k.endswith(end)})
-
-
-def burn_in(tau: float, steps: int) -> int:
-    """Steps left out at the start: five autocorrelation times, at most half of all."""
-    half = steps // 2
-    return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
-
-
-def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
-    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
-    flat = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
 
 
 def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:

@@ -253,9 +253,9 @@ def _check_bench(plan: Plan, path: Path) -> None:
 
 
 def _check_diagnosis(config: DiagnoseConfig) -> str:
-    from bayesbl.runs.diagnose import describe_problem
+    from bayesbl.runs.diagnose import describe_diagnosis
 
-    return describe_problem(config)
+    return describe_diagnosis(config)
 
 
 def _check_simulation(plan: Plan, path: Path) -> None:

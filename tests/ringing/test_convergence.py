@@ -10,12 +10,12 @@ import pytest
 from synthetic_ringing import NOISE, STRONG, ambiguous, clean
 
 from bayesbl import cli
-from bayesbl.presentation.figures import signal
+from bayesbl.presentation.figures.signal import signal
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -23,6 +23,7 @@ from bayesbl.ringing.symbols import (
     DisturbanceModel,
 )
 from bayesbl.ringing.synthetic import synthetic_recording
+from bayesbl.sampling.chains import SamplerSettings
 
 SHORT = SamplerSettings(ensembles=2, max_steps=500)
 

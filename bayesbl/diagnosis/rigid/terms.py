@@ -19,7 +19,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import Effect, Law, RigidLaw
 from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.diagnosis.comparison import Candidate
+from bayesbl.diagnosis.comparison import TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.recording.types import FloatArray
 
@@ -44,7 +44,7 @@ class Term:
         What the bench file must give for the signal to be known.
     """
 
-    candidate: Candidate
+    candidate: TestedEffect
     signal: Law
     linear: tuple[str, ...] = ()
     shape: str | None = None
@@ -54,7 +54,7 @@ class Term:
 
 
 def _term(effect: Effect, law: RigidLaw) -> Term:
-    candidate = Candidate(
+    candidate = TestedEffect(
         effect.name,
         law.amplitude,
         freedom=2 if effect.is_periodic else 1,

@@ -1,4 +1,7 @@
-"""Which effect is missing: forward selection by evidence and by prediction of what was held out.
+"""Effects named one by one, by evidence and by prediction of what was held out.
+
+For comparisons that are cheap least squares; the closed loop has a search of its own
+(:mod:`bayesbl.diagnosis.closed_loop.naming`).
 
 One effect at a time: every candidate is fitted beside those named already. It is believed if
 
@@ -7,51 +10,52 @@ One effect at a time: every candidate is fitted beside those named already. It i
 - held-out pieces are predicted better with it than without, beyond what the noise does to that;
 - it has the sign that physics gives it.
 
-Of those, the one that closes most of the gap is named; an earlier one that no longer stands out is
-dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the effective samples.
+Of those, the one that closes most of the disagreement is named; an earlier one that no longer
+stands out is dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the
+effective samples.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import (
-    Candidate,
     Comparison,
-    Fit,
+    EffectsFit,
+    TestedEffect,
     residuals,
+    residuals_of_pieces,
     sum_of_squares,
 )
-from bayesbl.diagnosis.report import (
+from bayesbl.diagnosis.diagnosis import (
+    ALIKE,
     Diagnosis,
     Estimate,
     NamedEffect,
     ParameterError,
-    Remaining,
-    gaps_of,
+    PieceSignals,
+    probability_of,
     verdict_of,
 )
-from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise, distance, sandwich
+from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.task import Progress, Task
 from bayesbl.recording.types import FloatArray
-
-ALIKE = 5.0
-"""|z| between two best fits below which the recordings do not tell them apart."""
 
 BETTER = 2.0
 """Standard errors by which held-out pieces must be predicted better."""
 
 WORTH = 0.01
-"""Share of the held-out gap that an effect must close: less may be anything."""
+"""Share of the held-out RMS that an effect must close: less may be anything."""
 
 SURE_PARAMETER = 3.0
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +67,47 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True)
+class Problem:
+    """A comparison with its candidates.
+
+    Attributes
+    ----------
+    remaining
+        Describes what still repeats in a fit's residuals.
+    notes
+        Sentences about what these recordings cannot show.
+    """
+
+    comparison: Comparison
+    remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BySelection:
+    """A method of diagnosis whose comparison is cheap: effects are named one by one."""
+
+    name: str
+    problem: Callable[[Task], Problem]
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        comparison = self.problem(task).comparison
+        names = ", ".join(candidate.name for candidate in comparison.candidates)
+        return f"{self.name}, {comparison.pieces[0].channel}; candidates {names}"
+
+    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = task.config.candidates
+        settings = Settings(asked.max_effects, asked.false_alarm)
+        return diagnose(self.problem(task), task.bench, settings, progress)
+
+
+@dataclass(frozen=True, slots=True)
 class _Trial:
-    candidate: Candidate
-    fit: Fit
-    z: float
+    candidate: TestedEffect
+    fit: EffectsFit
     log_p: float
-    log_evidence: float
     held_out_z: float
     closed: float
     squares: float
@@ -82,52 +121,52 @@ class _Trial:
 
 
 def diagnose(
-    comparison: Comparison,
-    bench: Bench,
-    settings: Settings,
-    find_remaining: Callable[[Fit], tuple[Remaining, ...]],
-    notes: tuple[str, ...] = (),
-    progress: Progress | None = None,
+    problem: Problem, bench: Bench, settings: Settings, progress: Progress | None = None
 ) -> Diagnosis:
-    """Name what is missing, and tell the gap before and after.
+    """Name what is missing; the disagreement before and after.
 
     Parameters
     ----------
     bench
         The one believed, for the tolerances of parameters that were fitted.
-    find_remaining
-        Describes what still repeats in a fit's residuals.
-    notes
-        Sentences about what these recordings cannot tell.
     """
+    comparison = problem.comparison
     before = comparison.fit((), None)
-    named = _select(comparison, before, settings, progress)
-    after = named[-1].fit if named else before
-    effects = tuple(_named(comparison, trial, after) for trial in _again(comparison, after))
+    after = _select(comparison, before, settings, progress)
+    effects = tuple(_named(comparison, name, after) for name in after.effects)
     estimates = _bench_estimates(comparison, after)
     errors = _parameter_errors(bench, estimates)
-    remaining = find_remaining(after)
-    single, overall = gaps_of(comparison, before, after)
+    remaining = problem.remaining(after)
+    pieces = residuals_of_pieces(comparison, before, after)
     return Diagnosis(
-        verdict_of(effects, errors, remaining),
+        verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
         effects,
         errors,
-        estimates,
         remaining,
-        single,
-        overall,
-        notes,
-        before,
-        after,
+        disagreement_table(pieces, in_units_of_noise=False),
+        problem.notes,
+        bench_parameters=estimates,
+        signals=_signals(comparison, before, after),
+    )
+
+
+def _signals(
+    comparison: Comparison, before: EffectsFit, after: EffectsFit
+) -> tuple[PieceSignals, ...]:
+    return tuple(
+        PieceSignals(piece.name, piece.channel, piece.use, piece.time_s, piece.measured, *made)
+        for piece, *made in zip(
+            comparison.pieces, before.predictions, after.predictions, strict=True
+        )
     )
 
 
 def _select(
-    comparison: Comparison, before: Fit, settings: Settings, progress: Progress | None
-) -> list[_Trial]:
-    """The trials whose effects were added, last fit last."""
+    comparison: Comparison, before: EffectsFit, settings: Settings, progress: Progress | None
+) -> EffectsFit:
+    """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
-    current, named, dropped = before, list[_Trial](), set[str]()
+    current, dropped = before, set[str]()
     while len(current.effects) < settings.most:
         trials = []
         open_ones = _open(comparison.candidates, current, dropped)
@@ -139,24 +178,22 @@ def _select(
         if not good:
             break
         best = _simplest(comparison, good)
-        named.append(best)
         current = best.fit
         for name in [e for e in current.effects if e != best.candidate.name]:
             candidate = _by_name(comparison, name)
             if _wald(comparison, current, candidate)[1] > math.log(threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
-        named[-1] = replace(best, fit=current)
-    return named
+    return current
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
-    """The trial that leaves least, or a simpler one that it cannot be told from.
+    """The trial with the smallest residual, or a simpler one that cannot be told from it.
 
     Simpler: fewer parameters, then earlier in the catalogue.
     """
     best = min(good, key=lambda trial: trial.squares)
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, best.fit, "used")]
+    noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
     order = [candidate.name for candidate in comparison.candidates]
@@ -168,14 +205,24 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
     return min(alike, key=simplicity)
 
 
-def _used(comparison: Comparison, fit: Fit) -> list[FloatArray]:
+def _noises(comparison: Comparison, fit: EffectsFit) -> list[ResidualNoise]:
+    """Of the used pieces."""
+    return [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
+
+
+def _used(comparison: Comparison, fit: EffectsFit) -> list[FloatArray]:
     """Predictions of the used pieces, at the samples that count."""
     pairs = zip(comparison.pieces, fit.predictions, strict=True)
     return [piece.kept(prediction) for piece, prediction in pairs if piece.use == "used"]
 
 
-def _open(candidates: tuple[Candidate, ...], current: Fit, dropped: set[str]) -> list[Candidate]:
-    """Not named, not dropped, not inside a named one; a wider one only after its simpler."""
+def _open(
+    candidates: tuple[TestedEffect, ...], current: EffectsFit, dropped: set[str]
+) -> list[TestedEffect]:
+    """Candidates still open: skip those named, dropped or contained in a named one.
+
+    A composite effect comes only after its simpler part.
+    """
     inside = {c.contains for c in candidates if c.name in current.effects}
     return [
         c
@@ -187,20 +234,22 @@ def _open(candidates: tuple[Candidate, ...], current: Fit, dropped: set[str]) ->
     ]
 
 
-def _trial(comparison: Comparison, current: Fit, candidate: Candidate) -> _Trial:
+def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect) -> _Trial:
     kept = tuple(name for name in current.effects if name != candidate.contains)
     fit = comparison.fit((*kept, candidate.name), current)
-    z, log_p, log_evidence = _wald(comparison, fit, candidate)
+    _, log_p, _ = _wald(comparison, fit, candidate)
     held_out_z, closed = _held_out(comparison, current, fit)
     squares = sum_of_squares(residuals(comparison, fit, "used"))
-    return _Trial(candidate, fit, z, log_p, log_evidence, held_out_z, closed, squares)
+    return _Trial(candidate, fit, log_p, held_out_z, closed, squares)
 
 
-def _wald(comparison: Comparison, fit: Fit, candidate: Candidate) -> tuple[float, float, float]:
+def _wald(
+    comparison: Comparison, fit: EffectsFit, candidate: TestedEffect
+) -> tuple[float, float, float]:
     """z of the amplitude, ln p corrected for the shapes tried, and log evidence."""
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
+    noises = _noises(comparison, fit)
     index = fit.names.index(f"{candidate.name}.{candidate.amplitude}")
-    variance = float(sandwich(fit, noises)[index, index])
+    variance = float(sandwich(fit.columns, noises)[index, index])
     amplitude = fit.effects[candidate.name][candidate.amplitude]
     z = abs(amplitude) / math.sqrt(variance) if variance > 0.0 else 0.0
     phases = sum(name.startswith(f"{candidate.name}.phase_rad") for name in fit.names)
@@ -212,7 +261,7 @@ def _wald(comparison: Comparison, fit: Fit, candidate: Candidate) -> tuple[float
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
-def _held_out(comparison: Comparison, old: Fit, new: Fit) -> tuple[float, float]:
+def _held_out(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> tuple[float, float]:
     """How surely held-out pieces are predicted better: z, and the share of the RMS closed.
 
     ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
@@ -230,32 +279,23 @@ def _held_out(comparison: Comparison, old: Fit, new: Fit) -> tuple[float, float]
     return gain / (2.0 * math.sqrt(spread)), closed
 
 
-def _again(comparison: Comparison, after: Fit) -> list[_Trial]:
-    """Every named effect, tested once more beside all the others."""
-    found = []
-    for name in after.effects:
-        candidate = _by_name(comparison, name)
-        z, log_p, log_evidence = _wald(comparison, after, candidate)
-        found.append(_Trial(candidate, after, z, log_p, log_evidence, 0.0, 0.0, 0.0))
-    return found
-
-
-def _named(comparison: Comparison, trial: _Trial, after: Fit) -> NamedEffect:
-    name = trial.candidate.name
+def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:
+    """A named effect, tested once more beside all the others."""
+    candidate = _by_name(comparison, name)
+    z, _, log_evidence = _wald(comparison, after, candidate)
     spread = _deviations(comparison, after)
     parameters = {
         key: Estimate(value, spread.get(f"{name}.{key}", math.nan))
         for key, value in after.effects[name].items()
     }
-    probability = 1.0 / (1.0 + math.exp(-min(700.0, max(-700.0, trial.log_evidence))))
-    alike = (*trial.candidate.same_as, *_rivals(comparison, after, trial.candidate))
-    return NamedEffect(name, parameters, probability, trial.z, alike)
+    alike = (*candidate.same_as, *_rivals(comparison, after, candidate))
+    return NamedEffect(name, parameters, probability_of(log_evidence), z, alike)
 
 
-def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
+def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> list[str]:
     """Effects that, put in the place of a named one, predict what it predicts within the noise."""
     used = _used(comparison, after)
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, after, "used")]
+    noises = _noises(comparison, after)
     others = tuple(name for name in after.effects if name != named.name)
     without = comparison.fit(others, after)
     found = []
@@ -271,13 +311,13 @@ def _rivals(comparison: Comparison, after: Fit, named: Candidate) -> list[str]:
     return found
 
 
-def _deviations(comparison: Comparison, fit: Fit) -> dict[str, float]:
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
-    variances: FloatArray = np.diag(sandwich(fit, noises)) if fit.names else np.array([])
+def _deviations(comparison: Comparison, fit: EffectsFit) -> dict[str, float]:
+    noises = _noises(comparison, fit)
+    variances: FloatArray = np.diag(sandwich(fit.columns, noises)) if fit.names else np.array([])
     return dict(zip(fit.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
 
 
-def _bench_estimates(comparison: Comparison, fit: Fit) -> dict[str, Estimate]:
+def _bench_estimates(comparison: Comparison, fit: EffectsFit) -> dict[str, Estimate]:
     spread = _deviations(comparison, fit)
     return {name: Estimate(value, spread.get(name, math.nan)) for name, value in fit.bench.items()}
 
@@ -292,5 +332,5 @@ def _parameter_errors(bench: Bench, estimates: dict[str, Estimate]) -> tuple[Par
     return tuple(found)
 
 
-def _by_name(comparison: Comparison, name: str) -> Candidate:
+def _by_name(comparison: Comparison, name: str) -> TestedEffect:
     return next(c for c in comparison.candidates if c.name == name)

@@ -1,6 +1,8 @@
-"""One figure per recording of a diagnosis: measured, bench before and after, and what is left."""
+"""A recording over time, with the bench before and after naming, and the residuals of both."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
@@ -8,6 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import shade
+from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -16,7 +20,6 @@ from bayesbl.presentation.figures.style import (
     head_panels,
     legend_above,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import CHANNELS
 
@@ -24,9 +27,21 @@ BEFORE = "#d55e00"
 _HEIGHT_IN = 3.6
 
 
-@publication_style()
-def diagnosis_of(tree: xr.DataTree, recording: str) -> Figure:
-    """Overlay above, residuals below; the half that was held out on a tinted ground."""
+def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
+    recordings = tree["signals"].to_dataset()["recording"].values
+    for name in dict.fromkeys(map(str, recordings)):
+        yield file_ending(name), (tree, name)
+
+
+@stored_figure(
+    "Measured signal, bench before and after naming, and the residuals.",
+    90,
+    holding("signals/measured"),
+    name="diagnosis",
+    parts=_each_recording,
+)
+def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
+    """Overlay above, residuals below; the half that was held out is tinted."""
     signals = tree["signals"].to_dataset()
     rows = [i for i, name in enumerate(signals["recording"].values) if str(name) == recording]
     figure = new_figure(DOUBLE_COLUMN_IN, _HEIGHT_IN)
@@ -36,24 +51,19 @@ def diagnosis_of(tree: xr.DataTree, recording: str) -> Figure:
     for row in rows:
         _draw(upper, lower, signals.isel(piece=row), row == rows[0], len(rows) > 1)
     unit = signals["measured"].attrs["units"]
-    name = CHANNELS.get(str(tree.attrs["channel"]), str(tree.attrs["channel"]))
+    channel = str(signals["channel"].values[rows[0]])
+    name = CHANNELS.get(channel, channel)
     upper.set_ylabel(f"{name.capitalize()} ({unit})")
     lower.set_ylabel(f"Residual ({unit})")
     lower.axhline(0.0, color=NEUTRAL, linewidth=0.6)
     lower.set_xlabel("Time (s)")
     upper.tick_params(labelbottom=False)
     uses = {str(signals["use"].values[row]) for row in rows}
-    told = {"used": "fitted on", "held_out": "held out"}
-    whole = " and ".join(told[use] for use in sorted(uses, reverse=True))
-    head_panels([upper, lower], [f"{recording} ({whole})", "measured less bench"])
+    words = {"used": "fitted on", "held_out": "held out"}
+    whole = " and ".join(words[use] for use in sorted(uses, reverse=True))
+    head_panels([upper, lower], [f"{recording} ({whole})", "measured minus bench"])
     legend_above(upper)
     return figure
-
-
-def diagnosed(tree: xr.DataTree) -> dict[str, Figure]:
-    """Recording to its figure."""
-    names = dict.fromkeys(str(name) for name in tree["signals"].to_dataset()["recording"].values)
-    return {name: diagnosis_of(tree, name) for name in names}
 
 
 def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bool) -> None:
@@ -74,4 +84,4 @@ def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bo
     lower.plot(time, measured - after, color=MODEL, linewidth=0.6)
     if str(piece["use"].values) == "held_out" and split:
         for axes in (upper, lower):
-            axes.axvspan(time[0], time[-1], color="#f5edc0", linewidth=0.0, zorder=0.0)
+            shade(axes, time[0], time[-1])

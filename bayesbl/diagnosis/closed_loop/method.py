@@ -1,22 +1,26 @@
-"""Diagnosis of a two-mass bench in its closed loop: speed and current beside the simulation."""
+"""Forward diagnosis of a two-mass bench in its closed loop."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import dump_bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnose_forward, halves
-from bayesbl.diagnosis.closed_loop.naming import Progress
-from bayesbl.diagnosis.problem import notes_of, refused, sound
-from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.matching.posterior import sample_direct
+from bayesbl.diagnosis.closed_loop.diagnosis import (
+    ForwardSettings,
+    diagnosis_of,
+    halves,
+    search,
+)
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.task import Progress, Task, notes_of, refused, sound
+from bayesbl.errors import RecordingError
+from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.signals import (
     START_ANGLE,
     Observed,
@@ -35,77 +39,74 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
-from bayesbl.results.forward_diagnosis import forward_tree
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
 DEFAULT_GAP_RAD = (1e-4, 4e-3)
 KNOWN_ANGLE_SD_RAD = 1e-3
-"""How well a load encoder tells the start angle."""
+"""Standard deviation of a start angle that a load encoder gives."""
 
 NEAR_LIMIT = 0.95
 """Share of the drive's current limit from which on a current is held by it, offsets allowed for."""
 
 SPEED_ALONE = (
-    "There is no motor current: friction, offsets and the torque constant cannot be told from one "
-    "another by the speed alone, as the controller's integral hides them."
+    "There is no motor current: friction, offsets and the torque constant cannot be told apart "
+    "by the speed alone, as the controller's integral hides them."
 )
 
 
-def forward_diagnosis(
-    config: DiagnoseConfig,
-    bench: Bench,
-    recordings: Sequence[Recording],
-    progress: Progress | None = None,
-) -> xr.DataTree:
-    """Diagnose as configured; the result without its origin.
+class ClosedLoop:
+    """Speed and current beside their simulation."""
+
+    name = "forward"
+
+    def describe(self, task: Task) -> str:
+        """How many recordings, and what is unknown."""
+        used, held_out, unknowns, _ = forward_problem(task)
+        free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
+        return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
+
+    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+        """The answer, with draws of everything unknown."""
+        config = task.config
+        used, held_out, unknowns, notes = forward_problem(task)
+        asked = config.candidates.effects
+        settings = ForwardSettings(
+            None if asked == "all" else asked,
+            config.candidates.max_effects,
+            config.candidates.false_alarm,
+            config.comparison.load_angle_known,
+            config.comparison.motor_angle_known,
+            config.run.workers,
+        )
+        fits = None if progress is None else partial(progress, "candidates")
+        found = search(task.bench, used, held_out, unknowns, settings, fits)
+        seed = np.random.SeedSequence(config.run.seed)
+        level = config.interval.level
+        posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
+        return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)))
+
+
+METHOD = ClosedLoop()
+
+
+def forward_problem(
+    task: Task,
+) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
+    """Recordings to fit on and to predict, the unknowns, and what these recordings cannot show.
 
     Raises
     ------
     UserError
         If bench, recordings or unknowns do not suit the method.
     """
-    used, held_out, unknowns, notes = forward_problem(config, bench, recordings)
-    asked = config.candidates.effects
-    settings = ForwardSettings(
-        None if asked == "all" else asked,
-        config.candidates.max_effects,
-        config.candidates.false_alarm,
-        config.comparison.load_angle_known,
-        config.comparison.motor_angle_known,
-        config.run.workers,
+    task.require_drive(
+        "two_mass", "The forward comparison simulates two masses with a gap between them."
     )
-    found = diagnose_forward(bench, used, held_out, unknowns, settings, progress)
-    augmented = "" if found.bench is None else dump_bench(found.bench)
-    seed = np.random.SeedSequence(config.run.seed)
-    interval = config.interval
-    posterior = sample_direct(found.final.fit, SamplerSettings(level=interval.level), seed)
-    tree = forward_tree(found, posterior, bench, augmented, interval.level, interval.kind)
-    tree.attrs["warnings"] = [*notes, *tree.attrs["warnings"]]
-    return tree
-
-
-def forward_problem(
-    config: DiagnoseConfig, bench: Bench, recordings: Sequence[Recording]
-) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
-    """Recordings to fit on and to predict, the unknowns, and what cannot be told."""
-    if bench.drive != "two_mass":
-        raise ConfigError(
-            "The forward comparison simulates two masses with a gap between them.",
-            file=config.bench,
-            where="drive",
-            found=f'"{bench.drive}"',
-            expected='"two_mass", or [comparison] method = "inverse" or "free_motion"',
-        )
-    if config.comparison.known_torque:
-        raise refused(
-            "The forward comparison knows no torque from outside.",
-            "[comparison] known_torque",
-            ", ".join(config.comparison.known_torque),
-            "none",
-        )
-    channels = _channels(config, recordings)
-    recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in recordings]
+    task.require_no_known_torque("The forward comparison knows no torque from outside.")
+    config, bench = task.config, task.bench
+    channels = _channels(task)
+    recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
     used, held_out = [], []
     for entry, recording in zip(config.recordings, recordings, strict=True):
         seen = observed(recording, bench, entry.reference_speed_rpm)
@@ -128,18 +129,24 @@ def forward_problem(
     return used, held_out, unknowns, notes
 
 
-def _channels(config: DiagnoseConfig, recordings: Sequence[Recording]) -> tuple[str, ...]:
-    asked = config.comparison.channels or tuple(
-        c for c in CHANNELS if all(c in recording.channels for recording in recordings)
+def _notes_on(posterior: DirectPosterior) -> Iterator[str]:
+    if posterior.diagnostics.outcome == "withheld":
+        yield "The posterior could not be sampled; intervals are of its normal approximation."
+    yield from posterior.diagnostics.reasons
+
+
+def _channels(task: Task) -> tuple[str, ...]:
+    asked = task.config.comparison.channels or tuple(
+        c for c in CHANNELS if all(c in recording.channels for recording in task.recordings)
     )
     if MOTOR_SPEED not in asked or not set(asked) <= set(CHANNELS):
         raise refused(
-            "The forward comparison stands on the motor speed, with or without the current.",
+            "The forward comparison needs the motor speed, with or without the current.",
             "[comparison] channels",
             ", ".join(asked) or "none in every recording",
             ", ".join(CHANNELS),
         )
-    for recording in recordings:
+    for recording in task.recordings:
         require_channels(recording, asked)
         require_alive(recording, asked)
     return tuple(c for c in CHANNELS if c in asked)
@@ -156,7 +163,7 @@ def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> l
 
 
 def _require_rotations(seen: Observed, file: str, split: bool) -> None:
-    """What repeats is told from noise by whole rotations, of each half if it is split."""
+    """Whole rotations separate what repeats from noise, in each half if it is split."""
     fewest = (2 * seen.lag + HIGHEST_ORDER) * (2 if split else 1)
     if seen.samples >= fewest:
         return

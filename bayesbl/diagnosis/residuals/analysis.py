@@ -1,9 +1,10 @@
 """Where recording and simulation disagree: per channel, with which angle or time, how surely.
 
-What a simulation leaves is split by averaging over load rotations into what repeats and what does
-not; in the latter, lines that are no whole load order and drift are told from noise. A line belongs
-to the load angle, the motor angle or time by its order, by how it stands out of its neighbours,
-and, where recordings were made at different speeds, by what stays the same between them.
+Averaging over load rotations splits the residual of a simulation into what repeats and what does
+not; in the latter, lines that are no whole load order, and drift, are separated from noise. A line
+belongs to the load angle, the motor angle or time by its order, by how it stands out of its
+neighbours, and, where recordings were made at different speeds, by what stays the same between
+them.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from bayesbl.diagnosis.residuals.attribution import (
     wave_lines,
 )
 from bayesbl.diagnosis.residuals.decomposition import (
-    LeftOver,
+    Decomposition,
     WholeRotations,
     against_load_angle,
     band_probability,
+    decompose,
     map_error,
     mean_over_rotations,
     order_probabilities,
-    take_apart,
 )
 from bayesbl.diagnosis.residuals.line_search import Scales, scales
 from bayesbl.diagnosis.residuals.skew import Skew
@@ -50,8 +51,8 @@ MAIN_SHARE = 0.8
 class Split:
     """Mean squares that add up to that of the whole difference, the channel's unit squared.
 
-    ``other``: lines of the motor angle and of time, drift. ``noise``: what is left when all else is
-    taken off, so without the share of the noise that repeats by chance, which is in ``load_angle``.
+    ``other``: lines of the motor angle and of time, drift. ``noise``: the rest when all else is
+    removed, so without the share of the noise that repeats by chance, which is in ``load_angle``.
     """
 
     offset: float
@@ -67,7 +68,7 @@ class Split:
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Amplitude of what is left at every bin, and what noise alone would have there (RMS), (b,)."""
+    """Amplitude of the residual at every bin, and what noise alone would have there (RMS), (b,)."""
 
     frequency_hz: FloatArray
     amplitude: FloatArray
@@ -75,8 +76,8 @@ class Spectrum:
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelLeft:
-    """What is left of one channel of one recording, in the unit that the channel's name ends in.
+class ChannelResiduals:
+    """The residual of one channel of one recording, in the unit that the channel's name ends in.
 
     Attributes
     ----------
@@ -130,40 +131,40 @@ class ChannelLeft:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordingLeft:
-    """What is left of one recording, channel by channel."""
+class RecordingResiduals:
+    """The residuals of one recording, channel by channel."""
 
     name: str
     whole: WholeRotations
-    channels: tuple[ChannelLeft, ...]
+    channels: tuple[ChannelResiduals, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Located:
-    """What is left of all recordings.
+class ResidualAnalysis:
+    """The residuals of all recordings.
 
     Attributes
     ----------
     offsets
         How each channel's offset depends on direction and speed.
     false_discovery_rate
-        Expected share of false ones among the significant lines; if nothing is left, the chance
+        Expected share of false ones among the significant lines; if nothing repeats, the chance
         that any line is called significant.
     """
 
-    recordings: tuple[RecordingLeft, ...]
+    recordings: tuple[RecordingResiduals, ...]
     offsets: tuple[OffsetDependence, ...]
     false_discovery_rate: float
 
 
-def locate(
+def analyse_residuals(
     recordings: Sequence[Observed],
     simulated: Sequence[FloatArray],
     start_angles_rad: Sequence[float] | None = None,
     *,
     false_discovery_rate: float = FALSE_DISCOVERY_RATE,
-) -> Located:
-    """Split what the simulation leaves of every channel and test every line of its spectrum.
+) -> ResidualAnalysis:
+    """Split the residual of every channel and test every line of its spectrum.
 
     Parameters
     ----------
@@ -187,16 +188,16 @@ def locate(
     """
     starts = start_angles_rad if start_angles_rad is not None else [0.0] * len(recordings)
     tests = 3 * sum(len(seen.signals) for seen in recordings)
-    located = [
+    analysis = [
         _recording(seen, made, start, false_discovery_rate / tests)
         for seen, made, start in zip(recordings, simulated, starts, strict=True)
     ]
-    return Located(_attributed(located), _offsets(located), false_discovery_rate)
+    return ResidualAnalysis(_attributed(analysis), _offsets(analysis), false_discovery_rate)
 
 
 def _recording(
     seen: Observed, simulated: FloatArray, start_angle_rad: float, rate: float
-) -> RecordingLeft:
+) -> RecordingResiduals:
     if simulated.shape != seen.signals.shape or not np.all(np.isfinite(simulated)):
         raise RecordingError(
             "The prediction does not fit the recording.",
@@ -226,7 +227,7 @@ def _recording(
         _channel(name, recorded[: whole.samples], made[: whole.samples], whole, scale, rate)
         for name, recorded, made in zip(seen.channels, seen.signals, simulated, strict=True)
     )
-    return RecordingLeft(seen.name, whole, channels)
+    return RecordingResiduals(seen.name, whole, channels)
 
 
 def _scales(channels: Sequence[str], simulated: FloatArray, whole: WholeRotations) -> Scales:
@@ -245,21 +246,21 @@ def _channel(
     whole: WholeRotations,
     scale: Scales,
     rate: float,
-) -> ChannelLeft:
-    left = take_apart(recorded, simulated, whole, scale, rate)
-    probability = order_probabilities(left, whole.rotations)
+) -> ChannelResiduals:
+    parts = decompose(recorded, simulated, whole, scale, rate)
+    probability = order_probabilities(parts, whole.rotations)
     threshold = benjamini_hochberg(probability, rate)
-    repeats, highest = band_probability(left, whole.rotations)
-    harmonics = left.repeating[:: whole.rotations] / whole.samples
+    repeats, highest = band_probability(parts, whole.rotations)
+    harmonics = parts.repeating[:: whole.rotations] / whole.samples
     mean_square = 2.0 * np.abs(harmonics) ** 2
-    by_noise = 2.0 * left.floor.at_bins(whole.samples)[:: whole.rotations] / whole.samples
+    by_noise = 2.0 * parts.floor.at_bins(whole.samples)[:: whole.rotations] / whole.samples
     highest = max(highest, int(np.flatnonzero(probability <= threshold).max(initial=0)))
     excess = float((mean_square - by_noise)[1 : highest + 1].sum())
-    lines = load_lines(left, whole, probability, threshold) + wave_lines(left, whole)
-    return ChannelLeft(
+    lines = load_lines(parts, whole, probability, threshold) + wave_lines(parts, whole)
+    return ChannelResiduals(
         channel=name,
-        offset=left.offset,
-        offset_error=left.offset_error,
+        offset=parts.offset,
+        offset_error=parts.offset_error,
         offset_significant=bool(probability[0] <= threshold),
         repeating_rms=math.sqrt(max(excess, 0.0)),
         repeating_band=highest,
@@ -267,16 +268,16 @@ def _channel(
         main_orders=_main_orders(np.where(probability <= threshold, mean_square, 0.0)),
         lines=tuple(sorted(lines, key=lambda line: -line.amplitude)),
         load_map=against_load_angle(harmonics, whole),
-        load_map_error=map_error(left, whole),
+        load_map_error=map_error(parts, whole),
         recorded=mean_over_rotations(recorded, whole),
         simulated=mean_over_rotations(simulated, whole),
-        spectrum=_spectrum(recorded - simulated, left, whole),
-        noise_sd=left.floor.sd,
-        drift_per_s=left.drift_per_s,
-        drift_error_per_s=left.drift_error_per_s,
-        outliers=left.outliers,
-        skew=left.skew,
-        split=_split(recorded - simulated, left),
+        spectrum=_spectrum(recorded - simulated, parts, whole),
+        noise_sd=parts.floor.sd,
+        drift_per_s=parts.drift_per_s,
+        drift_error_per_s=parts.drift_error_per_s,
+        outliers=parts.outliers,
+        skew=parts.skew,
+        split=_split(recorded - simulated, parts),
     )
 
 
@@ -290,35 +291,35 @@ def _main_orders(power: FloatArray) -> tuple[int, int] | None:
     return int(np.argmax(below >= aside)) + 1, int(np.argmax(below >= 1.0 - aside)) + 1
 
 
-def _spectrum(difference: FloatArray, left: LeftOver, whole: WholeRotations) -> Spectrum:
+def _spectrum(difference: FloatArray, parts: Decomposition, whole: WholeRotations) -> Spectrum:
     transform = np.abs(np.fft.rfft(difference - difference.mean()))
     return Spectrum(
         whole.frequency_hz,
         2.0 * transform / whole.samples,
-        2.0 * np.sqrt(left.floor.at_bins(whole.samples) / whole.samples),
+        2.0 * np.sqrt(parts.floor.at_bins(whole.samples) / whole.samples),
     )
 
 
-def _split(difference: FloatArray, left: LeftOver) -> Split:
-    repeating = float(np.mean(np.fft.irfft(left.repeating, difference.size) ** 2))
-    noise = float(np.mean(left.noise**2))
+def _split(difference: FloatArray, parts: Decomposition) -> Split:
+    repeating = float(np.mean(np.fft.irfft(parts.repeating, difference.size) ** 2))
+    noise = float(np.mean(parts.noise**2))
     return Split(
-        offset=left.offset**2,
-        load_angle=repeating - left.offset**2,
+        offset=parts.offset**2,
+        load_angle=repeating - parts.offset**2,
         other=float(np.mean(difference**2)) - repeating - noise,
         noise=noise,
     )
 
 
-def _attributed(located: Sequence[RecordingLeft]) -> tuple[RecordingLeft, ...]:
+def _attributed(analysis: Sequence[RecordingResiduals]) -> tuple[RecordingResiduals, ...]:
     """Lines attributed by all recordings together."""
     result = []
-    for i, recording in enumerate(located):
+    for i, recording in enumerate(analysis):
         channels = []
         for c, channel in enumerate(recording.channels):
             others = [
                 (other.whole, other.channels[c].lines)
-                for j, other in enumerate(located)
+                for j, other in enumerate(analysis)
                 if j != i and c < len(other.channels)
             ]
             lines = tuple(over_speeds(line, recording.whole, others) for line in channel.lines)
@@ -327,7 +328,7 @@ def _attributed(located: Sequence[RecordingLeft]) -> tuple[RecordingLeft, ...]:
     return tuple(result)
 
 
-def _without_reattributed(channel: ChannelLeft, lines: tuple[Line, ...]) -> ChannelLeft:
+def _without_reattributed(channel: ChannelResiduals, lines: tuple[Line, ...]) -> ChannelResiduals:
     """The channel with its lines anew; whole load orders that belong to time repeat no more."""
     moved = [
         old
@@ -350,13 +351,13 @@ def _without_reattributed(channel: ChannelLeft, lines: tuple[Line, ...]) -> Chan
     )
 
 
-def _offsets(located: Sequence[RecordingLeft]) -> tuple[OffsetDependence, ...]:
-    names = dict.fromkeys(c.channel for recording in located for c in recording.channels)
+def _offsets(analysis: Sequence[RecordingResiduals]) -> tuple[OffsetDependence, ...]:
+    names = dict.fromkeys(c.channel for recording in analysis for c in recording.channels)
     found = []
     for name in names:
         rows = [
             (recording.whole.reference_speed_rpm, channel.offset, channel.offset_error)
-            for recording in located
+            for recording in analysis
             for channel in recording.channels
             if channel.channel == name
         ]

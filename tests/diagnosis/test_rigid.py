@@ -16,14 +16,15 @@ from bayesbl.bench.effects.backlash import play
 from bayesbl.bench.effects.shaft_hysteresis import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import Piece, residuals
-from bayesbl.diagnosis.report import Diagnosis, gaps_of
-from bayesbl.diagnosis.rigid.free_motion import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.comparison import Piece, residuals, residuals_of_pieces
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.free_motion.comparison import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.residual_noise import ResidualNoise, sandwich
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of, settled
-from bayesbl.diagnosis.rigid.naming import Settings, diagnose
-from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise, sandwich
 from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, required_torque
+from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
     LOAD_POSITION,
@@ -73,12 +74,10 @@ def inverse(
 
 
 def answer(comparison: InverseComparison, most: int = 3) -> Diagnosis:
-    return diagnose(
-        comparison,
-        comparison.bench,
-        Settings(most),
-        lambda fit: comparison.scan_orders(fit).remaining(MOTOR_TORQUE, 0.01),
+    problem = Problem(
+        comparison, lambda fit: comparison.scan_orders(fit).remaining(MOTOR_TORQUE, (), 0.01)
     )
+    return diagnose(problem, comparison.bench, Settings(most))
 
 
 def named(found: Diagnosis) -> set[str]:
@@ -186,7 +185,7 @@ def test_the_covariance_of_a_fit_is_its_scatter_under_coloured_noise() -> None:
         fit = comparison.fit(("motor_coulomb_friction",))
         noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
         index = fit.names.index("motor_coulomb_friction.torque_nm")
-        claimed.append(math.sqrt(sandwich(fit, noises)[index, index]))
+        claimed.append(math.sqrt(sandwich(fit.columns, noises)[index, index]))
         values.append(fit.effects["motor_coulomb_friction"]["torque_nm"])
     assert np.std(values) / np.mean(claimed) == pytest.approx(1.0, abs=0.28)
     assert np.mean(values) == pytest.approx(0.5, abs=4.0 * np.mean(claimed) / math.sqrt(60.0))
@@ -213,10 +212,10 @@ def test_hidden_frictions_are_named_with_their_size(seed: int) -> None:
         alike = set(item.indistinguishable_from) - {item.name.replace("motor_", "load_")}
         assert alike <= {"motor_stribeck_friction"}  # fading slowly, it is nearly Coulomb's
     for use in ("used", "held_out"):
-        gap = found.overall[use]
-        assert gap.after < 0.12 < gap.before
-        assert gap.closed_fraction is not None
-        assert gap.closed_fraction > 0.95
+        overall = found.disagreement.overall[use]
+        assert overall.after < 0.12 < overall.before
+        assert overall.closed_fraction is not None
+        assert overall.closed_fraction > 0.95
 
 
 def test_nothing_hidden_leaves_nothing_missing() -> None:
@@ -226,7 +225,7 @@ def test_nothing_hidden_leaves_nothing_missing() -> None:
         recordings = [recording(n, 500 + 3 * seed + i) for i, n in enumerate("abc")]
         found = answer(inverse(recordings, bench()))
         false += found.verdict != "nothing_missing"
-        assert found.overall["used"].before == pytest.approx(0.1, rel=0.1)
+        assert found.disagreement.overall["used"].before == pytest.approx(0.1, rel=0.1)
     assert false <= 1
 
 
@@ -243,7 +242,7 @@ def test_a_hidden_ripple_is_named_with_its_order(phases_shared: bool) -> None:
     assert not found.remaining
 
 
-def test_what_repeats_beyond_the_effects_allowed_is_told() -> None:
+def test_what_repeats_beyond_the_effects_allowed_is_reported() -> None:
     recordings = [recording(n, 60 + i, ripple=(0.15, 9.0, 0.2)) for i, n in enumerate("abc")]
     every = inverse(recordings, bench())
     comparison = InverseComparison(
@@ -258,7 +257,7 @@ def test_what_repeats_beyond_the_effects_allowed_is_told() -> None:
     )
     found = answer(comparison)
     assert found.verdict == "unexplained"
-    assert found.remaining[0].order == pytest.approx(9.0, abs=0.02)
+    assert found.remaining[0].lowest_order == pytest.approx(9.0, abs=0.02)
     assert found.remaining[0].amplitude == pytest.approx(0.15, rel=0.2)
 
 
@@ -388,20 +387,20 @@ def test_a_pendulum_without_friction_keeps_its_energy() -> None:
 
 def test_both_frictions_of_a_free_pendulum_are_named_with_their_size() -> None:
     comparison = free([swing(s, 0.012, 3e-3, i) for i, s in enumerate((0.4, -0.7, 1.0))])
-    found = diagnose(comparison, PENDULUM, Settings(), lambda fit: ())
+    found = diagnose(Problem(comparison, lambda fit: ()), PENDULUM, Settings())
     assert named(found) == {"motor_coulomb_friction", "motor_viscous_friction"}
     sizes = {e.name: next(iter(e.parameters.values())).value for e in found.effects}
     assert sizes["motor_coulomb_friction"] == pytest.approx(0.012, rel=0.1)
     assert sizes["motor_viscous_friction"] == pytest.approx(3e-3, rel=0.1)
-    assert found.bench["motor_inertia_kg_m2"].value == pytest.approx(1e-3, rel=0.02)
-    assert found.overall["held_out"].after < 3e-3
+    assert found.bench_parameters["motor_inertia_kg_m2"].value == pytest.approx(1e-3, rel=0.02)
+    assert found.disagreement.overall["held_out"].after < 3e-3
 
 
 def test_a_free_pendulum_with_nothing_hidden_lacks_nothing() -> None:
     comparison = free([swing(s, 0.0, 0.0, 7 + i) for i, s in enumerate((0.4, 0.9))])
-    found = diagnose(comparison, PENDULUM, Settings(), lambda fit: ())
+    found = diagnose(Problem(comparison, lambda fit: ()), PENDULUM, Settings())
     assert found.verdict == "nothing_missing"
-    assert found.overall["held_out"].after == pytest.approx(1e-3, rel=0.1)
+    assert found.disagreement.overall["held_out"].after == pytest.approx(1e-3, rel=0.1)
 
 
 @pytest.mark.parametrize("method", ["inverse", "free motion"])
@@ -420,6 +419,7 @@ def test_no_answer_depends_on_what_is_excluded(method: str) -> None:
             pieces.append(replace(piece, measured=measured, excluded=excluded))
         comparison = replace(one, pieces=tuple(pieces))
         fit = comparison.fit(("motor_coulomb_friction",))
-        found = gaps_of(comparison, comparison.fit(()), fit)
-        answers.append((fit.effects, fit.bench, found[1]))
+        pieces = residuals_of_pieces(comparison, comparison.fit(()), fit)
+        table = disagreement_table(pieces, in_units_of_noise=False)
+        answers.append((fit.effects, fit.bench, table.overall))
     assert answers[0] == answers[1]

@@ -1,33 +1,64 @@
-"""What every method of diagnosis shares: recordings cut into pieces, candidates, refusals."""
+"""What a method of diagnosis is given, and what all of them ask of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from bayesbl.bench.bench import Bench
+from bayesbl.bench.bench import Bench, Drive
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.comparison import Candidate, Comparison, Fit, Piece, Use
-from bayesbl.diagnosis.report import Remaining
+from bayesbl.diagnosis.comparison import Piece, TestedEffect
+from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.recording.checks import require_channels
 from bayesbl.recording.clipping import require_unclipped, without_rails
 from bayesbl.recording.types import Recording
+
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, done, of how many)."""
 
 MOST_EXCLUDED = 0.5
 """Largest share of a piece that may be left out: what remains should still be a recording."""
 
+OTHER_METHODS = {
+    "two_mass": '"two_mass", or [comparison] method = "inverse" or "free_motion"',
+    "rigid": '"rigid", or [comparison] method = "forward"',
+}
+"""Drive of a bench that a method asks for to what may be changed."""
+
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """A comparison with its candidates, ready to be diagnosed."""
+class Task:
+    """The configuration, the bench it names, and a recording for each of its entries."""
 
-    comparison: Comparison
+    config: DiagnoseConfig
     bench: Bench
-    remaining: Callable[[Fit], tuple[Remaining, ...]]
-    notes: tuple[str, ...]
+    recordings: tuple[Recording, ...]
+
+    def require_drive(self, drive: Drive, why: str) -> None:
+        """Refuse a bench of another kind."""
+        if self.bench.drive != drive:
+            raise ConfigError(
+                why,
+                file=self.config.bench,
+                where="drive",
+                found=f'"{self.bench.drive}"',
+                expected=OTHER_METHODS[drive],
+            )
+
+    def require_no_known_torque(self, why: str) -> None:
+        """Refuse torques known from outside."""
+        if self.config.comparison.known_torque:
+            names = ", ".join(self.config.comparison.known_torque)
+            raise refused(why, "[comparison] known_torque", names, "none")
+
+    def require_channels_of(self, channels: Sequence[str]) -> None:
+        """Refuse recordings without these channels."""
+        for recording in self.recordings:
+            require_channels(recording, channels)
 
 
-def cuts(config: DiagnoseConfig, recordings: list[Recording]) -> list[tuple[int, Use, slice]]:
+def cuts(config: DiagnoseConfig, recordings: Sequence[Recording]) -> list[tuple[int, Use, slice]]:
     """Number of the recording, use and samples of every piece; a split one is cut in the middle."""
     found: list[tuple[int, Use, slice]] = []
     for i, (entry, recording) in enumerate(zip(config.recordings, recordings, strict=True)):
@@ -44,13 +75,13 @@ def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
     excluded = recording.excluded
     if excluded is not None and excluded.mean() > MOST_EXCLUDED:
         raise RecordingError(
-            "Too little is left to compare beside lost and stray samples.",
+            "Too little remains to compare beside lost and stray samples.",
             file=recording.source.file if recording.source else recording.name,
             where=channel,
             found=f"{100.0 * excluded.mean():.3g} % of the samples left out, with all that "
             "the filter of the motion carries them to",
-            expected=f"at most {100.0 * MOST_EXCLUDED:g} %; use the part with fewer gaps, or a "
-            "higher [comparison] cutoff_hz, which reaches less far",
+            expected=f"at most {100.0 * MOST_EXCLUDED:g} %; use the part with fewer lost samples, "
+            "or a higher [comparison] cutoff_hz, which reaches less far",
         )
     values = recording.channels[channel]
     return Piece(recording.name, channel, use, recording.time_s, values, excluded)
@@ -85,7 +116,9 @@ def notes_of(recordings: Sequence[Recording]) -> list[str]:
     return [f"{recording.name}: {note}" for recording in recordings for note in recording.notes]
 
 
-def wanted(config: DiagnoseConfig, bench: Bench, every: Iterable[Candidate]) -> list[Candidate]:
+def wanted(
+    config: DiagnoseConfig, bench: Bench, every: Iterable[TestedEffect]
+) -> list[TestedEffect]:
     """Candidates that were asked for and that the bench does not have already.
 
     A name that means the same law here finds a candidate too.

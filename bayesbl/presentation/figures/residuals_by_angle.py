@@ -1,6 +1,8 @@
-"""Where recording and simulation disagree: one figure for each recording."""
+"""Where recording and simulation disagree, over the load angle and by order, for each recording."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
@@ -10,6 +12,8 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import rotation_axis
+from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -17,7 +21,6 @@ from bayesbl.presentation.figures.style import (
     head_panels,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import unit_of
@@ -27,7 +30,6 @@ _ROW_IN = 2.0
 _BINS = 250
 _EXCEEDED = 0.01
 """Probability that noise alone shows any bin beyond the limit drawn."""
-_TURN = 2.0 * np.pi
 _LABELLED = 3
 _RIGHT_HALF = 400.0
 """Load order beyond which a label has no room on its right."""
@@ -40,15 +42,29 @@ _NAMES = {
 }
 
 
-@publication_style()
-def discrepancy(before: xr.Dataset, recording: str, after: xr.Dataset | None = None) -> Figure:
-    """A row for each channel: overlay, what is left against load angle, its order spectrum.
+def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
+    before, after = (tree[f"residuals_{stage}"].to_dataset() for stage in ("before", "after"))
+    for name in map(str, before["recording"].values):
+        yield file_ending(name), (before, name, after)
+
+
+@stored_figure(
+    "Measured signals, bench before and after naming, and the residuals.",
+    90,
+    holding("residuals_before", "residuals_after"),
+    name="diagnosis",
+    parts=_each_recording,
+)
+def residuals_by_angle(
+    before: xr.Dataset, recording: str, after: xr.Dataset | None = None
+) -> Figure:
+    """A row for each channel: overlay, residuals against load angle, their order spectrum.
 
     Parameters
     ----------
     before, after
-        As :func:`bayesbl.results.located.located_dataset` gives them, of the bench as it was
-        believed and with what was named added.
+        As :mod:`bayesbl.diagnosis.residual_groups` stores them, of the bench as believed and with
+        what was named.
     recording
         Name of one recording of theirs.
     """
@@ -69,9 +85,8 @@ def discrepancy(before: xr.Dataset, recording: str, after: xr.Dataset | None = N
         spectrum = figure.add_subplot(spec[row, 2])
         _spectrum(spectrum, stages, channel)
         axes += [overlay, maps[0], spectrum]
-        said = CHANNELS.get(channel, channel)
-        left = "what is left" + (": before, after" if after is not None else "")
-        titles += [said, left, "its spectrum"]
+        residuals = "residuals" + (": before, after" if after is not None else "")
+        titles += [CHANNELS.get(channel, channel), residuals, "their spectrum"]
     head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure
@@ -90,7 +105,7 @@ def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linewidth=0.9,
         )
     panel.set_ylabel(f"{_capital(channel)} ({unit_of(channel)})")
-    _angle_axis(panel)
+    rotation_axis(panel, "Load angle (rad)")
 
 
 def _load_maps(
@@ -111,7 +126,7 @@ def _load_maps(
             angle, mean - error, mean + error, color=style.colour, alpha=0.3, linewidth=0.0
         )
         panel.plot(angle, mean, color=style.colour, linewidth=0.7)
-        _angle_axis(panel)
+        rotation_axis(panel, "Load angle (rad)")
         panel.label_outer()
         panels.append(panel)
     panels[0].set_ylabel(
@@ -193,12 +208,6 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
         )
 
 
-def _angle_axis(panel: Axes) -> None:
-    panel.set_xlim(0.0, _TURN)
-    panel.set_xticks(_TURN * np.arange(5) / 4.0, ["0", "π/2", "π", "3π/2", "2π"])
-    panel.set_xlabel("Load angle (rad)")
-
-
 def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
     panel = figure.axes[0]
     handles = [Line2D([], [], color=MEASURED, linewidth=1.6, label="recorded, mean of rotations")]
@@ -238,8 +247,8 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
 
 
 def _capital(channel: str) -> str:
-    said = CHANNELS.get(channel, channel)
-    return said[:1].upper() + said[1:]
+    name = CHANNELS.get(channel, channel)
+    return name[:1].upper() + name[1:]
 
 
 def _values(stage: xr.Dataset, name: str) -> FloatArray:

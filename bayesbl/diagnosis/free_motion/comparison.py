@@ -18,7 +18,7 @@ from bayesbl.bench.effect_declaration import EffectParameter, Shape
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import Candidate, Fit, Piece
+from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
@@ -31,7 +31,7 @@ _FIRST_SHARE = 0.03
 _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
 
 
-def free_motion_candidates(load_angle_known: bool) -> tuple[Candidate, ...]:
+def free_motion_candidates(load_angle_known: bool) -> tuple[TestedEffect, ...]:
     """Catalogue effects in the order they are tried."""
     return tuple(
         TORQUE_TERMS[effect.name].candidate
@@ -50,11 +50,11 @@ class FreeMotionComparison:
     pieces: tuple[Piece, ...]
     starts: tuple[FloatArray, ...]
     bench: Bench
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[TestedEffect, ...]
     unknown: tuple[str, ...] = ()
     load_angle_known: bool = True
 
-    def fit(self, effects: tuple[str, ...], start: Fit | None = None) -> Fit:
+    def fit(self, effects: tuple[str, ...], start: EffectsFit | None = None) -> EffectsFit:
         """Least squares with these effects, from what ``start`` found."""
         shared = self._shared(effects, start)
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
@@ -88,7 +88,7 @@ class FreeMotionComparison:
         predictions = [self._own_start(i, effects, values) for i in range(len(self.pieces))]
         sizes = np.cumsum([self.pieces[i].kept(self.pieces[i].measured).size for i in used])[:-1]
         columns = tuple(np.split(found.jac / scale, sizes))
-        return Fit(
+        return EffectsFit(
             {
                 name: {
                     key.partition(".")[2]: value
@@ -109,7 +109,7 @@ class FreeMotionComparison:
         )
 
     def _shared(
-        self, effects: tuple[str, ...], start: Fit | None
+        self, effects: tuple[str, ...], start: EffectsFit | None
     ) -> dict[str, tuple[float, float, float]]:
         """Name to (first value, lower, upper bound) of what all recordings share."""
         shared = {}

@@ -1,4 +1,4 @@
-"""Laws of locating: what is planted is found where it is, and noise is nothing."""
+"""Laws of residual analysis: what is planted is found where it is, and noise is nothing."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import pytest
 import xarray as xr
 from scipy.signal import lfilter
 
+from bayesbl.diagnosis.residual_groups import residuals_dataset
+from bayesbl.diagnosis.residuals.analysis import analyse_residuals
 from bayesbl.diagnosis.residuals.attribution import offset_dependence
-from bayesbl.diagnosis.residuals.locate import locate
 from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
 from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
+from bayesbl.diagnosis.summary import plain
 from bayesbl.errors import RecordingError
 from bayesbl.matching.signals import Observed
-from bayesbl.presentation.figures.discrepancy import discrepancy
+from bayesbl.presentation.figures.residuals_by_angle import residuals_by_angle
 from bayesbl.presentation.figures.style import look
-from bayesbl.presentation.residuals import located_sentences, unexplained_phrase
-from bayesbl.results.located import located_dataset
+from bayesbl.presentation.residuals import residual_sentences, unexplained_phrase
 
 HZ = 500.0
 GEAR = 40.0
@@ -70,9 +71,9 @@ def in_channel(index, values):
     return both
 
 
-def located(*pairs, **options):
+def analysed(*pairs, **options):
     seen, made = zip(*pairs, strict=True)
-    return locate(seen, made, [0.4] * len(seen), **options)
+    return analyse_residuals(seen, made, [0.4] * len(seen), **options)
 
 
 def only_line(channel):
@@ -85,15 +86,15 @@ def test_noise_alone_shows_a_line_no_more_often_than_stated():
     # 24 would happen by chance once in a thousand times.
     alarms = 0
     for seed in range(120):
-        found = located(recording(seed), false_discovery_rate=0.1).recordings[0].channels
+        found = analysed(recording(seed), false_discovery_rate=0.1).recordings[0].channels
         alarms += any(c.lines or c.offset_significant for c in found)
     assert alarms <= 24
 
 
 def test_noise_alone_is_called_nothing():
-    found = located(*(recording(seed, speed) for seed, speed in ((1, 2e3), (2, -2e3), (3, 1.2e3))))
+    found = analysed(*(recording(seed, speed) for seed, speed in ((1, 2e3), (2, -2e3), (3, 1.2e3))))
     assert describe_unexplained(found) == []
-    sentences = located_sentences(located_dataset(found))
+    sentences = residual_sentences(residuals_dataset(found, "before"))
     assert len(sentences) == 1
     assert sentences[0].startswith("Nothing repeats")
 
@@ -113,7 +114,7 @@ def test_a_wave_is_found_in_its_channel_with_its_angle_and_amplitude(
     channel, dependence, order, wave
 ):
     size = 1.5 * SD[channel]
-    found = located(
+    found = analysed(
         recording(11, planted=lambda t, m, a: in_channel(channel, size * wave(t, m, a)))
     )
     line = only_line(found.recordings[0].channels[channel])
@@ -135,9 +136,9 @@ def test_an_evenly_turning_motor_cannot_tell_time_from_angle_but_two_speeds_can(
     for planted, dependence in ((in_time, "time"), (in_angle, "motor angle")):
         one = recording(5, swing=0.0, planted=planted)
         two = recording(6, speed=1200.0, swing=0.0, planted=planted, name="slow")
-        alone = located(one).recordings[0].channels[0]
+        alone = analysed(one).recordings[0].channels[0]
         assert only_line(alone).dependence == "angle or time"
-        for part in located(one, two).recordings:
+        for part in analysed(one, two).recordings:
             assert only_line(part.channels[0]).dependence == dependence
 
 
@@ -147,8 +148,8 @@ def test_a_frequency_that_is_a_load_order_by_chance_is_unmasked_by_the_other_spe
 
     one = recording(5, planted=in_time)
     two = recording(6, speed=1200.0, planted=in_time, name="slow")
-    assert only_line(located(one).recordings[0].channels[0]).dependence == "load angle"
-    found = located(one, two)
+    assert only_line(analysed(one).recordings[0].channels[0]).dependence == "load angle"
+    found = analysed(one, two)
     for part in found.recordings:
         assert only_line(part.channels[0]).dependence == "time"
     assert [entry.dependence for entry in describe_unexplained(found)] == ["time"]
@@ -160,7 +161,7 @@ def test_mean_squares_add_up_to_that_of_the_difference():
         return in_channel(0, wave + 0.3 * t + 1.0)
 
     seen, made = recording(3, planted=much)
-    part = located((seen, made)).recordings[0]
+    part = analysed((seen, made)).recordings[0]
     difference = (seen.signals - made)[0, : part.whole.samples]
     split = part.channels[0].split
     assert split.total == pytest.approx(np.mean(difference**2), rel=1e-9)
@@ -177,8 +178,8 @@ def test_scaling_a_channel_scales_what_is_found_and_not_how_surely():
     seen, made = recording(7, planted=lambda t, m, a: in_channel(1, 0.03 * np.cos(4.0 * a)))
     factor = np.array([[10.0], [1000.0]])
     scaled = dataclasses.replace(seen, signals=factor * seen.signals - (factor - 1.0) * made)
-    plain = located((seen, made)).recordings[0].channels[1]
-    large = located((scaled, made)).recordings[0].channels[1]
+    plain = analysed((seen, made)).recordings[0].channels[1]
+    large = analysed((scaled, made)).recordings[0].channels[1]
     assert large.repeating_rms == pytest.approx(1000.0 * plain.repeating_rms, rel=1e-6)
     assert [x.probability for x in large.lines] == pytest.approx(
         [x.probability for x in plain.lines], rel=1e-4
@@ -190,7 +191,7 @@ def test_the_map_stands_at_the_load_angle_whatever_the_direction(speed):
     def bump(t, m, a):
         return in_channel(0, 5.0 * np.exp(60.0 * (np.cos(a - 2.0) - 1.0)))
 
-    channel = located(recording(speed=speed, planted=bump)).recordings[0].channels[0]
+    channel = analysed(recording(speed=speed, planted=bump)).recordings[0].channels[0]
     angle = 2.0 * np.pi * np.arange(720) / 720
     assert angle[np.argmax(channel.load_map)] == pytest.approx(2.0, abs=0.02)
     assert channel.load_map.max() == pytest.approx(5.0, rel=0.02)
@@ -202,7 +203,7 @@ def test_a_channel_that_lags_is_recognised(lag):
     time = np.arange(seen.samples) / HZ
     late = np.interp(time - lag, time, made[1]) - made[1]
     signals = seen.signals + np.stack((np.zeros_like(late), late))
-    channel = located((dataclasses.replace(seen, signals=signals), made)).recordings[0].channels[1]
+    channel = analysed((dataclasses.replace(seen, signals=signals), made)).recordings[0].channels[1]
     assert abs(channel.skew.lag_s - lag) < 4.0 * channel.skew.standard_error_s
     assert channel.skew.standard_error_s < 0.1 * abs(lag)
     assert channel.skew.explained > 0.9
@@ -210,13 +211,13 @@ def test_a_channel_that_lags_is_recognised(lag):
 
 def test_a_bend_in_the_signal_is_no_lag():
     planted = lambda t, m, a: in_channel(1, 0.2 * np.cos(2.0 * a + 1.0))  # noqa: E731
-    channel = located(recording(22, planted=planted)).recordings[0].channels[1]
+    channel = analysed(recording(22, planted=planted)).recordings[0].channels[1]
     assert channel.skew.explained < 0.5
 
 
 def test_drift_is_measured_within_its_error_and_is_no_line():
     drift = 0.02
-    found = located(recording(31, planted=lambda t, m, a: in_channel(1, drift * t)))
+    found = analysed(recording(31, planted=lambda t, m, a: in_channel(1, drift * t)))
     channel = found.recordings[0].channels[1]
     assert abs(channel.drift_per_s - drift) < 4.0 * channel.drift_error_per_s
     assert channel.drift_error_per_s < 0.2 * drift
@@ -228,7 +229,7 @@ def test_lost_samples_are_told_from_noise():
     def lost(t, m, a):
         return in_channel(0, np.where(np.isin(np.arange(t.size) % 700, (5, 6, 7)), -400.0, 0.0))
 
-    channels = located(recording(41, planted=lost)).recordings[0].channels
+    channels = analysed(recording(41, planted=lost)).recordings[0].channels
     assert channels[0].outliers >= 8
     assert channels[1].outliers == 0
 
@@ -275,10 +276,10 @@ def test_too_short_or_unfinished_predictions_are_refused():
     seen, made = recording(1)
     short = dataclasses.replace(seen, signals=seen.signals[:, :1000])
     with pytest.raises(RecordingError, match="at least two"):
-        locate([short], [made[:, :1000]])
+        analyse_residuals([short], [made[:, :1000]])
     made[0, 5] = np.nan
     with pytest.raises(RecordingError, match="does not fit"):
-        locate([seen], [made])
+        analyse_residuals([seen], [made])
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +291,7 @@ def three():
         return np.stack((2.0 * np.cos(3.0 * m), pulse))
 
     runs = [("forward", 2000.0), ("reverse", -2000.0), ("slow", 1200.0)]
-    return located(
+    return analysed(
         *(recording(50 + i, v, planted=planted, name=n) for i, (n, v) in enumerate(runs))
     )
 
@@ -303,13 +304,13 @@ def test_what_is_left_is_described_once_for_all_recordings(three):
     motor = next(entry for entry in entries if entry.dependence == "motor angle")
     assert motor.recordings == ("forward", "reverse", "slow")
     assert motor.lowest_order == pytest.approx(3.0, abs=1e-3)
-    assert unexplained_phrase(motor).startswith("motor speed: 2.")
-    sentences = located_sentences(located_dataset(three))
+    assert unexplained_phrase(plain(motor)).startswith("motor speed: 2.")
+    sentences = residual_sentences(residuals_dataset(three, "before"))
     assert any(s.startswith("Motor speed: 2.") and "order 3 of the motor" in s for s in sentences)
 
 
 def test_the_dataset_carries_units_and_survives_a_file(three, tmp_path):
-    data = located_dataset(three)
+    data = residuals_dataset(three, "before")
     for name, variable in data.data_vars.items():
         assert variable.attrs.get("long_name"), name
         assert "units" in variable.attrs or name.endswith("dependence")
@@ -319,8 +320,8 @@ def test_the_dataset_carries_units_and_survives_a_file(three, tmp_path):
 
 
 def test_the_figure_marks_every_significant_line(three, tmp_path):
-    data = located_dataset(three)
-    figure = discrepancy(data, "reverse", data)
+    data = residuals_dataset(three, "before")
+    figure = residuals_by_angle(data, "reverse", data)
     assert len(figure.axes) == 8
     for row, channel in enumerate(three.recordings[1].channels):
         marks = [
@@ -337,8 +338,8 @@ def test_the_figure_marks_every_significant_line(three, tmp_path):
 
 
 def test_what_was_left_before_and_after_never_hide_each_other(three):
-    data = located_dataset(three)
-    shown = discrepancy(data, "reverse", data).axes[1:3]
+    data = residuals_dataset(three, "before")
+    shown = residuals_by_angle(data, "reverse", data).axes[1:3]
     for index, panel in enumerate(shown):
         (line,) = [line for line in panel.lines if len(line.get_xdata()) > 2]
         assert line.get_color() == look(index).colour

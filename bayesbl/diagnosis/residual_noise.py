@@ -1,19 +1,26 @@
-"""Noise of a comparison, from what is left: autoregressive, so that smooth misfit is not believed.
+"""Noise of a comparison, from its residual: autoregressive, so that smooth misfit is not believed.
 
-Whatever a fit leaves, misfit included, counts as noise here. That makes every test conservative: a
-bench that is still wrong elsewhere blurs what it could otherwise tell.
+The whole residual of a fit, misfit included, counts as noise here. That makes every test
+conservative: a bench that is still wrong elsewhere blurs what it could show.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import matmul_toeplitz
 
-from bayesbl.diagnosis.comparison import Fit
-from bayesbl.noise.rotation_noise import HIGHEST_ORDER, autocorrelation, burg, innovation_share
+from bayesbl.noise.autoregression import (
+    autocorrelation,
+    bic,
+    burg,
+    innovation_share,
+    log_variances,
+)
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.types import FloatArray
 
 
@@ -29,14 +36,12 @@ class ResidualNoise:
         """Burg's estimate on a residual of shape (n,)."""
         n = residual.size
         fits = burg(residual, min(HIGHEST_ORDER, n // 20))
-        variances = np.array([variance for variance, _ in fits])
-        orders = np.arange(variances.size)
-        bic = n * np.log(np.maximum(variances, 1e-300)) + orders * math.log(n)
-        return cls(math.sqrt(float(residual @ residual) / n), fits[int(np.argmin(bic))][1])
+        order = int(np.argmin(bic(log_variances(fits), n)))
+        return cls(math.sqrt(float(residual @ residual) / n), fits[order][1])
 
     @property
     def innovation(self) -> float:
-        """Standard deviation of what cannot be foretold from the samples before."""
+        """Standard deviation of what does not follow from the samples before."""
         return self.sd * math.sqrt(max(0.0, innovation_share(self.coefficients)))
 
     def covariance_times(self, columns: FloatArray) -> FloatArray:
@@ -53,15 +58,17 @@ class ResidualNoise:
         return n / float(2.0 * (rho**2).sum() - 1.0)
 
 
-def sandwich(fit: Fit, noises: list[ResidualNoise]) -> FloatArray:
+def sandwich(columns: Sequence[FloatArray], noises: Sequence[ResidualNoise]) -> FloatArray:
     """Covariance of least-squares parameters under coloured noise, shape (p, p).
+
+    ``columns`` are ∂prediction/∂parameter of each piece, shape (k, p).
 
     V = (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ with Σ block-diagonal over the used pieces (White 1982); by
     pseudo-inverse where the recordings leave a parameter undetermined.
     """
-    scale = np.sqrt(sum((part**2).sum(axis=0) for part in fit.columns))
+    scale = np.sqrt(sum((part**2).sum(axis=0) for part in columns))
     scale = np.where(scale > 0.0, scale, 1.0)
-    parts = [part / scale for part in fit.columns]
+    parts = [part / scale for part in columns]
     inverse = np.linalg.pinv(sum(part.T @ part for part in parts), hermitian=True)
     middle = sum(
         part.T @ noise.covariance_times(part) for part, noise in zip(parts, noises, strict=True)
