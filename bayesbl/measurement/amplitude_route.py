@@ -28,13 +28,12 @@ from bayesbl.recording.checks import (
 )
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
 from bayesbl.results.curve_file import read_curve
 from bayesbl.results.earlier import read_earlier
 from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
-from bayesbl.ringing.memory import Forgetful
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.second_sampler import require_second_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, DisturbanceModel
@@ -76,21 +75,21 @@ class Seeds:
 def measure(
     config: SnapshotConfig,
     progress: StageProgress | None = None,
-    checkpoint: Checkpoint | None = None,
+    work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
     Parameters
     ----------
-    checkpoint
+    work
         Keeps what is finished, and gives back what an earlier run had finished.
     say
         Told, in a sentence, what each search started from, if from an earlier optimum.
 
     Returns
     -------
-    The whole result (see :mod:`bayesbl.results.tree`); nothing is written but the checkpoint.
+    The whole result (see :mod:`bayesbl.results.tree`); nothing is written but finished work.
 
     Raises
     ------
@@ -117,8 +116,8 @@ def measure(
             seed,
             config.joint.gear_ratio,
             earlier_of(recording.name, earlier),
-            Forgetful() if checkpoint is None else checkpoint.part(recording.name),
             check,
+            work,
         )
         for recording, seed in zip(recordings, seeds.recordings, strict=True)
     ]
@@ -141,14 +140,6 @@ def inputs_of(config: SnapshotConfig) -> dict[str, str]:
     files: list[Path | str] = [entry.file for entry in config.recordings]
     files += [x for x in (config.curve.source, config.estimator.search.start_from) if x is not None]
     return {str(file): file_sha256(file) for file in files if file != PUBLISHED}
-
-
-def problem_of_run(config: SnapshotConfig) -> Problem:
-    """What decides the numbers of a run: configuration, inputs, versions."""
-    settings = config.model_dump(
-        mode="json", by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
-    )
-    return problem_of(settings, inputs_of(config))
 
 
 def read_recordings(config: SnapshotConfig) -> list[Recording]:

@@ -54,6 +54,7 @@ from bayesbl.recording.types import MOTOR_CURRENT, Recording
 from bayesbl.results.direct_tree import AmplitudeRoute, direct_groups
 from bayesbl.results.provenance import file_sha256, provenance
 from bayesbl.results.tree import change_group, curve_group, stack_snapshots
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.symbols import AMPLITUDE
@@ -89,7 +90,11 @@ class DirectMeasurement:
         ]
 
 
-def measure_direct(config: SnapshotConfig, progress: StageProgress | None = None) -> xr.DataTree:
+def measure_direct(
+    config: SnapshotConfig,
+    progress: StageProgress | None = None,
+    work: WorkStore = NOTHING_KEPT,
+) -> xr.DataTree:
     """Run a fit or a comparison by the direct route, and the amplitude route beside it.
 
     Returns

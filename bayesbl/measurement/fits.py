@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -12,8 +12,9 @@ import numpy as np
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.recording.types import Recording
-from bayesbl.ringing.estimator import Estimator, Fit
-from bayesbl.ringing.memory import Memory
+from bayesbl.results.codec import NOT_STORED
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
 from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.runs.processes import processes
 
@@ -34,21 +35,25 @@ class FitJob:
     seed: np.random.SeedSequence
     gear_ratio: float | None
     earlier: EarlierOptimum | None
-    memory: Memory
-    check: bool
+    check: bool = False
+    work: WorkStore = field(default=NOTHING_KEPT, metadata=NOT_STORED)
 
     def run(self, progress: StageProgress | None = None) -> Fit:
-        """Fit the recording."""
-        return self.estimator.fit(
+        """Fit the recording, or restore the fit that an unfinished run had finished."""
+        finished = self.work.get("fit", self, partial(self._finished, progress), FinishedFit)
+        return self.estimator.restored(finished, self.recording, self.gear_ratio)
+
+    def _finished(self, progress: StageProgress | None) -> FinishedFit:
+        fit = self.estimator.fit(
             self.recording,
             self.seed,
             self.gear_ratio,
             None if progress is None else partial(progress, self.recording.name),
             partial(likeliest_branch, self.curve, self.estimator),
             earlier=self.earlier,
-            memory=self.memory,
             check=self.check,
         )
+        return fit.finished
 
 
 def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:

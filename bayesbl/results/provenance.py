@@ -61,6 +61,18 @@ def file_sha256(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
+def inputs_of(config: object) -> dict[str, str]:
+    """SHA-256 of the bytes of every file that a configuration's tables name, by path."""
+    match config:
+        case Path() if config.is_file():
+            return {str(config): file_sha256(config)}
+        case Mapping():
+            return inputs_of(list(config.values()))
+        case list() | tuple():
+            return {file: digest for item in config for file, digest in inputs_of(item).items()}
+    return {}
+
+
 def code_versions() -> dict[str, str]:
     """All that may make the same problem come out otherwise: this code, Python, dependencies."""
     own = f"{bayesbl.__version__}, commit {git_commit()}"

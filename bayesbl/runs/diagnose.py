@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import xarray as xr
@@ -20,8 +20,7 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.diagnosis import diagnosis_tree
 from bayesbl.results.provenance import file_sha256, provenance
-
-Progress = Callable[[str, int, int], None]
+from bayesbl.runs.workflow import Options, Plan, Progress, Summary, run_into_folder
 
 FEWEST_SAMPLES = 200
 
@@ -60,8 +59,17 @@ def problem_of(config: DiagnoseConfig) -> Problem:
     return rigid_problem(config, bench, list(_recordings(config)))
 
 
-def describe_problem(config: DiagnoseConfig) -> str:
+def run(config: DiagnoseConfig, options: Options) -> Summary:
+    """Diagnose, and write the output folder."""
+    return run_into_folder(config, options, lambda work: run_diagnose(config, options.progress))
+
+
+def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared, without comparing it."""
+    plan.add("comparison", partial(_in_words, config))
+
+
+def _in_words(config: DiagnoseConfig) -> str:
     if config.comparison.method == "forward":
         bench, recordings = load_bench(config.bench), list(_recordings(config))
         used, held_out, unknowns, _ = forward_problem(config, bench, recordings)

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bayesbl.results.checkpoint import Checkpoint
 
 from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.errors import RecordingError, ResultError
-from bayesbl.results.checkpoint import Checkpoint
 from bayesbl.results.folder import is_finished
 from bayesbl.results.store import read_tree
 from bayesbl.runs.run import run

@@ -1,0 +1,156 @@
+"""What every kind of run shares: its options, its finished work, and the folder it writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from bayesbl.config.loading import dump_config
+from bayesbl.errors import UserError
+from bayesbl.results.folder import (
+    AUGMENTED_BENCH,
+    CONFIG_FILE,
+    FIGURES,
+    RESULT_FILE,
+    SUMMARY_FILE,
+    is_finished,
+    new_result,
+    require_free,
+)
+from bayesbl.results.work import WorkStore, forget, problem_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.config.sections import RunConfig
+
+Progress = Callable[[str, int, int], None]
+"""Called with (what is worked on, steps made, steps allowed)."""
+
+Draw = Callable[["xr.DataTree", Path], object]
+"""Draws the figures of a result into a folder; passed in, as figures are made from results."""
+
+Summary = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How a run is to be made, whatever its kind.
+
+    Attributes
+    ----------
+    force
+        Replace a finished result; start over where a run was left unfinished.
+    say
+        Called with sentences for the user.
+    """
+
+    draw: Draw = lambda tree, folder: None
+    force: bool = False
+    progress: Progress | None = None
+    say: Callable[[str], None] = print
+
+
+@dataclass(slots=True)
+class Plan:
+    """What a configuration would do, in pairs of label and text, and what speaks against it."""
+
+    lines: list[tuple[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    problems: list[UserError] = field(default_factory=list)
+
+    def add(self, label: str, text: Callable[[], str]) -> None:
+        """A line, or the problem that making it met."""
+        try:
+            self.lines.append((label, text()))
+        except UserError as problem:
+            self.problems.append(problem)
+
+
+class Workflow(Protocol):
+    """The module of a kind of run."""
+
+    def run(self, config: Any, options: Options) -> Summary:
+        """Run a configuration and write its output folder; the summary that was stored."""
+
+    def describe(self, config: Any, plan: Plan) -> None:
+        """Everything that can be checked without running."""
+
+
+def run_into_folder(
+    config: RunConfig, options: Options, make: Callable[[WorkStore], xr.DataTree]
+) -> Summary:
+    """Make a result, going on where an unfinished run of the same problem was left, and write it.
+
+    Parameters
+    ----------
+    make
+        Makes the result; what takes long goes through the store that it is given.
+
+    Raises
+    ------
+    UserError
+        If the folder may not be written, the unfinished run there was for another problem, or
+        anything in the configuration cannot be used.
+    """
+    output = config.run.output
+    if is_finished(output):
+        forget(output)  # what a run left that was killed after its result stood
+    require_free(output, force=options.force)
+    settings = config.model_dump(
+        by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
+    )
+    with WorkStore.beside(output, problem_of(settings), fresh=options.force) as work:
+        if work.resumes:
+            options.say("This goes on where an unfinished run was left.")
+        try:
+            tree = make(work)
+        except UserError:
+            work.clear()  # it would end the same way again
+            raise
+        return write_result(tree, config, options, stored=work.clear)
+
+
+def write_result(
+    tree: xr.DataTree,
+    config: RunConfig,
+    options: Options,
+    stored: Callable[[], object] = lambda: None,
+) -> Summary:
+    """The output folder of a result, whole or not at all; its summary.
+
+    Figures can be made again at once, what was computed cannot: where drawing fails, the result is
+    stored with the figures drawn so far, and the failure raised only then, with a note that says
+    so.
+
+    Parameters
+    ----------
+    stored
+        Called as soon as the folder is there.
+    """
+    # Imported after the questions that can be answered at once: xarray takes a second.
+    from bayesbl.results.store import write_json, write_text, write_tree
+    from bayesbl.results.summary import summarise
+
+    summary = summarise(tree)
+    with new_result(config.run.output, force=options.force) as folder:
+        write_tree(tree, folder / RESULT_FILE)
+        write_json(summary, folder / SUMMARY_FILE)
+        write_text(dump_config(config), folder / CONFIG_FILE)
+        if tree.attrs.get("augmented_bench"):
+            write_text(tree.attrs["augmented_bench"], folder / AUGMENTED_BENCH)
+        failure: Exception | None = None
+        try:
+            options.draw(tree, folder / FIGURES)
+        except Exception as error:
+            failure = error
+    stored()
+    if failure is not None:
+        failure.add_note(
+            f"The result is stored in {config.run.output}; only figures are missing. To draw them "
+            f"again: bayesbl figures {config.run.output}"
+        )
+        raise failure
+    return summary
