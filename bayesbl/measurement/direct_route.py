@@ -19,7 +19,6 @@ from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import dump_config
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
-from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import BenchError, ConfigError, UserError
 from bayesbl.matching.alignment import fit_aligned
@@ -48,6 +47,7 @@ from bayesbl.measurement.amplitude_route import (
     unsuited,
 )
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
+from bayesbl.measurement.fits import FitJob
 from bayesbl.measurement.maintenance import wear_of
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, Recording
@@ -115,16 +115,15 @@ def measure_direct(
     for recording in recordings:
         require_same_estimator(curve, estimator, recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
-    found = fit_directly(
-        bench,
-        seen,
-        config.estimator.gap_rad,
-        estimator.sampler,
-        np.random.SeedSequence(config.run.seed).spawn(4)[3],
-        config.run.workers,
-        progress,
+    problem = (bench, seen, config.estimator.gap_rad, estimator.sampler)
+    seed = np.random.SeedSequence(config.run.seed).spawn(4)[3]
+    found = work.get(
+        "direct route",
+        (problem, seed),
+        lambda: fit_directly(*problem, seed, config.run.workers, progress),
+        DirectMeasurement,
     )
-    beside = _amplitude_route(config, estimator, curve, recordings, seeds, progress)
+    beside = _amplitude_route(config, estimator, curve, recordings, seeds, progress, work)
     return _tree(config, bench, curve, recordings, found, beside, seeds)
 
 
@@ -210,15 +209,15 @@ def _amplitude_route(
     recordings: Sequence[Recording],
     seeds: Seeds,
     progress: StageProgress | None,
+    work: WorkStore,
 ) -> list[AmplitudeRoute]:
     """The same as by ``route = "amplitude"``; where it cannot answer, the reason in its place."""
     fits: list[Fit | None] = []
     refusals: list[str | None] = []
     for recording, seed in zip(recordings, seeds.recordings, strict=True):
-        told = None if progress is None else partial(progress, f"{recording.name} by amplitude")
-        choose = partial(likeliest_branch, curve, estimator)
+        job = FitJob(estimator, curve, recording, seed, config.joint.gear_ratio, work=work)
         try:
-            fits.append(estimator.fit(recording, seed, config.joint.gear_ratio, told, choose))
+            fits.append(job.run(progress, f"{recording.name} by amplitude"))
             refusals.append(None)
         except UserError as error:
             fits.append(None)

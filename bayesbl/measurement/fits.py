@@ -12,9 +12,9 @@ import numpy as np
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.recording.types import Recording
-from bayesbl.results.codec import NOT_STORED
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
+from bayesbl.ringing.posterior import Progress
 from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.runs.processes import processes
 
@@ -34,21 +34,25 @@ class FitJob:
     recording: Recording
     seed: np.random.SeedSequence
     gear_ratio: float | None
-    earlier: EarlierOptimum | None
+    earlier: EarlierOptimum | None = None
     check: bool = False
-    work: WorkStore = field(default=NOTHING_KEPT, metadata=NOT_STORED)
+    work: WorkStore = field(default=NOTHING_KEPT, compare=False)
 
-    def run(self, progress: StageProgress | None = None) -> Fit:
-        """Fit the recording, or restore the fit that an unfinished run had finished."""
-        finished = self.work.get("fit", self, partial(self._finished, progress), FinishedFit)
+    def run(self, progress: StageProgress | None = None, label: str = "") -> Fit:
+        """Fit the recording, or restore the fit that an unfinished run had finished.
+
+        ``label`` is what progress is reported under, the recording's name by default.
+        """
+        step = None if progress is None else partial(progress, label or self.recording.name)
+        finished = self.work.get("fit", self, partial(self._finished, step), FinishedFit)
         return self.estimator.restored(finished, self.recording, self.gear_ratio)
 
-    def _finished(self, progress: StageProgress | None) -> FinishedFit:
+    def _finished(self, progress: Progress | None) -> FinishedFit:
         fit = self.estimator.fit(
             self.recording,
             self.seed,
             self.gear_ratio,
-            None if progress is None else partial(progress, self.recording.name),
+            progress,
             partial(likeliest_branch, self.curve, self.estimator),
             earlier=self.earlier,
             check=self.check,

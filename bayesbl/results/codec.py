@@ -4,8 +4,8 @@ A value is numbers, texts, ``None``, arrays, and tuples, mappings and dataclasse
 and its arrays are stored in one ``.npz``, nothing that could be executed; it is read as the type
 that the reader asks for, and refused if it is not of that type.
 
-A field that cannot be given on construction (``init=False``), or that says ``metadata=NOT_STORED``,
-is made again by the dataclass itself.
+A field that cannot be given on construction (``init=False``) or is no part of what the value is
+(``compare=False``) is left out; the dataclass itself makes it again.
 """
 
 from __future__ import annotations
@@ -25,9 +25,6 @@ from pydantic import ConfigDict, TypeAdapter
 T = TypeVar("T")
 
 Array = np.ndarray[Any, np.dtype[Any]]
-
-NOT_STORED: Mapping[str, bool] = {"stored": False}
-"""Metadata of a field that is neither stored nor part of the address, and has a default."""
 
 _ARRAY = "array number"
 _TEXT = "text"
@@ -90,7 +87,7 @@ def address(value: object) -> str:
 def _plain(value: object, put: Callable[[Array], object]) -> Any:
     """JSON of a value, with what ``put`` gives in place of each array."""
     if is_dataclass(value) and not isinstance(value, type):
-        kept = [f.name for f in fields(value) if f.init and f.metadata.get("stored", True)]
+        kept = [f.name for f in fields(value) if f.init and f.compare]
         return {name: _plain(getattr(value, name), put) for name in kept}
     match value:
         case None | bool() | int() | float() | str():

@@ -20,8 +20,10 @@ from bayesbl.presentation.figures.calibration import draw_calibration
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.calibration import calibration_line
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.study import prepare, run_study, stored_rows
+from bayesbl.runs.study import prepare, stored_rows
+from bayesbl.runs.study import run as run_study
 from bayesbl.runs.sweep import run_sweep
+from bayesbl.runs.workflow import Options
 from bayesbl.sampling.calibration import (
     LEVELS,
     coverage,
@@ -218,7 +220,7 @@ def rows(folder) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def result(folder, rows) -> xr.DataTree:
-    run_study(load_config(study_of(folder, "one", rows)), say=lambda _: None)
+    run_study(load_config(study_of(folder, "one", rows)), Options(say=lambda _: None))
     return read_tree(folder / "one")
 
 
@@ -237,9 +239,9 @@ def test_one_worker_and_two_and_a_study_cut_short_give_the_same_file(folder, row
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_study(config, progress=stop, say=lambda _: None)
+        run_study(config, Options(progress=stop, say=lambda _: None))
     said: list[str] = []
-    run_study(config, say=said.append)
+    run_study(config, Options(say=said.append))
     assert any("goes on after" in sentence for sentence in said)
     again = read_tree(folder / "two")
     for name, cases in without_times(result).items():
@@ -262,7 +264,7 @@ def test_ranks_of_bench_recordings_are_uniform_and_would_not_be_if_intervals_wer
     folder, rows
 ):
     text = rows["amplitude"].replace("cases = 3", "cases = 40").replace("emcee_cases = 1", "")
-    run_study(load_config(study_of(folder, "many", {"a": text}, 2)), say=lambda _: None)
+    run_study(load_config(study_of(folder, "many", {"a": text}, 2)), Options(say=lambda _: None))
     cases = stored_rows(read_tree(folder / "many"))[1]["a"]
     for name in ("delta", "change"):
         ranks = cases[f"{name}_rank"].values
