@@ -17,10 +17,13 @@ from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve, published_curve
 from bayesbl.errors import ConfigError, CurveError
+from bayesbl.measurement.amplitude_groups import amplitude_groups
 from bayesbl.measurement.change import Gap, MeasuredRinging, changes, gaps
 from bayesbl.measurement.fits import FitJob, StageProgress, earlier_of, run_fits
 from bayesbl.measurement.maintenance import wear_of
+from bayesbl.measurement.shared_groups import change_group
 from bayesbl.measurement.speeds import other_rotation, other_speed, require_one_speed_of_all
+from bayesbl.measurement.stored_curve import curve_group, read_curve
 from bayesbl.recording.checks import (
     ready_for_fit,
     require_reference_speed,
@@ -28,15 +31,14 @@ from bayesbl.recording.checks import (
 )
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.results.earlier import read_earlier
 from bayesbl.results.provenance import file_sha256, provenance
-from bayesbl.results.tree import change_group, curve_group, fit_groups, stack_snapshots
+from bayesbl.results.tree import stack_snapshots
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.second_sampler import require_second_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, DisturbanceModel
+from bayesbl.sampling.chains import SamplerSettings
 
 __all__ = ["StageProgress", "measure"]
 
@@ -258,7 +260,7 @@ def _tree(
 ) -> xr.DataTree:
     level = config.interval.level
     groups = {
-        recording.name: fit_groups(fit, gap, level)
+        recording.name: amplitude_groups(fit, gap, level)
         for recording, fit, gap in zip(recordings, fits, found, strict=True)
     }
     verdicts = {

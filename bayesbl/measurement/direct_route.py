@@ -47,17 +47,19 @@ from bayesbl.measurement.amplitude_route import (
     unsuited,
 )
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
+from bayesbl.measurement.direct_groups import ByAmplitude, direct_groups
 from bayesbl.measurement.fits import FitJob
 from bayesbl.measurement.maintenance import wear_of
+from bayesbl.measurement.shared_groups import change_group
+from bayesbl.measurement.stored_curve import curve_group
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, Recording
-from bayesbl.results.direct_tree import AmplitudeRoute, direct_groups
 from bayesbl.results.provenance import file_sha256, provenance
-from bayesbl.results.tree import change_group, curve_group, stack_snapshots
+from bayesbl.results.tree import stack_snapshots
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.symbols import AMPLITUDE
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import Diagnostics
 
 FALSE_ALARM = 0.01
@@ -210,7 +212,7 @@ def _amplitude_route(
     seeds: Seeds,
     progress: StageProgress | None,
     work: WorkStore,
-) -> list[AmplitudeRoute]:
+) -> list[ByAmplitude]:
     """The same as by ``route = "amplitude"``; where it cannot answer, the reason in its place."""
     fits: list[Fit | None] = []
     refusals: list[str | None] = []
@@ -245,7 +247,7 @@ def _amplitude_route(
             reason = " ".join(fit.posterior.diagnostics.reasons)
         elif gap is not None and gap.reason:
             reason = gap.reason
-        routes.append(AmplitudeRoute(fit, gap, reason))
+        routes.append(ByAmplitude(fit, gap, reason))
     return routes
 
 
@@ -291,7 +293,7 @@ def _tree(
     curve: GapCurve,
     recordings: Sequence[Recording],
     found: DirectMeasurement,
-    beside: Sequence[AmplitudeRoute],
+    beside: Sequence[ByAmplitude],
     seeds: Seeds,
 ) -> xr.DataTree:
     level = config.interval.level

@@ -14,9 +14,9 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
-from bayesbl.ringing.posterior import Progress
 from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.runs.processes import processes
+from bayesbl.sampling.chains import Progress
 
 StageProgress = Callable[[str, int, int], None]
 """Called with (recording, steps made, steps allowed)."""

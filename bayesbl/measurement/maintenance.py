@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.dated_wear import wear_group, years_between
 from bayesbl.measurement.wear import LEAST_SHARE_GROWING, since_repair, straightness, wear
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.wear import wear_group, years_between
 
 
 def wear_of(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import UserError
 from bayesbl.presentation import words
-from bayesbl.presentation.diagnosis import located, print_diagnosis
+from bayesbl.presentation.diagnosis import print_diagnosis, residuals_in_words
 from bayesbl.presentation.direct_route import print_direct_details, print_other_route
 from bayesbl.presentation.sweep import print_sweep
 from bayesbl.presentation.terminal import add_row, new_table, print_table, say
@@ -97,7 +97,7 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
 def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
     """Parameters and diagnostics of every snapshot; what a forward diagnosis found, and where."""
-    for stage, sentences in located(tree):
+    for stage, sentences in residuals_in_words(tree):
         say(console, stage, "bold")
         for sentence in sentences:
             say(console, sentence)

@@ -1,8 +1,4 @@
-"""A diagnosis in words: what is missing, how sure that is, and what it explains.
-
-The difference between simulation and recording, ``gap`` in ``summary.json``, is called
-disagreement here: the gap is δ to whoever reads this.
-"""
+"""A diagnosis in words: what is missing, how sure that is, and what it explains."""
 
 from __future__ import annotations
 
@@ -34,8 +30,8 @@ def print_diagnosis(summary: Summary, console: Console) -> None:
     say(console, headline(summary), "bold")
     for sentence in (*effects(summary), *parameter_errors(summary)):
         say(console, sentence)
-    print_table(_gap_table(summary), console)
-    if any(gap["closed_fraction"] is None for *_, gap in _gaps(summary["gap"])):
+    print_table(_disagreement_table(summary), console)
+    if any(found["closed_fraction"] is None for *_, found in _rows(summary)):
         say(console, UNTOLD_SHARE, "dim")
     for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
         say(console, sentence)
@@ -57,11 +53,8 @@ def headline(summary: Summary) -> str:
 
 
 def has_augmented_bench(summary: Summary) -> bool:
-    """Whether the result's folder holds the bench with what was named: forward diagnoses write it.
-
-    They compare several channels, so that the gap as a whole has no unit.
-    """
-    return summary["gap"]["unit"] is None and summary["verdict"] in ("named", "parameter_error")
+    """Whether the result's folder holds the bench with what was named."""
+    return "augmented_bench" in summary
 
 
 def use_in_words(use: str) -> str:
@@ -94,28 +87,20 @@ def parameter_errors(summary: Summary) -> Iterator[str]:
 
 def remaining(summary: Summary) -> Iterator[str]:
     """What still repeats after naming."""
-    unit = summary["gap"]["unit"]
     for line in summary["remaining"]:
-        if "dependence" in line:
-            yield f"Still there: {_phrase(line)}."
-            continue
-        yield (
-            f"What is left repeats {line['order']:.2f} times per turn of the motor, with "
-            f"{words.significant(line['amplitude'])} {unit}."
-        )
+        yield f"Still there: {_phrase(line)}."
 
 
-def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
-    """What a forward comparison leaves as believed and with what was named: heading, sentences."""
-    from bayesbl.presentation.residuals import located_sentences
+def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
+    """Residuals before naming, and after it if anything was named: heading, sentences."""
+    from bayesbl.presentation.residuals import residual_sentences
 
-    stages = {"located_before": "What the bench as believed leaves"}
+    stages = {"residuals_before": "Residuals of the bench before naming"}
     if tree.attrs.get("augmented_bench"):
-        stages["located_after"] = "What is left with what was named"
+        stages["residuals_after"] = "Residuals with what was named"
     for group, heading in stages.items():
-        # Results of versions before this one hold no entries.
-        if group in tree.children and "unexplained" in tree[group].attrs:
-            yield heading, located_sentences(tree[group].to_dataset())
+        if group in tree.children:
+            yield heading, residual_sentences(tree[group].to_dataset())
 
 
 def wear(summary: Summary) -> Iterator[str]:
@@ -191,36 +176,39 @@ def _beyond_noise(deviations: float) -> str:
     return f"{deviations:.0f} standard deviations from nothing"
 
 
-def _gap_table(summary: Summary) -> Table:
-    unit = summary["gap"]["unit"]
+def _disagreement_table(summary: Summary) -> Table:
     table = new_table(
         ("Recording", "left"),
         ("Use", "left"),
-        (f"Disagreement\nbefore ({unit})" if unit else "Disagreement\nbefore", "right"),
-        (f"after\n({unit})" if unit else "after", "right"),
-        (f"Noise\n({unit})" if unit else "Noise", "right"),
+        ("Disagreement\nbefore", "right"),
+        ("after", "right"),
+        ("Noise", "right"),
         ("Removed", "right"),
     )
-    for name, use, gap in _gaps(summary["gap"]):
+    for name, use, row in _rows(summary):
         add_row(
             table,
             name,
             _USES[use],
-            *(f"{gap[key]:.3g}{_own_unit(gap)}" for key in ("before", "after", "noise_floor")),
-            removed(gap["closed_fraction"]),
+            *(_sized_rms(row, key) for key in ("before", "after", "noise_floor")),
+            removed(row["closed_fraction"]),
         )
     return table
 
 
-def _gaps(gap: Summary) -> Iterator[tuple[str, str, Summary]]:
+def _rows(summary: Summary) -> Iterator[tuple[str, str, Summary]]:
     """(recording and channel, use, disagreement) of every row, those over all at the end."""
     from bayesbl.recording.types import CHANNELS  # numpy is behind it
 
-    for recording, channels in gap["recordings"].items():
+    found = summary["disagreement"]
+    several = (
+        len({channel for channels in found["recordings"].values() for channel in channels}) > 1
+    )
+    for recording, channels in found["recordings"].items():
         for channel, uses in channels.items():
-            name = recording if gap["unit"] else f"{recording}, {CHANNELS.get(channel, channel)}"
-            yield from ((name, use, found) for use, found in uses.items())
-    yield from (("all", use, found) for use, found in gap["over_all"].items())
+            name = f"{recording}, {CHANNELS.get(channel, channel)}" if several else recording
+            yield from ((name, use, row) for use, row in uses.items())
+    yield from (("all", use, row) for use, row in found["over_all"].items())
 
 
 def removed(closed: float | None) -> str:
@@ -234,6 +222,7 @@ def removed(closed: float | None) -> str:
     return "100 %" if shown == "100.0" else f"{shown} %"
 
 
-def _own_unit(gap: Summary) -> str:
-    unit = gap.get("unit")
-    return "" if unit is None else " × noise" if unit == "noise" else f" {unit}"
+def _sized_rms(row: Summary, key: str) -> str:
+    """``3.34 rpm``; over all channels ``4.2 × noise``."""
+    unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
+    return f"{row[key]:.3g}{unit}"

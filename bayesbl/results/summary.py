@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayesbl.diagnosis.summary import summarise_diagnosis
+from bayesbl.measurement.dated_wear import summarise_wear
+from bayesbl.measurement.stored_curve import SOURCE_PREFIX
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.diagnosis import summarise_diagnosis
 from bayesbl.results.direct_summary import amplitude_reasons, direct_snapshot
 from bayesbl.results.intervals import interval
 from bayesbl.results.store import texts
-from bayesbl.results.wear import summarise_wear
 from bayesbl.ringing.symbols import SYMBOLS
-
-SOURCE_PREFIX = "source_"
-"""Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
 
 
 def summarise(tree: xr.DataTree) -> dict[str, Any]:
@@ -26,7 +24,7 @@ def summarise(tree: xr.DataTree) -> dict[str, Any]:
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
     if tree.attrs["kind"] == "diagnose":
-        return summarise_diagnosis(tree)
+        return dict(summarise_diagnosis(tree))
     if tree.attrs["kind"] == "sweep":
         return _sweep(tree)
     if tree.attrs["kind"] == "compare":

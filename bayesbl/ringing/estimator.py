@@ -24,10 +24,11 @@ from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
-from bayesbl.ringing.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import Posterior, sample_posterior
 from bayesbl.ringing.second_sampler import SamplerCheck, check_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
+from bayesbl.sampling.chains import Progress, SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
 
 AGREEMENT = 1e-9

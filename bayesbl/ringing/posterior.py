@@ -9,7 +9,7 @@ A, v_t and the baseline, linear, are integrated out exactly and drawn afterwards
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,14 @@ from bayesbl.ringing.covariance import Covariance, signal_to_noise
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
+from bayesbl.sampling.chains import (
+    BOUND_TOLERANCE_SD,
+    STEPS_BETWEEN_CHECKS,
+    Progress,
+    SamplerSettings,
+    burn_in,
+    thinned,
+)
 from bayesbl.sampling.convergence import (
     STEPS_PER_AUTOCORRELATION,
     Contender,
@@ -28,33 +36,6 @@ from bayesbl.sampling.convergence import (
     rank_r_hat_and_ess,
 )
 from bayesbl.sampling.ensemble import Ensemble
-
-STEPS_BETWEEN_CHECKS = 250
-BURN_IN_AUTOCORRELATIONS = 5.0
-DRAWS_KEPT = 1000
-BOUND_TOLERANCE_SD = 0.05
-"""Interval bounds count as stable when they move less than this many standard deviations."""
-
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class SamplerSettings:
-    """How the posterior is sampled; never part of what A means.
-
-    Attributes
-    ----------
-    ensembles
-        Independent emcee ensembles; these are the chains.
-    max_steps
-        Upper limit of steps per ensemble; the sampler stops by itself when converged.
-    level
-        Interval level whose bounds must be stable.
-    """
-
-    ensembles: int = 4
-    max_steps: int = 20000
-    level: float = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,18 +168,6 @@ def _other_answer(
     sd = math.sqrt(spread.sandwich[0, 0])
     others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
     return max(others, key=lambda c: c.log_odds, default=None)
-
-
-def burn_in(tau: float, steps: int) -> int:
-    """Steps left out at the begin: five autocorrelation times, at most half of all."""
-    half = steps // 2
-    return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
-
-
-def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
-    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
-    flat = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
 
 
 def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:

@@ -21,11 +21,11 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.signals import observed
 from bayesbl.measurement.amplitude_route import require_plausible_limit, same_files, verdict
+from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset
 from bayesbl.recording import readers
 from bayesbl.recording.channels import MOTOR_SPEED, SUFFIXES
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
 from bayesbl.recording.readers import read_recording
-from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset
 from bayesbl.results.store import write_tree
 
 CONFIGS = Path(__file__).parents[2] / "configs"

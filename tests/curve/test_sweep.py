@@ -20,11 +20,11 @@ from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.measurement.amplitude_route import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator

@@ -36,7 +36,7 @@ from bayesbl.matching.signals import (
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SETTINGS = SamplerSettings(ensembles=2)

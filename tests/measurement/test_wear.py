@@ -14,6 +14,7 @@ from rich.console import Console
 from scipy import stats
 
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.dated_wear import date_after, summarise_wear, years_between
 from bayesbl.measurement.maintenance import wear_of
 from bayesbl.measurement.wear import (
     LONGEST_YEARS,
@@ -27,7 +28,6 @@ from bayesbl.presentation.figures import wear as wear_figure
 from bayesbl.presentation.figures.style import save
 from bayesbl.presentation.figures.wear import line_band, reached
 from bayesbl.presentation.wear import print_wear
-from bayesbl.results.wear import date_after, summarise_wear, years_between
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])

@@ -15,6 +15,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
 from bayesbl.measurement.amplitude_route import measure
+from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation.figures import (
     bench_draws,
     convergence,
@@ -34,12 +35,11 @@ from bayesbl.presentation.figures.corner import enclosing_levels
 from bayesbl.presentation.figures.curve import departures_from_curve, source_bands
 from bayesbl.presentation.figures.degrees import departure_of_degree
 from bayesbl.presentation.figures.direct_gap import direct_gap
-from bayesbl.presentation.figures.named import named
+from bayesbl.presentation.figures.named_effects import named_effects
 from bayesbl.presentation.figures.scales import scale_of
 from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import look, publication_style, save
 from bayesbl.presentation.figures.traces import envelope
-from bayesbl.results.curve_file import curve_from_dataset
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
@@ -538,7 +538,7 @@ def named_result(believed_rad):
 
 
 def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
-    near, far = named(named_result(8e-4)), named(named_result(2e-4))
+    near, far = named_effects(named_result(8e-4)), named_effects(named_result(2e-4))
     for figure in (near, far):
         shown = texts(figure)
         assert re.search(r"\(a\)  0\.80\d* mrad \(", shown)

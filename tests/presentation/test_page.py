@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 from bayesbl import cli
+from bayesbl.measurement.dated_wear import wear_group, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation import words
@@ -22,7 +23,6 @@ from bayesbl.presentation.page.build import page
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.summary import summarise
-from bayesbl.results.wear import wear_group, years_between
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""
@@ -291,7 +291,7 @@ def test_a_gap_that_shrank_without_dates_is_no_all_clear(limit):
 
 @pytest.mark.parametrize("verdict", ["named", "parameter_error"])
 def test_a_diagnosis_that_found_something_is_no_alarm(verdict):
-    assert advice(diagnosed_summary(verdict, None)).tone == "note"
+    assert advice(diagnosed_summary(verdict)).tone == "note"
 
 
 @pytest.mark.parametrize("verdict", ["nothing_missing", "parameter_error", "unexplained", "named"])
@@ -303,7 +303,6 @@ def test_every_verdict_has_its_advice(verdict):
             "verdict": verdict,
             "effects": effects,
             "parameter_errors": [],
-            "gap": {"unit": "A"},
         }
     )
     assert given.title
@@ -420,30 +419,30 @@ def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(
         assert expected in first, expected
 
 
-def diagnosed_summary(verdict, unit, alike=()):
+def diagnosed_summary(verdict, alike=(), bench=True):
     effect = {"name": "load_coulomb_friction", "indistinguishable_from": list(alike)}
     return {
         "kind": "diagnose",
         "verdict": verdict,
         "effects": [effect] if verdict == "named" else [],
         "parameter_errors": [],
-        "gap": {"unit": unit},
+        **({"augmented_bench": "augmented_bench.toml"} if bench else {}),
         "suggested_recording": None,
     }
 
 
 @pytest.mark.parametrize("verdict", ["named", "parameter_error"])
 def test_the_bench_that_a_diagnosis_wrote_is_the_one_to_go_on_with(verdict):
-    told = advice(diagnosed_summary(verdict, None))
+    told = advice(diagnosed_summary(verdict))
     assert "augmented_bench.toml" in told.title
     assert "--bench augmented_bench.toml" in " ".join(told.sentences)
-    other = advice(diagnosed_summary(verdict, "A"))
+    other = advice(diagnosed_summary(verdict, bench=False))
     assert "augmented_bench" not in other.title, "a rigid bench's diagnosis writes none"
 
 
 def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
     sure, unsure = (
-        " ".join(advice(diagnosed_summary("named", None, alike)).sentences)
+        " ".join(advice(diagnosed_summary("named", alike)).sentences)
         for alike in ((), ("motor_coulomb_friction",))
     )
     assert "told apart" in unsure

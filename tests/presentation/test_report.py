@@ -435,14 +435,14 @@ def test_significant_digits_are_kept_whatever_the_size():
 
 def diagnosis(*closed):
     """The summary of a diagnosis by several channels with these shares of disagreement removed."""
-    gap = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "rpm"}
-    uses = [{"used": {**gap, "closed_fraction": share}} for share in closed]
+    row = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "rpm"}
+    uses = [{"used": {**row, "closed_fraction": share}} for share in closed]
     return {
         "kind": "diagnose",
         "verdict": "nothing_missing",
         "effects": [],
         "parameter_errors": [],
-        "gap": {
+        "disagreement": {
             "unit": None,
             "recordings": {f"r{i}": {"motor_speed_rpm": use} for i, use in enumerate(uses)},
             "over_all": {},

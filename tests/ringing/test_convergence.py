@@ -19,7 +19,7 @@ from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import exchanged
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -34,6 +34,7 @@ from bayesbl.ringing.symbols import (
     DisturbanceModel,
 )
 from bayesbl.ringing.synthetic import synthetic_recording
+from bayesbl.sampling.chains import SamplerSettings
 
 TRUTH = {
     AMPLITUDE: 30.0,

@@ -15,8 +15,9 @@ import pytest
 from scipy import stats
 
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.noise.autoregression import autocorrelation, innovation_share
 from bayesbl.noise.process import NO_NOISE, NoiseModel
-from bayesbl.noise.rotation_noise import Noise, autocorrelation, estimate_noise, innovation_share
+from bayesbl.noise.rotation_noise import Noise, estimate_noise
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing import optimum as optimum_module
 from bayesbl.ringing.covariance import Covariance, covariance
@@ -26,7 +27,7 @@ from bayesbl.ringing.misfit import repeating_misfit
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum, local_search, table_2_box
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -43,6 +44,7 @@ from bayesbl.ringing.symbols import (
 )
 from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 from bayesbl.ringing.waveform import pulse_train
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import (
     Contender,
     Diagnostics,

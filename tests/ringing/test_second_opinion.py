@@ -13,9 +13,9 @@ from test_convergence import ambiguous, clean
 from bayesbl import cli
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Estimator, Fit
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.second_sampler import SamplerCheck
 from bayesbl.ringing.symbols import AMPLITUDE
+from bayesbl.sampling.chains import SamplerSettings
 
 pytest.importorskip("dynesty")
 

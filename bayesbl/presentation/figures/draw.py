@@ -10,18 +10,16 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from bayesbl.errors import ResultError
+from bayesbl.presentation.figures import named_effects, recorded_and_predicted, residuals_by_angle
 from bayesbl.presentation.figures.bench_draws import bench_draws
 from bayesbl.presentation.figures.convergence import convergence
 from bayesbl.presentation.figures.corner import corner
 from bayesbl.presentation.figures.curve import curve
 from bayesbl.presentation.figures.degrees import degrees
-from bayesbl.presentation.figures.diagnosis import diagnosed
 from bayesbl.presentation.figures.direct_gap import direct_change, direct_gap
-from bayesbl.presentation.figures.discrepancy import discrepancy
 from bayesbl.presentation.figures.disturbance import disturbance
 from bayesbl.presentation.figures.gap import gap
 from bayesbl.presentation.figures.misfit import misfit
-from bayesbl.presentation.figures.named import can_be_drawn, named
 from bayesbl.presentation.figures.noise import noise
 from bayesbl.presentation.figures.overlay import overlay
 from bayesbl.presentation.figures.signal import signal
@@ -70,16 +68,9 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
 
 
 def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    if tree.attrs.get("method") == "forward":
-        before, after = (tree[f"located_{s}"].to_dataset() for s in ("before", "after"))
-        for recording in before["recording"].values:
-            figure = discrepancy(before, str(recording), after)
-            yield f"diagnosis_{str(recording).replace(' ', '_')}", figure
-        if can_be_drawn(tree):
-            yield named.__name__, named(tree)
-        return
-    for recording, figure in diagnosed(tree).items():
-        yield f"diagnosis_{recording.replace(' ', '_')}", figure
+    for module in (recorded_and_predicted, residuals_by_angle, named_effects):
+        if module.can_be_drawn(tree):
+            yield from module.figures(tree)
 
 
 def _sweep_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:

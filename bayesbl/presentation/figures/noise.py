@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from bayesbl.noise.rotation_noise import autocorrelation, rotation_difference
+from bayesbl.noise.autoregression import autocorrelation
+from bayesbl.noise.rotation_noise import rotation_difference
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
 from bayesbl.presentation.figures.style import (

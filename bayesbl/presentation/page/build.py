@@ -206,12 +206,12 @@ def _wear_cards(summary: Summary) -> Iterator[Card]:
 
 def _gap_cards(summary: Summary) -> Iterator[Card]:
     """How far bench and measurement lie apart, on held-out recordings where there are any; δ."""
-    gaps = summary["gap"]["over_all"]
-    use = "held_out" if "held_out" in gaps else next(iter(gaps), None)
+    overall = summary["disagreement"]["over_all"]
+    use = "held_out" if "held_out" in overall else next(iter(overall), None)
     if use is not None:
-        unit = gaps[use].get("unit") or summary["gap"]["unit"]
+        unit = overall[use]["unit"]
         for label, key in (("Disagreement before naming", "before"), ("after naming", "after")):
-            value = words.significant(gaps[use][key], 3)
+            value = words.significant(overall[use][key], 3)
             yield Card(label, value, _UNITS.get(unit, unit), diagnosed.use_in_words(use))
     found = summary["delta_rad_after"]
     if found is not None:

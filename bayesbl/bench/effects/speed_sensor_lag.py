@@ -1,0 +1,31 @@
+"""Lag of the speed sensor: a filter between the motor and the controller.
+
+T dω_meas/dt = ω_m − ω_meas
+"""
+
+from __future__ import annotations
+
+from bayesbl.bench.effect_declaration import Effect, amplitude
+
+EFFECT = Effect(
+    place=180,
+    name="speed_sensor_lag",
+    sentence="The speed that the controller sees and records is filtered.",
+    equation="T dω_meas/dt = ω_m − ω_meas",
+    parameters=(
+        amplitude(
+            "time_s",
+            "s",
+            "time constant T",
+            low=0.0,
+            high=0.01,
+            typical=1e-3,
+            repeats="always",
+            not_negative=True,
+            sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
+        ),
+    ),
+    enters="loop",
+    depends_on=(),
+    data="ringing less damped; pulse fronts rounded",
+)

@@ -1,0 +1,187 @@
+"""Wear in time, as ``result.nc`` and ``summary.json`` of a comparison hold it.
+
+
+Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
+the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
+where the answer is withheld, ``decide_before`` where that was asked, and with three snapshots or
+more those of :class:`bayesbl.measurement.wear.Straightness`, ``line_`` before their names.
+
+Keys of ``wear`` in ``summary.json`` (the whole is ``null`` where no snapshot is dated):
+
+- ``snapshots``: names of those used, ``first_date``, ``last_date``
+- ``rate_rad_per_year``: interval, healing ruled out; ``rate_at_most_rad_per_year``: one-sided
+- ``probability_wear``: that the gap grows, before healing is ruled out
+- ``scatter_rad_per_root_year``: interval of irregular wear; ``null`` under four snapshots
+- ``line``: whether the gaps lie on a straight line (``is_straight``, ``probability``), and which
+  ``snapshot`` is farthest off (``excess_rad``, ``standard_deviations``); ``null`` under three
+- ``limit_rad``, ``years_to_limit`` from the last snapshot, ``limit_date``; ``limit_not_before``:
+  the date before which the limit is not reached, one-sided
+- ``decide_before``, ``probability_limit_before``
+- ``reason``: why all of these are ``null``
+
+One-sided statements hold with the probability of the intervals, ``level``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from datetime import date as Date
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.measurement.shared_groups import DRAWS
+from bayesbl.measurement.wear import (
+    FEWEST_FOR_SCATTER,
+    LONGEST_YEARS,
+    Straightness,
+    Wear,
+    probability_before,
+)
+from bayesbl.results.intervals import interval
+from bayesbl.results.variables import Group, Variable, dataset
+
+DAYS_PER_YEAR = 365.25
+
+
+def years_between(first: Date, last: Date) -> float:
+    """Time from one date to another."""
+    return (last - first).days / DAYS_PER_YEAR
+
+
+def date_after(first: Date, years: float) -> Date | None:
+    """The day so many years later; ``None`` where that is beyond what is computed."""
+    if years >= LONGEST_YEARS:
+        return None
+    return first + timedelta(days=round(years * DAYS_PER_YEAR))
+
+
+WEAR = Group(
+    "wear",
+    (
+        Variable("date", ("dated",), "", "date of snapshot", "text"),
+        Variable("used", ("dated",), "1", "1 where taken since the last repair"),
+        Variable(
+            "rate_rad_per_year",
+            DRAWS,
+            "rad/year",
+            "growth of the gap, of either sign",
+            optional=True,
+        ),
+        Variable(
+            "current_rad",
+            DRAWS,
+            "rad",
+            "gap at the last snapshot, from all of them",
+            optional=True,
+        ),
+        Variable(
+            "scatter_rad_per_root_year", DRAWS, "rad/year^0.5", "irregular wear", optional=True
+        ),
+        Variable(
+            "years_to_limit",
+            DRAWS,
+            "year",
+            "time from the last snapshot to the limit; none where the gap would heal",
+            optional=True,
+        ),
+    ),
+    optional=True,
+)
+
+
+def wear_group(
+    dates: Sequence[Date],
+    used: slice,
+    wear: Wear | None,
+    *,
+    reason: str,
+    decide_before: Date | None,
+    line: Straightness | None = None,
+) -> xr.Dataset:
+    """Group :data:`WEAR`; ``wear`` is ``None`` where nothing could be computed."""
+    chosen = np.zeros(len(dates))
+    chosen[used] = 1.0
+    draws = {} if wear is None else {f.name: getattr(wear, f.name) for f in fields(Wear)}
+    group = dataset(WEAR, {"date": [d.isoformat() for d in dates], "used": chosen, **draws})
+    group.attrs = {"reason": reason}
+    if decide_before is not None:
+        group.attrs["decide_before"] = decide_before.isoformat()
+    if line is not None:
+        group.attrs |= {f"line_{name}": value for name, value in asdict(line).items()}
+    return group
+
+
+def used_dates(group: xr.Dataset) -> list[Date]:
+    """Dates of the snapshots since the last repair."""
+    stored = zip(group["date"].values, group["used"].values, strict=True)
+    return [Date.fromisoformat(str(day)) for day, used in stored if used]
+
+
+def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | None:
+    """``wear`` of the summary of a comparison (see the module)."""
+    if WEAR.name not in tree.children:
+        return None
+    group = tree[WEAR.name].to_dataset()
+    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
+    limit, before = tree.attrs.get("limit_rad"), group.attrs.get("decide_before")
+    dates = used_dates(group)
+    result: dict[str, Any] = {
+        "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
+        "first_date": dates[0].isoformat(),
+        "last_date": dates[-1].isoformat(),
+        "level": level,
+        "rate_rad_per_year": None,
+        "rate_at_most_rad_per_year": None,
+        "probability_wear": None,
+        "scatter_rad_per_root_year": None,
+        "line": None,
+        "limit_rad": None if limit is None else float(limit),
+        "years_to_limit": None,
+        "limit_date": None,
+        "limit_not_before": None,
+        "decide_before": before,
+        "probability_limit_before": None,
+        "reason": group.attrs["reason"] or None,
+    }
+    if result["reason"]:
+        return result
+    every = group["rate_rad_per_year"].values
+    grows = every >= 0.0
+    rate = every[grows]
+    result["rate_rad_per_year"] = interval(rate, level, kind)
+    result["rate_at_most_rad_per_year"] = float(np.quantile(rate, level))
+    result["probability_wear"] = float(np.mean(every > 0.0))
+    if len(dates) >= FEWEST_FOR_SCATTER:
+        scatter = group["scatter_rad_per_root_year"].values[grows]
+        result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
+    if "line_probability" in group.attrs:
+        line = Straightness(**{f.name: group.attrs[f"line_{f.name}"] for f in fields(Straightness)})
+        result["line"] = {
+            "is_straight": bool(line.is_straight),
+            "probability": float(line.probability),
+            "snapshot": result["snapshots"][int(line.snapshot)],
+            "excess_rad": float(line.excess_rad),
+            "standard_deviations": float(line.standard_deviations),
+        }
+    if "years_to_limit" in group:
+        years = group["years_to_limit"].values[grows]
+        found = interval(years, level, kind)
+        result["years_to_limit"] = found
+        result["limit_date"] = {
+            k: _iso(dates[-1], found[k]) if k in ("median", "low", "high") else found[k]
+            for k in found
+        }
+        result["limit_not_before"] = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
+        if before is not None:
+            ahead = years_between(dates[-1], Date.fromisoformat(before))
+            result["probability_limit_before"] = probability_before(years, ahead)
+    return result
+
+
+def _iso(first: Date, years: float) -> str | None:
+    found = date_after(first, years)
+    return None if found is None else found.isoformat()
