@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.fields import PUBLISHED
-from bayesbl.config.loading import dump_config
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve, published_curve
@@ -32,7 +29,7 @@ from bayesbl.recording.checks import (
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.earlier import read_earlier
-from bayesbl.results.provenance import file_sha256, provenance
+from bayesbl.results.provenance import provenance_of
 from bayesbl.results.tree import stack_snapshots
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
@@ -135,13 +132,6 @@ def measure(
         level=config.interval.level,
     )
     return _tree(config, curve, recordings, fits, found, seeds)
-
-
-def inputs_of(config: SnapshotConfig) -> dict[str, str]:
-    """Every file that the numbers come from, with the SHA-256 of its bytes."""
-    files: list[Path | str] = [entry.file for entry in config.recordings]
-    files += [x for x in (config.curve.source, config.estimator.search.start_from) if x is not None]
-    return {str(file): file_sha256(file) for file in files if file != PUBLISHED}
 
 
 def read_recordings(config: SnapshotConfig) -> list[Recording]:
@@ -299,7 +289,7 @@ def _tree(
             if v["reason"]
         ),
         "warnings": [*same_files(recordings), *curve.warnings],
-        **provenance(dump_config(config), config.run.seed, inputs_of(config)),
+        **provenance_of(config),
     }
     if config.joint.limit_rad is not None:
         tree.attrs["limit_rad"] = config.joint.limit_rad

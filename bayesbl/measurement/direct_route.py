@@ -17,7 +17,6 @@ import xarray as xr
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.loading import dump_config
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import BenchError, ConfigError, UserError
@@ -54,7 +53,7 @@ from bayesbl.measurement.shared_groups import change_group
 from bayesbl.measurement.stored_curve import curve_group
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, Recording
-from bayesbl.results.provenance import file_sha256, provenance
+from bayesbl.results.provenance import provenance_of
 from bayesbl.results.tree import stack_snapshots
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit
@@ -328,10 +327,6 @@ def _tree(
     whole["amplitude_route"].attrs["reasons"] = json.dumps(reasons, ensure_ascii=False)
     whole["curve"] = curve_group(curve, level, seeds.curve)
     tree = xr.DataTree.from_dict(whole)
-    inputs = {r.source.file: r.source.sha256 for r in recordings if r.source}
-    file = config.estimator.bench
-    if file is not None:
-        inputs[str(file)] = file_sha256(file)
     tree.attrs = {
         "kind": config.kind,
         "route": "direct",
@@ -342,7 +337,7 @@ def _tree(
         "outcome": overall([v["outcome"] for v in verdicts.values()]),
         "reason": " ".join(dict.fromkeys(v["reason"] for v in verdicts.values() if v["reason"])),
         "warnings": same_files(recordings),
-        **provenance(dump_config(config), config.run.seed, inputs),
+        **provenance_of(config),
     }
     if config.joint.limit_rad is not None:
         tree.attrs["limit_rad"] = config.joint.limit_rad

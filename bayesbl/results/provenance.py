@@ -14,6 +14,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import bayesbl
+from bayesbl.config.loading import dump_config
+from bayesbl.config.sections import RunConfig
 
 DEPENDENCIES = (
     "numpy",
@@ -54,6 +56,11 @@ def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[s
         "python_version": platform.python_version(),
         "dependency_versions": json.dumps(dependency_versions()),
     }
+
+
+def provenance_of(config: RunConfig) -> dict[str, str | int]:
+    """Attributes for the root of the result of a configuration."""
+    return provenance(dump_config(config), config.run.seed, inputs_of(config.model_dump()))
 
 
 def file_sha256(path: str | Path) -> str:

@@ -30,7 +30,7 @@ from bayesbl.results.folder import (
     new_result,
     require_free,
 )
-from bayesbl.results.provenance import git_commit, provenance
+from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, read_tree, write_json, write_text, write_tree
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cases import Case, Job, run_in_processes
@@ -251,7 +251,7 @@ def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree
         "study": study.name,
         "study_sha256": study.sha256,
         OUTCOME: "done",
-        **provenance(dump_config(config), config.run.seed, {str(study.path): study.sha256}),
+        **provenance_of(config),
     }
     return tree
 

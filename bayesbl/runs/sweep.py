@@ -12,7 +12,6 @@ import xarray as xr
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import dump_bench, load_bench
-from bayesbl.config.loading import dump_config
 from bayesbl.config.sweep import SweepConfig
 from bayesbl.curve.bench_draws import SweptDraws
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
@@ -20,7 +19,7 @@ from bayesbl.curve.swept_curve import departures, swept_curve
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.measurement.stored_curve import GAP_CURVE, curve_group, curve_to_dataset
 from bayesbl.recording.types import Recording
-from bayesbl.results.provenance import file_sha256, provenance
+from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
@@ -153,9 +152,7 @@ def run_sweep(
         "lack_of_fit_length": regression.lack_of_fit_length,
         "degree": config.sweep.degree,
         "bench": dump_bench(bench),
-        **provenance(
-            dump_config(config), config.run.seed, {str(config.bench): file_sha256(config.bench)}
-        ),
+        **provenance_of(config),
     }
     return tree
 

@@ -99,10 +99,8 @@ def run_into_folder(
     if is_finished(output):
         forget(output)  # what a run left that was killed after its result stood
     require_free(output, force=options.force)
-    settings = config.model_dump(
-        by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
-    )
-    with WorkStore.beside(output, problem_of(settings), fresh=options.force) as work:
+    problem = problem_of(settings_of(config))
+    with WorkStore.beside(output, problem, fresh=options.force) as work:
         if work.resumes:
             options.say("This goes on where an unfinished run was left.")
         try:
@@ -111,6 +109,13 @@ def run_into_folder(
             work.clear()  # it would end the same way again
             raise
         return write_result(tree, config, options, stored=work.clear)
+
+
+def settings_of(config: RunConfig) -> dict[str, Any]:
+    """The tables of a configuration, without what changes no number."""
+    return config.model_dump(
+        by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
+    )
 
 
 def write_result(
