@@ -13,13 +13,13 @@ import json
 import platform
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import locked_sibling, replacing, sibling
+from bayesbl.results.atomic import locked_sibling, replacing
 from bayesbl.results.codec import address, decoder, encoded
 from bayesbl.results.provenance import (
     code_sha256,
@@ -163,13 +163,6 @@ def problem_of(config: Mapping[str, Any]) -> Problem:
         **{f"version of {package}": version for package, version in code_versions().items()},
         "content of the package": f"SHA-256 {code_sha256()}",
     }
-
-
-def forget(output: Path) -> None:
-    """Clear away what a run left that was killed after its result stood; not if one is at work."""
-    if sibling(output, _UNFINISHED).is_dir():
-        with suppress(ResultError), WorkStore.beside(output, fresh=True):
-            pass
 
 
 def _head(key: str, content: bytes) -> bytes:

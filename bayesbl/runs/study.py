@@ -18,25 +18,19 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.loading import dump_config
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ResultError
 from bayesbl.results.folder import (
-    CONFIG_FILE,
-    FIGURES,
-    RESULT_FILE,
-    SUMMARY_FILE,
     is_finished,
-    new_result,
     require_free,
 )
 from bayesbl.results.provenance import git_commit, provenance_of
-from bayesbl.results.store import OUTCOME, read_tree, write_json, write_text, write_tree
+from bayesbl.results.store import OUTCOME, read_tree
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cases import Case, Job, run_in_processes
 from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
-from bayesbl.runs.workflow import Options, Plan, Summary
+from bayesbl.runs.workflow import Options, Plan, Summary, write_result
 
 TABLE_FILE = "table.csv"
 
@@ -99,13 +93,9 @@ def run(config: StudyConfig, options: Options) -> Summary:
         _finish(study, rows, config, kept, options)
         tree = _tree(study, rows, config)
         summary = summarise_study(tree)
-        with new_result(output, force=options.force or add, also={TABLE_FILE}) as folder:
-            write_tree(tree, folder / RESULT_FILE)
-            write_json(summary, folder / SUMMARY_FILE)
-            write_text(table_csv(summary["rows"]), folder / TABLE_FILE)
-            write_text(dump_config(config), folder / CONFIG_FILE)
-            draw_study(study, tree, folder / FIGURES)
-        work.clear()
+        replaced = replace(options, draw=partial(draw_study, study), force=options.force or add)
+        table = {TABLE_FILE: table_csv(summary["rows"])}
+        write_result(tree, summary, config, replaced, table, work)
     return summary
 
 

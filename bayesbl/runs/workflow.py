@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,7 +19,7 @@ from bayesbl.results.folder import (
     new_result,
     require_free,
 )
-from bayesbl.results.work import WorkStore, forget, problem_of
+from bayesbl.results.work import WorkStore, problem_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -96,11 +96,10 @@ def run_into_folder(
         anything in the configuration cannot be used.
     """
     output = config.run.output
-    if is_finished(output):
-        forget(output)  # what a run left that was killed after its result stood
-    require_free(output, force=options.force)
-    problem = problem_of(settings_of(config))
-    with WorkStore.beside(output, problem, fresh=options.force) as work:
+    # Work beside a result is that of a run that was killed after the result was there.
+    fresh = options.force or is_finished(output)
+    with WorkStore.beside(output, problem_of(settings_of(config)), fresh=fresh) as work:
+        require_free(output, force=options.force)
         if work.resumes:
             options.say("This goes on where an unfinished run was left.")
         try:
@@ -108,7 +107,13 @@ def run_into_folder(
         except UserError:
             work.clear()  # it would end the same way again
             raise
-        return write_result(tree, config, options, stored=work.clear)
+        # Imported after the questions that can be answered at once: xarray takes a second.
+        from bayesbl.results.summary import summarise
+
+        texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench")}
+        summary = summarise(tree)
+        write_result(tree, summary, config, options, {k: v for k, v in texts.items() if v}, work)
+    return summary
 
 
 def settings_of(config: RunConfig) -> dict[str, Any]:
@@ -120,11 +125,13 @@ def settings_of(config: RunConfig) -> dict[str, Any]:
 
 def write_result(
     tree: xr.DataTree,
+    summary: Mapping[str, Any],
     config: RunConfig,
     options: Options,
-    stored: Callable[[], object] = lambda: None,
-) -> Summary:
-    """The output folder of a result, whole or not at all; its summary.
+    texts: Mapping[str, str],
+    work: WorkStore,
+) -> None:
+    """The output folder of a result, whole or not at all; finished work is then forgotten.
 
     Figures can be made again at once, what was computed cannot: where drawing fails, the result is
     stored with the figures drawn so far, and the failure raised only then, with a note that says
@@ -132,30 +139,25 @@ def write_result(
 
     Parameters
     ----------
-    stored
-        Called as soon as the folder is there.
+    texts
+        Further files by name.
     """
-    # Imported after the questions that can be answered at once: xarray takes a second.
     from bayesbl.results.store import write_json, write_text, write_tree
-    from bayesbl.results.summary import summarise
 
-    summary = summarise(tree)
-    with new_result(config.run.output, force=options.force) as folder:
+    failure: Exception | None = None
+    with new_result(config.run.output, force=options.force, also=texts) as folder:
         write_tree(tree, folder / RESULT_FILE)
         write_json(summary, folder / SUMMARY_FILE)
-        write_text(dump_config(config), folder / CONFIG_FILE)
-        if tree.attrs.get("augmented_bench"):
-            write_text(tree.attrs["augmented_bench"], folder / AUGMENTED_BENCH)
-        failure: Exception | None = None
+        for name, text in {CONFIG_FILE: dump_config(config), **texts}.items():
+            write_text(text, folder / name)
         try:
             options.draw(tree, folder / FIGURES)
         except Exception as error:
             failure = error
-    stored()
+    work.clear()
     if failure is not None:
         failure.add_note(
             f"The result is stored in {config.run.output}; only figures are missing. To draw them "
             f"again: bayesbl figures {config.run.output}"
         )
         raise failure
-    return summary
