@@ -190,7 +190,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Coverage at each level, whether it is in its band, uniformity of the ranks, and widths."""
-    from bayesbl.results.calibration import calibration_line
+    from bayesbl.sampling.calibration_table import calibration_line
 
     from_prior = row.bench is None or isinstance(row.gap_rad, tuple)
     line: dict[str, float | str] = {}

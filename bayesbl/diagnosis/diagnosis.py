@@ -93,7 +93,7 @@ class PieceSignals:
 class RankedCandidate:
     """What one candidate alone gains over the bench as believed."""
 
-    name: str
+    candidate: str
     chi_square_gain: float
     log_evidence_gain: float
 

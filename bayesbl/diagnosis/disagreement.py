@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
@@ -58,7 +58,7 @@ class PieceResiduals:
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """RMS between bench and measurement.
+    """RMS between bench and measurement, in ``unit``; ``noise`` where over each noise floor.
 
     Attributes
     ----------
@@ -74,24 +74,30 @@ class Disagreement:
     after: float
     noise_floor: float
     closed_fraction: float | None
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class PieceDisagreement(Disagreement):
+    """That of one piece, and which past its noise floor is from."""
+
+    recording: str
+    channel: str
+    use: Use
+    noise_floor_from: FloorFrom
 
 
 @dataclass(frozen=True, slots=True)
 class DisagreementTable:
     """Of every piece, and of all pieces of each use together.
 
-    ``overall`` is in units of each piece's own noise floor where ``in_units_of_noise``, else in
-    the one channel's unit.
+    ``unit`` is that of all values; ``None`` where every piece has its own, and ``overall`` is in
+    units of each piece's noise floor.
     """
 
-    pieces: tuple[tuple[PieceResiduals, Disagreement], ...]
+    pieces: tuple[PieceDisagreement, ...]
     overall: Mapping[Use, Disagreement]
-    in_units_of_noise: bool
-
-    @property
-    def unit(self) -> str | None:
-        """Of all values; ``None`` where every piece has its own."""
-        return None if self.in_units_of_noise else unit_of(self.pieces[0][0].channel)
+    unit: str | None
 
 
 def piece_residuals(
@@ -121,6 +127,7 @@ def disagreement_table(
     pieces: Sequence[PieceResiduals], *, in_units_of_noise: bool
 ) -> DisagreementTable:
     """Disagreement of each piece, and of all pieces of each use."""
+    unit = None if in_units_of_noise else unit_of(pieces[0].channel)
     overall: dict[Use, Disagreement] = {}
     for use in USES:
         parts = [
@@ -129,12 +136,11 @@ def disagreement_table(
             if piece.use == use
         ]
         if parts:
-            overall[use] = disagreement_of(parts)
-    single = tuple((piece, disagreement_of([(piece, 1.0)])) for piece in pieces)
-    return DisagreementTable(single, overall, in_units_of_noise)
+            overall[use] = disagreement_of(parts, unit or "noise")
+    return DisagreementTable(tuple(map(_of_piece, pieces)), overall, unit)
 
 
-def disagreement_of(parts: Sequence[tuple[PieceResiduals, float]]) -> Disagreement:
+def disagreement_of(parts: Sequence[tuple[PieceResiduals, float]], unit: str) -> Disagreement:
     """Of some pieces together, each multiplied by its factor."""
     size = sum(piece.after.size for piece, _ in parts)
     before = sum(_squares(factor * piece.before) for piece, factor in parts) / size
@@ -145,7 +151,18 @@ def disagreement_of(parts: Sequence[tuple[PieceResiduals, float]]) -> Disagreeme
     # Of a mean square of noise, taken twice, and of its product with the misfit.
     error = math.sqrt((4.0 * floor**2 + 4.0 * max(excess, 0.0) * floor) / independent)
     closed = 1.0 - (after - floor) / excess if excess > SURE_EXCESS * error else None
-    return Disagreement(math.sqrt(before), math.sqrt(after), math.sqrt(floor), closed)
+    return Disagreement(math.sqrt(before), math.sqrt(after), math.sqrt(floor), closed, unit)
+
+
+def _of_piece(piece: PieceResiduals) -> PieceDisagreement:
+    found = disagreement_of([(piece, 1.0)], unit_of(piece.channel))
+    return PieceDisagreement(
+        **asdict(found),
+        recording=piece.recording,
+        channel=piece.channel,
+        use=piece.use,
+        noise_floor_from=piece.noise_floor_from,
+    )
 
 
 def _squares(values: FloatArray) -> float:

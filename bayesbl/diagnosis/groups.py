@@ -11,18 +11,17 @@ bench with what was named in it a bench file in the attribute ``augmented_bench`
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.bench import dump_bench
-from bayesbl.diagnosis.diagnosis import Diagnosis, PieceSignals, RankedCandidate
-from bayesbl.diagnosis.disagreement import DisagreementTable
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.residual_groups import residuals_dataset
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
-from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import IntervalKind
 from bayesbl.results.variables import Group, Variable, dataset, labels
 from bayesbl.units import unit_of
@@ -35,7 +34,7 @@ _PIECE = (
 
 
 def signals_group(unit: str) -> Group:
-    """Signals in the unit of their channel."""
+    """Signals in the unit of their channel; a row for each :class:`PieceSignals`."""
     dims = ("piece", "sample")
     return Group(
         "signals",
@@ -51,36 +50,19 @@ def signals_group(unit: str) -> Group:
 
 
 def disagreement_group(unit: str) -> Group:
-    """Model error in the unit of the channel."""
-    bench = "RMS between bench and measurement"
+    """RMS between bench and measurement in the unit of the channel; a row for each piece."""
+    dims = ("piece",)
     return Group(
         "disagreement",
         (
-            Variable("before", ("piece",), unit, f"{bench} without the named effects"),
-            Variable("after", ("piece",), unit, f"{bench} with the named effects"),
+            Variable("before", dims, unit, "RMS without the named effects"),
+            Variable("after", dims, unit, "RMS with the named effects"),
             Variable(
-                "noise_floor",
-                ("piece",),
-                unit,
-                "RMS of what does not follow from the recording's own past",
+                "noise_floor", dims, unit, "RMS of what does not follow from the recording's past"
             ),
-            Variable(
-                "closed_fraction",
-                ("piece",),
-                "1",
-                "share of the excess over the noise floor that is closed",
-            ),
+            Variable("closed_fraction", dims, "1", "closed share of the excess over the floor"),
         ),
-        (
-            *_PIECE,
-            Variable(
-                "noise_floor_from",
-                ("piece",),
-                "",
-                "past that the noise floor is counted from: the rotation or the samples before",
-                "text",
-            ),
-        ),
+        (*_PIECE, Variable("noise_floor_from", dims, "", "that past: rotation or samples", "text")),
     )
 
 
@@ -107,9 +89,7 @@ RANKING = Group(
     "ranking",
     (
         Variable("chi_square_gain", ("candidate",), "1", "drop of χ² by this candidate alone"),
-        Variable(
-            "log_evidence_gain", ("candidate",), "1", "log evidence over the bench as believed"
-        ),
+        Variable("log_evidence_gain", ("candidate",), "1", "log evidence over the bench before"),
     ),
     (labels("candidate", "effect or bench parameter"),),
     optional=True,
@@ -124,13 +104,15 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     level, kind
         Of the credible intervals.
     """
-    groups = {"disagreement": _disagreement(found.disagreement)}
+    group = disagreement_group(found.disagreement.unit or "as the channel")
+    groups = {"disagreement": _of_rows(group, found.disagreement.pieces)}
     if found.signals:
-        groups["signals"] = _signals(found.signals)
+        group = signals_group(unit_of(found.signals[0].channel))
+        groups["signals"] = _of_rows(group, found.signals)
     if found.posterior is not None:
         groups["posterior"] = _posterior(found.posterior)
     if found.ranking:
-        groups["ranking"] = _ranking(found.ranking)
+        groups["ranking"] = _of_rows(RANKING, found.ranking)
     analyses = {"before": found.residuals_before, "after": found.residuals_after}
     for stage, analysis in analyses.items():
         if analysis is not None:
@@ -151,39 +133,26 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     return tree
 
 
-def _signals(signals: tuple[PieceSignals, ...]) -> xr.Dataset:
-    longest = max(piece.measured.size for piece in signals)
-
-    def padded(rows: list[FloatArray]) -> FloatArray:
-        table = np.full((len(rows), longest), np.nan)
-        for row, values in zip(table, rows, strict=True):
-            row[: values.size] = values
-        return table
-
-    names = ("time_s", "measured", "before", "after")
+def _of_rows(group: Group, rows: Sequence[object]) -> xr.Dataset:
+    """A group of which every declared variable is an attribute of each row."""
     return dataset(
-        signals_group(unit_of(signals[0].channel)),
-        {name: padded([getattr(piece, name) for piece in signals]) for name in names},
-        {
-            name: [getattr(piece, name) for piece in signals]
-            for name in ("recording", "channel", "use")
-        },
+        group,
+        {v.name: _stacked(rows, v) for v in group.variables},
+        {v.name: _stacked(rows, v) for v in group.coordinates},
     )
 
 
-def _disagreement(table: DisagreementTable) -> xr.Dataset:
-    values = {
-        name: np.array([getattr(found, name) for _, found in table.pieces], dtype=float)
-        for name in ("before", "after", "noise_floor", "closed_fraction")
-    }
-    return dataset(
-        disagreement_group(table.unit or "as the channel"),
-        values,
-        {
-            name: [getattr(piece, name) for piece, _ in table.pieces]
-            for name in ("recording", "channel", "use", "noise_floor_from")
-        },
-    )
+def _stacked(rows: Sequence[object], declared: Variable) -> object:
+    """Of all rows; arrays of different lengths padded with NaN, ``None`` as NaN."""
+    values = [getattr(row, declared.name) for row in rows]
+    if declared.kind == "text":
+        return values
+    if len(declared.dims) == 1:
+        return np.array(values, dtype=float)
+    table = np.full((len(values), max(value.size for value in values)), np.nan)
+    for row, value in zip(table, values, strict=True):
+        row[: value.size] = value
+    return table
 
 
 def _posterior(posterior: DirectPosterior) -> xr.Dataset:
@@ -194,14 +163,3 @@ def _posterior(posterior: DirectPosterior) -> xr.Dataset:
         label = name if unknown.recording is None else f"{name} ({unknown.recording})"
         values[label] = unknown.value(posterior.draws[..., i])
     return dataset(POSTERIOR, values, {"chain": np.arange(chains), "draw": np.arange(count)})
-
-
-def _ranking(ranking: tuple[RankedCandidate, ...]) -> xr.Dataset:
-    return dataset(
-        RANKING,
-        {
-            name: [getattr(candidate, name) for candidate in ranking]
-            for name in ("chi_square_gain", "log_evidence_gain")
-        },
-        {"candidate": [candidate.name for candidate in ranking]},
-    )

@@ -10,9 +10,9 @@ speed.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from operator import attrgetter
 
 import numpy as np
 import xarray as xr
@@ -26,9 +26,6 @@ from bayesbl.recording.types import CHANNELS
 from bayesbl.results.variables import Group, Variable, dataset, labels
 from bayesbl.units import unit_of
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 _ANGLE = "load_angle_rad"
 
 
@@ -36,130 +33,72 @@ _ANGLE = "load_angle_rad"
 class _OfChannel:
     """A variable of every channel.
 
-    ``dims`` after the recording; ``{unit}`` in ``unit`` is the channel's; ``of`` gives a number,
-    or an array over the other dimension.
+    ``{unit}`` in ``unit`` is the channel's. ``attribute`` of a :class:`ChannelResiduals`, by
+    default the name, is a number, or an array over ``along``.
     """
 
     name: str
-    dims: tuple[str, ...]
     unit: str
     meaning: str
-    of: Callable[[ChannelResiduals], object]
-    kind: Literal["number", "text"] = "number"
+    attribute: str = ""
+    along: str = ""
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it holds words."""
+        return not self.unit
 
     def declared(self, channel: str) -> Variable:
         """The variable of one channel."""
         return Variable(
             f"{channel}_{self.name}",
-            ("recording", *self.dims),
+            ("recording", self.along) if self.along else ("recording",),
             self.unit.format(unit=unit_of(channel)),
             f"{CHANNELS.get(channel, channel)}: {self.meaning}",
-            self.kind,
+            "text" if self.is_text else "number",
         )
 
+    def of(self, residuals: ChannelResiduals) -> object:
+        """Its value."""
+        if self.along == "line":
+            return [getattr(line, self.attribute) for line in residuals.lines]
+        return attrgetter(self.attribute or self.name)(residuals)
 
-def _of_lines(
-    name: str, unit: str, meaning: str, kind: Literal["number", "text"] = "number"
-) -> _OfChannel:
-    """What every significant line has under this name."""
-    return _OfChannel(
-        f"line_{name}",
-        ("line",),
-        unit,
-        f"{meaning} of a significant line",
-        lambda c: [getattr(line, name) for line in c.lines],
-        kind,
-    )
+
+def _of_lines(name: str, unit: str, meaning: str) -> _OfChannel:
+    """What every significant line has."""
+    return _OfChannel(f"line_{name}", unit, f"{meaning} of a significant line", name, "line")
 
 
 _VARIABLES = (
-    _OfChannel("offset", (), "{unit}", "mean of recording less simulation", lambda c: c.offset),
-    _OfChannel(
-        "offset_error", (), "{unit}", "standard error of that mean", lambda c: c.offset_error
-    ),
-    _OfChannel(
-        "offset_significant",
-        (),
-        "1",
-        "1 where noise does not explain that mean",
-        lambda c: c.offset_significant,
-    ),
-    _OfChannel(
-        "repeating_rms",
-        (),
-        "{unit}",
-        "RMS of what repeats with the load angle",
-        lambda c: c.repeating_rms,
-    ),
-    _OfChannel(
-        "repeating_probability",
-        (),
-        "1",
-        "probability that noise alone repeats as much",
-        lambda c: c.repeating_probability,
-    ),
-    _OfChannel("noise_sd", (), "{unit}", "standard deviation of the noise", lambda c: c.noise_sd),
-    _OfChannel("drift", (), "{unit}/s", "slope over the recording", lambda c: c.drift_per_s),
-    _OfChannel(
-        "drift_error", (), "{unit}/s", "standard error of that slope", lambda c: c.drift_error_per_s
-    ),
-    _OfChannel(
-        "lag_s", (), "s", "time by which the recording lags the simulation", lambda c: c.skew.lag_s
-    ),
-    _OfChannel(
-        "lag_error_s", (), "s", "standard error of that time", lambda c: c.skew.standard_error_s
-    ),
-    _OfChannel(
-        "lag_explains",
-        (),
-        "1",
-        "share of the residual beyond noise that the lag explains",
-        lambda c: c.skew.explained,
-    ),
-    _OfChannel("outliers", (), "1", "samples that no noise explains", lambda c: c.outliers),
-    _OfChannel(
-        "map_error",
-        (),
-        "{unit}",
-        "standard error of averages over rotations",
-        lambda c: c.load_map_error,
-    ),
-    _OfChannel(
-        "power_offset", (), "({unit})²", "mean square of the offset", lambda c: c.split.offset
-    ),
+    _OfChannel("offset", "{unit}", "mean of recording less simulation"),
+    _OfChannel("offset_error", "{unit}", "standard error of that mean"),
+    _OfChannel("offset_significant", "1", "1 where noise does not explain that mean"),
+    _OfChannel("repeating_rms", "{unit}", "RMS of what repeats with the load angle"),
+    _OfChannel("repeating_probability", "1", "probability that noise alone repeats as much"),
+    _OfChannel("noise_sd", "{unit}", "standard deviation of the noise"),
+    _OfChannel("drift", "{unit}/s", "slope over the recording", "drift_per_s"),
+    _OfChannel("drift_error", "{unit}/s", "standard error of that slope", "drift_error_per_s"),
+    _OfChannel("lag_s", "s", "time by which the recording lags the simulation", "skew.lag_s"),
+    _OfChannel("lag_error_s", "s", "standard error of that time", "skew.standard_error_s"),
+    _OfChannel("lag_explains", "1", "share of the excess that the lag explains", "skew.explained"),
+    _OfChannel("outliers", "1", "samples that no noise explains"),
+    _OfChannel("map_error", "{unit}", "standard error of rotation averages", "load_map_error"),
+    _OfChannel("power_offset", "({unit})²", "mean square of the offset", "split.offset"),
     _OfChannel(
         "power_load_angle",
-        (),
         "({unit})²",
-        "mean square of what repeats with the load angle",
-        lambda c: c.split.load_angle,
+        "mean square of what repeats with the load",
+        "split.load_angle",
     ),
+    _OfChannel("power_other", "({unit})²", "mean square of lines and drift", "split.other"),
+    _OfChannel("power_noise", "({unit})²", "mean square of the noise", "split.noise"),
+    _OfChannel("recorded", "{unit}", "recording, mean over rotations", along=_ANGLE),
+    _OfChannel("simulated", "{unit}", "simulation, mean over rotations", along=_ANGLE),
+    _OfChannel("load_map", "{unit}", "residual that repeats with the load angle", along=_ANGLE),
+    _OfChannel("amplitude", "{unit}", "amplitude of the residual", "spectrum.amplitude", "bin"),
     _OfChannel(
-        "power_other", (), "({unit})²", "mean square of lines and drift", lambda c: c.split.other
-    ),
-    _OfChannel("power_noise", (), "({unit})²", "mean square of the noise", lambda c: c.split.noise),
-    _OfChannel(
-        "recorded", (_ANGLE,), "{unit}", "recording, mean over rotations", lambda c: c.recorded
-    ),
-    _OfChannel(
-        "simulated", (_ANGLE,), "{unit}", "simulation, mean over rotations", lambda c: c.simulated
-    ),
-    _OfChannel(
-        "load_map",
-        (_ANGLE,),
-        "{unit}",
-        "residual that repeats with the load angle",
-        lambda c: c.load_map,
-    ),
-    _OfChannel(
-        "amplitude", ("bin",), "{unit}", "amplitude of the residual", lambda c: c.spectrum.amplitude
-    ),
-    _OfChannel(
-        "noise_amplitude",
-        ("bin",),
-        "{unit}",
-        "root mean square amplitude of noise alone",
-        lambda c: c.spectrum.noise_amplitude,
+        "noise_amplitude", "{unit}", "RMS amplitude of noise", "spectrum.noise_amplitude", "bin"
     ),
     _of_lines("frequency_hz", "Hz", "frequency"),
     _of_lines("load_order", "1", "cycles per turn of the load"),
@@ -167,7 +106,7 @@ _VARIABLES = (
     _of_lines("amplitude", "{unit}", "amplitude"),
     _of_lines("phase_rad", "rad", "phase of a cosine at the first sample"),
     _of_lines("probability", "1", "probability, from noise alone,"),
-    _of_lines("dependence", "", "what the angle or time is", "text"),
+    _of_lines("dependence", "", "angle or time"),
 )
 
 
@@ -232,8 +171,8 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
     made.attrs = {
         "channels": names,
         "false_discovery_rate": analysis.false_discovery_rate,
-        "unexplained": _json(describe_unexplained(analysis)),
-        "offsets": _json(analysis.offsets),
+        "unexplained": json.dumps(plain(describe_unexplained(analysis)), ensure_ascii=False),
+        "offsets": json.dumps(plain(analysis.offsets), ensure_ascii=False),
     }
     return made
 
@@ -241,10 +180,9 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
 def _of_recordings(
     row: _OfChannel, seen: Sequence[ChannelResiduals | None], sizes: dict[str, int]
 ) -> object:
-    if not row.dims:
+    if not row.along:
         return np.array([np.nan if c is None else row.of(c) for c in seen], dtype=float)
-    rows = [[] if c is None else row.of(c) for c in seen]
-    return _table(rows, sizes[row.dims[0]], row.kind == "text")
+    return _table([[] if c is None else row.of(c) for c in seen], sizes[row.along], row.is_text)
 
 
 def _table(rows: Sequence[object], width: int, text: bool = False) -> NDArray[np.generic]:
@@ -253,7 +191,3 @@ def _table(rows: Sequence[object], width: int, text: bool = False) -> NDArray[np
     for place, row in zip(out, map(np.asarray, rows), strict=True):
         place[: row.size] = row
     return out
-
-
-def _json(entries: Sequence[DataclassInstance]) -> str:
-    return json.dumps([plain(entry) for entry in entries], ensure_ascii=False)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -107,9 +107,7 @@ class BySelection:
 class _Trial:
     candidate: TestedEffect
     fit: EffectsFit
-    z: float
     log_p: float
-    log_evidence: float
     held_out_z: float
     closed: float
     squares: float
@@ -134,9 +132,8 @@ def diagnose(
     """
     comparison = problem.comparison
     before = comparison.fit((), None)
-    named = _select(comparison, before, settings, progress)
-    after = named[-1].fit if named else before
-    effects = tuple(_named(comparison, trial, after) for trial in _retested(comparison, after))
+    after = _select(comparison, before, settings, progress)
+    effects = tuple(_named(comparison, name, after) for name in after.effects)
     estimates = _bench_estimates(comparison, after)
     errors = _parameter_errors(bench, estimates)
     remaining = problem.remaining(after)
@@ -166,10 +163,10 @@ def _signals(
 
 def _select(
     comparison: Comparison, before: EffectsFit, settings: Settings, progress: Progress | None
-) -> list[_Trial]:
-    """The trials whose effects were added, last fit last."""
+) -> EffectsFit:
+    """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
-    current, named, dropped = before, list[_Trial](), set[str]()
+    current, dropped = before, set[str]()
     while len(current.effects) < settings.most:
         trials = []
         open_ones = _open(comparison.candidates, current, dropped)
@@ -181,15 +178,13 @@ def _select(
         if not good:
             break
         best = _simplest(comparison, good)
-        named.append(best)
         current = best.fit
         for name in [e for e in current.effects if e != best.candidate.name]:
             candidate = _by_name(comparison, name)
             if _wald(comparison, current, candidate)[1] > math.log(threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
-        named[-1] = replace(best, fit=current)
-    return named
+    return current
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
@@ -198,7 +193,7 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
     Simpler: fewer parameters, then earlier in the catalogue.
     """
     best = min(good, key=lambda trial: trial.squares)
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, best.fit, "used")]
+    noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
     order = [candidate.name for candidate in comparison.candidates]
@@ -208,6 +203,11 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
         return len(trial.fit.effects[name]), order.index(name)
 
     return min(alike, key=simplicity)
+
+
+def _noises(comparison: Comparison, fit: EffectsFit) -> list[ResidualNoise]:
+    """Of the used pieces."""
+    return [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
 
 
 def _used(comparison: Comparison, fit: EffectsFit) -> list[FloatArray]:
@@ -237,17 +237,17 @@ def _open(
 def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect) -> _Trial:
     kept = tuple(name for name in current.effects if name != candidate.contains)
     fit = comparison.fit((*kept, candidate.name), current)
-    z, log_p, log_evidence = _wald(comparison, fit, candidate)
+    _, log_p, _ = _wald(comparison, fit, candidate)
     held_out_z, closed = _held_out(comparison, current, fit)
     squares = sum_of_squares(residuals(comparison, fit, "used"))
-    return _Trial(candidate, fit, z, log_p, log_evidence, held_out_z, closed, squares)
+    return _Trial(candidate, fit, log_p, held_out_z, closed, squares)
 
 
 def _wald(
     comparison: Comparison, fit: EffectsFit, candidate: TestedEffect
 ) -> tuple[float, float, float]:
     """z of the amplitude, ln p corrected for the shapes tried, and log evidence."""
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
+    noises = _noises(comparison, fit)
     index = fit.names.index(f"{candidate.name}.{candidate.amplitude}")
     variance = float(sandwich(fit.columns, noises)[index, index])
     amplitude = fit.effects[candidate.name][candidate.amplitude]
@@ -279,31 +279,23 @@ def _held_out(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> tuple
     return gain / (2.0 * math.sqrt(spread)), closed
 
 
-def _retested(comparison: Comparison, after: EffectsFit) -> list[_Trial]:
-    """Every named effect, tested once more beside all the others."""
-    found = []
-    for name in after.effects:
-        candidate = _by_name(comparison, name)
-        z, log_p, log_evidence = _wald(comparison, after, candidate)
-        found.append(_Trial(candidate, after, z, log_p, log_evidence, 0.0, 0.0, 0.0))
-    return found
-
-
-def _named(comparison: Comparison, trial: _Trial, after: EffectsFit) -> NamedEffect:
-    name = trial.candidate.name
+def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:
+    """A named effect, tested once more beside all the others."""
+    candidate = _by_name(comparison, name)
+    z, _, log_evidence = _wald(comparison, after, candidate)
     spread = _deviations(comparison, after)
     parameters = {
         key: Estimate(value, spread.get(f"{name}.{key}", math.nan))
         for key, value in after.effects[name].items()
     }
-    alike = (*trial.candidate.same_as, *_rivals(comparison, after, trial.candidate))
-    return NamedEffect(name, parameters, probability_of(trial.log_evidence), trial.z, alike)
+    alike = (*candidate.same_as, *_rivals(comparison, after, candidate))
+    return NamedEffect(name, parameters, probability_of(log_evidence), z, alike)
 
 
 def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> list[str]:
     """Effects that, put in the place of a named one, predict what it predicts within the noise."""
     used = _used(comparison, after)
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, after, "used")]
+    noises = _noises(comparison, after)
     others = tuple(name for name in after.effects if name != named.name)
     without = comparison.fit(others, after)
     found = []
@@ -320,7 +312,7 @@ def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> l
 
 
 def _deviations(comparison: Comparison, fit: EffectsFit) -> dict[str, float]:
-    noises = [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
+    noises = _noises(comparison, fit)
     variances: FloatArray = np.diag(sandwich(fit.columns, noises)) if fit.names else np.array([])
     return dict(zip(fit.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
 

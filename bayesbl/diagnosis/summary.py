@@ -5,23 +5,21 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any, Literal, NotRequired, TypedDict, cast
+from typing import Any, Literal, NotRequired, TypedDict, cast
 
 import xarray as xr
 
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
-from bayesbl.diagnosis.disagreement import Disagreement, DisagreementTable, FloorFrom, Use
+from bayesbl.diagnosis.disagreement import FloorFrom, Use
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import IntervalKind, interval
-from bayesbl.results.store import texts
-from bayesbl.units import unit_of
+from bayesbl.results.summary_types import Head, head
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+_PLACE = ("recording", "channel", "use")
 
 
 class CredibleInterval(TypedDict):
@@ -124,78 +122,43 @@ class Answer(TypedDict):
     diagnostics: NotRequired[SamplingSummary]
 
 
-class DiagnosisSummary(Answer):
+class DiagnosisSummary(Head, Answer):
     """``summary.json``."""
 
     kind: Literal["diagnose"]
-    outcome: str
-    reason: str | None
-    warnings: list[str]
-    version: str | None
-    commit: str | None
-    seed: int | None
 
 
 def summarise_diagnosis(tree: xr.DataTree) -> DiagnosisSummary:
     """``summary.json`` of a stored diagnosis."""
     answer: Answer = json.loads(tree.attrs["diagnosis"])
-    return {
-        "kind": "diagnose",
-        "outcome": tree.attrs["outcome"],
-        "reason": tree.attrs.get("reason") or None,
-        "warnings": texts(tree.attrs.get("warnings")),
-        "version": tree.attrs.get("bayesbl_version"),
-        "commit": tree.attrs.get("git_commit"),
-        "seed": tree.attrs.get("seed"),
-        **answer,
-    }
+    return {"kind": "diagnose", **head(tree), **answer}
 
 
 def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     """The answer with credible intervals of this level and kind."""
 
-    def of(estimate: Estimate) -> CredibleInterval:
-        return interval_of(estimate, level, kind)
+    def of(value: object) -> Any:
+        return plain(value, lambda estimate: interval_of(estimate, level, kind))
 
-    def of_each(estimates: Mapping[str, Estimate]) -> dict[str, CredibleInterval]:
-        return {name: of(estimate) for name, estimate in estimates.items()}
-
-    suggestion = found.suggestion
+    table = found.disagreement
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
+    for piece in table.pieces:
+        entry: Any = {key: value for key, value in of(piece).items() if key not in _PLACE}
+        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
     answer: Answer = {
         "verdict": found.verdict,
-        "effects": [
-            {
-                "name": effect.name,
-                "parameters": of_each(effect.parameters),
-                "probability": effect.probability,
-                "z": effect.z,
-                "indistinguishable_from": list(effect.indistinguishable_from),
-            }
-            for effect in found.effects
-        ],
-        "parameter_errors": [
-            {
-                "name": error.name,
-                "believed": error.believed,
-                "tolerance": error.tolerance,
-                "fitted": of(error.fitted),
-                "indistinguishable_from": list(error.indistinguishable_from),
-            }
-            for error in found.parameter_errors
-        ],
-        "bench_parameters": of_each(found.bench_parameters),
+        "effects": of(found.effects),
+        "parameter_errors": of(found.parameter_errors),
+        "bench_parameters": of(found.bench_parameters),
         "remaining": [_remaining(entry) for entry in found.remaining],
-        "disagreement": _table(found.disagreement),
-        "delta_rad_before": None if found.delta_before is None else of(found.delta_before),
-        "delta_rad_after": None if found.delta_after is None else of(found.delta_after),
-        "suggested_recording": None
-        if suggestion is None
-        else {
-            "reference_speed_rpm": suggestion.reference_speed_rpm,
-            "payload_share": suggestion.payload_share,
-            "distance": suggestion.distance,
-            "separates": [list(names) for names in suggestion.separates],
+        "disagreement": {
+            "unit": table.unit,
+            "recordings": recordings,
+            "over_all": of(table.overall),
         },
+        "delta_rad_before": of(found.delta_before),
+        "delta_rad_after": of(found.delta_after),
+        "suggested_recording": of(found.suggestion),
     }
     if found.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
@@ -220,55 +183,27 @@ def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Credibl
     }
 
 
-def plain(entry: DataclassInstance) -> dict[str, Any]:
-    """An entry as JSON can hold it, which knows no NaN."""
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in dataclasses.asdict(entry).items()
-    }
+def plain(value: object, of_estimate: Callable[[Estimate], object] | None = None) -> Any:
+    """A value as JSON can hold it: dataclasses as objects, tuples as lists, NaN as null."""
+    if isinstance(value, Estimate) and of_estimate is not None:
+        return of_estimate(value)
+    if dataclasses.is_dataclass(value):
+        names = [field.name for field in dataclasses.fields(value)]
+        return {name: plain(getattr(value, name), of_estimate) for name in names}
+    if isinstance(value, Mapping):
+        return {key: plain(item, of_estimate) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item, of_estimate) for item in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _remaining(entry: Unexplained) -> RemainingSummary:
-    found: RemainingSummary = {
-        "channel": entry.channel,
-        "dependence": entry.dependence,
-        "amplitude": entry.amplitude,
-        "unit": entry.unit,
-        "lowest_order": _finite(entry.lowest_order),
-        "highest_order": _finite(entry.highest_order),
-        "frequency_hz": _finite(entry.frequency_hz),
-        "recordings": list(entry.recordings),
-    }
-    if entry.chi_squared is not None:
-        found["repeats_with"] = "motor_angle"
-        found["order"] = entry.lowest_order
-        found["chi_squared"] = entry.chi_squared
+    found: RemainingSummary = plain(entry)
+    if entry.chi_squared is None:
+        del found["chi_squared"]
+    else:
+        found |= {"repeats_with": "motor_angle", "order": entry.lowest_order}
     return found
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _table(table: DisagreementTable) -> DisagreementTableSummary:
-    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
-    for piece, found in table.pieces:
-        entry = _disagreement(found, unit_of(piece.channel))
-        entry["noise_floor_from"] = piece.noise_floor_from
-        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
-    unit = table.unit or "noise"
-    overall = {use: _disagreement(found, unit) for use, found in table.overall.items()}
-    return {"unit": table.unit, "recordings": recordings, "over_all": overall}
-
-
-def _disagreement(found: Disagreement, unit: str) -> DisagreementSummary:
-    return {
-        "before": found.before,
-        "after": found.after,
-        "noise_floor": found.noise_floor,
-        "closed_fraction": found.closed_fraction,
-        "unit": unit,
-    }
 
 
 def _sampling(posterior: DirectPosterior) -> SamplingSummary:

@@ -314,6 +314,14 @@ class SimulatedSignals:
             self._whiten_into(part, points, i)
         return white
 
+    def by_recording(self, white: FloatArray) -> list[FloatArray]:
+        """Whitened residuals (N,) of one point as views by recording, each of shape (c, n − p)."""
+        ends = np.cumsum([seen.size for seen in self._white_recordings])
+        return [
+            part.reshape(len(seen.signals), -1)
+            for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
+        ]
+
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
         points = np.atleast_2d(points)

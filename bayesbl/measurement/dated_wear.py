@@ -28,20 +28,26 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from datetime import date as Date
 from datetime import timedelta
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.measurement import Snapshot
 from bayesbl.measurement.shared_groups import DRAWS
+from bayesbl.measurement.summary_types import DateInterval, LineSummary, WearSummary
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
+    LEAST_SHARE_GROWING,
     LONGEST_YEARS,
     Straightness,
     Wear,
     probability_before,
+    since_repair,
+    straightness,
+    wear,
 )
-from bayesbl.results.intervals import interval
+from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, Variable, dataset
 
 DAYS_PER_YEAR = 365.25
@@ -93,19 +99,51 @@ WEAR = Group(
 )
 
 
+def wear_of(
+    config: CompareConfig, snapshots: Sequence[Snapshot], seed: np.random.SeedSequence
+) -> xr.Dataset | None:
+    """Group :data:`WEAR` of a comparison; ``None`` where not every recording has a date."""
+    dates = config.dates
+    if dates is None:
+        return None
+    used = since_repair([recording.repaired for recording in config.recordings])
+    since, chosen = dates[used], snapshots[used]
+    before = config.joint.decide_before
+    if since[0] == since[-1]:
+        count = "one snapshot" if len(since) == 1 else "snapshots of one day"
+        reason = f"There is only {count} since the repair: a rate needs two, at different dates."
+        if used.start == 0 and not config.recordings[0].repaired:
+            reason = f"There are only {count}: a rate needs two, at different dates."
+        return wear_group(dates, used, None, reason=reason, decide_before=before)
+    years = np.array([years_between(since[0], day) for day in since])
+    drawn = np.stack([snapshot.delta_rad for snapshot in chosen])
+    result = wear(drawn, years, seed, limit_rad=config.joint.limit_rad)
+    withheld = [snapshot.name for snapshot in chosen if snapshot.verdict.reason]
+    reason = ""
+    if withheld:
+        reason = f"The gap is withheld for {', '.join(withheld)}."
+    elif 1.0 - result.heals.mean() < LEAST_SHARE_GROWING:
+        reason = (
+            "The gap shrank, and wear does not heal. If the joint was repaired, mark the first "
+            "recording after it (repaired = true)."
+        )
+    line = None if reason else straightness(drawn, years)
+    return wear_group(dates, used, result, reason=reason, decide_before=before, line=line)
+
+
 def wear_group(
     dates: Sequence[Date],
     used: slice,
-    wear: Wear | None,
+    found: Wear | None,
     *,
     reason: str,
     decide_before: Date | None,
     line: Straightness | None = None,
 ) -> xr.Dataset:
-    """Group :data:`WEAR`; ``wear`` is ``None`` where nothing could be computed."""
+    """Group :data:`WEAR`; ``found`` is ``None`` where nothing could be computed."""
     chosen = np.zeros(len(dates))
     chosen[used] = 1.0
-    draws = {} if wear is None else {f.name: getattr(wear, f.name) for f in fields(Wear)}
+    draws = {} if found is None else {f.name: getattr(found, f.name) for f in fields(Wear)}
     group = dataset(WEAR, {"date": [d.isoformat() for d in dates], "used": chosen, **draws})
     group.attrs = {"reason": reason}
     if decide_before is not None:
@@ -121,7 +159,7 @@ def used_dates(group: xr.Dataset) -> list[Date]:
     return [Date.fromisoformat(str(day)) for day, used in stored if used]
 
 
-def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | None:
+def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | None:
     """``wear`` of the summary of a comparison (see the module)."""
     if WEAR.name not in tree.children:
         return None
@@ -129,7 +167,7 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | 
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     limit, before = tree.attrs.get("limit_rad"), group.attrs.get("decide_before")
     dates = used_dates(group)
-    result: dict[str, Any] = {
+    result: WearSummary = {
         "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
@@ -159,27 +197,38 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> dict[str, Any] | 
         scatter = group["scatter_rad_per_root_year"].values[grows]
         result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
     if "line_probability" in group.attrs:
-        line = Straightness(**{f.name: group.attrs[f"line_{f.name}"] for f in fields(Straightness)})
-        result["line"] = {
-            "is_straight": bool(line.is_straight),
-            "probability": float(line.probability),
-            "snapshot": result["snapshots"][int(line.snapshot)],
-            "excess_rad": float(line.excess_rad),
-            "standard_deviations": float(line.standard_deviations),
-        }
+        result["line"] = _line(group, result["snapshots"])
     if "years_to_limit" in group:
         years = group["years_to_limit"].values[grows]
         found = interval(years, level, kind)
         result["years_to_limit"] = found
-        result["limit_date"] = {
-            k: _iso(dates[-1], found[k]) if k in ("median", "low", "high") else found[k]
-            for k in found
-        }
+        result["limit_date"] = _dates(dates[-1], found)
         result["limit_not_before"] = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
         if before is not None:
             ahead = years_between(dates[-1], Date.fromisoformat(before))
             result["probability_limit_before"] = probability_before(years, ahead)
     return result
+
+
+def _line(group: xr.Dataset, names: Sequence[str]) -> LineSummary:
+    line = Straightness(**{f.name: group.attrs[f"line_{f.name}"] for f in fields(Straightness)})
+    return {
+        "is_straight": bool(line.is_straight),
+        "probability": float(line.probability),
+        "snapshot": names[int(line.snapshot)],
+        "excess_rad": float(line.excess_rad),
+        "standard_deviations": float(line.standard_deviations),
+    }
+
+
+def _dates(last: Date, years: Interval) -> DateInterval:
+    return {
+        "median": _iso(last, years["median"]),
+        "low": _iso(last, years["low"]),
+        "high": _iso(last, years["high"]),
+        "level": years["level"],
+        "kind": years["kind"],
+    }
 
 
 def _iso(first: Date, years: float) -> str | None:

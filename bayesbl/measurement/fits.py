@@ -1,8 +1,8 @@
-"""The fits of all recordings of a run, one after the other or over processes."""
+"""The fits of the ringing in all recordings of a run, and the gaps that the curve makes of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,15 +11,15 @@ import numpy as np
 
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.measurement.change import Gap, MeasuredRinging, gaps
+from bayesbl.measurement.task import StageProgress, Task
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
+from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.runs.processes import processes
 from bayesbl.sampling.chains import Progress
-
-StageProgress = Callable[[str, int, int], None]
-"""Called with (recording, steps made, steps allowed)."""
 
 FEWEST_PER_PROCESS = 2
 """Fits for which a process is started: it takes as long to start as one fit takes."""
@@ -38,12 +38,9 @@ class FitJob:
     check: bool = False
     work: WorkStore = field(default=NOTHING_KEPT, compare=False)
 
-    def run(self, progress: StageProgress | None = None, label: str = "") -> Fit:
-        """Fit the recording, or restore the fit that an unfinished run had finished.
-
-        ``label`` is what progress is reported under, the recording's name by default.
-        """
-        step = None if progress is None else partial(progress, label or self.recording.name)
+    def run(self, progress: StageProgress | None = None) -> Fit:
+        """Fit the recording, or restore the fit that an unfinished run had finished."""
+        step = None if progress is None else partial(progress, self.recording.name)
         finished = self.work.get("fit", self, partial(self._finished, step), FinishedFit)
         return self.estimator.restored(finished, self.recording, self.gear_ratio)
 
@@ -85,3 +82,16 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
 def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimum | None:
     """The optimum to start from: that of the same name, else the last one."""
     return optima.get(name) or next(reversed([*optima.values()]), None)
+
+
+def gaps_of_fits(task: Task, curve: GapCurve, fits: Sequence[Fit]) -> list[Gap]:
+    """The gap of every fit, all through the same draws of the curve."""
+    if not fits:
+        return []
+    return gaps(
+        curve,
+        [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits],
+        task.seeds.gap,
+        allow_extrapolation=task.config.curve.allow_extrapolation,
+        level=task.config.interval.level,
+    )

@@ -87,8 +87,10 @@ def parameter_errors(summary: Summary) -> Iterator[str]:
 
 def remaining(summary: Summary) -> Iterator[str]:
     """What still repeats after naming."""
+    from bayesbl.presentation.residuals import unexplained_phrase  # numpy is behind it
+
     for line in summary["remaining"]:
-        yield f"Still there: {_phrase(line)}."
+        yield f"Still there: {unexplained_phrase(line)}."
 
 
 def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
@@ -138,13 +140,6 @@ def suggestion(summary: Summary) -> Iterator[str]:
         f"A recording at {found['reference_speed_rpm']:g} rpm{load} would tell {names} "
         f"({found['distance']:.0f} standard deviations apart)."
     )
-
-
-def _phrase(line: dict[str, Any]) -> str:
-    # Imported here: it stands on the compiled simulator, which takes a second.
-    from bayesbl.presentation.residuals import unexplained, unexplained_phrase
-
-    return unexplained_phrase(unexplained(line))
 
 
 def _sized(parameter: str, interval: dict[str, Any]) -> str:

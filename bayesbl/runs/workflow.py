@@ -32,7 +32,7 @@ Progress = Callable[[str, int, int], None]
 Draw = Callable[["xr.DataTree", Path], object]
 """Draws the figures of a result into a folder; passed in, as figures are made from results."""
 
-Summary = dict[str, Any]
+Summary = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +61,15 @@ class Plan:
     warnings: list[str] = field(default_factory=list)
     problems: list[UserError] = field(default_factory=list)
 
-    def add(self, label: str, text: Callable[[], str]) -> None:
-        """A line, or the problem that making it met."""
+    def add(self, label: str, text: Callable[[], str | None]) -> None:
+        """A line, or the problem that making it met; no line for ``None``."""
         try:
-            self.lines.append((label, text()))
+            line = text()
         except UserError as problem:
             self.problems.append(problem)
+        else:
+            if line is not None:
+                self.lines.append((label, line))
 
 
 class Workflow(Protocol):
@@ -108,7 +111,7 @@ def run_into_folder(
             work.clear()  # it would end the same way again
             raise
         # Imported after the questions that can be answered at once: xarray takes a second.
-        from bayesbl.results.summary import summarise
+        from bayesbl.runs.summary import summarise
 
         texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench")}
         summary = summarise(tree)

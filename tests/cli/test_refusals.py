@@ -20,7 +20,8 @@ from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.signals import observed
-from bayesbl.measurement.amplitude_route import require_plausible_limit, same_files, verdict
+from bayesbl.measurement.amplitude_route import verdict
+from bayesbl.measurement.compatibility import require_plausible_limit, same_files
 from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset
 from bayesbl.recording import readers
 from bayesbl.recording.channels import MOTOR_SPEED, SUFFIXES
@@ -202,9 +203,9 @@ def test_a_withheld_answer_asks_for_the_unit_before_all_else():
     )
     beyond = SimpleNamespace(notes=(), reason="Use a curve that reaches farther.")
     found = verdict(fit, beyond, question="Is the unit right?")
-    assert found["reason"].startswith("Is the unit right?")
+    assert found.reason.startswith("Is the unit right?")
     inside = SimpleNamespace(notes=(), reason=None)
-    assert verdict(fit, inside, question="Is the unit right?")["reasons"] == []
+    assert verdict(fit, inside, question="Is the unit right?").reasons == ()
 
 
 def test_a_curve_keeps_its_speed_in_its_file():

@@ -18,8 +18,8 @@ from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError, CurveError, UserError
-from bayesbl.measurement.amplitude_route import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise

@@ -189,7 +189,7 @@ def test_the_disagreement_closes_on_what_was_not_fitted(friction: Found) -> None
     table = friction.answer.disagreement
     assert table.overall["used"].closed_fraction > 0.95
     assert table.overall["held_out"].closed_fraction > 0.9
-    held_out = {piece.channel: found for piece, found in table.pieces if piece.use == "held_out"}
+    held_out = {piece.channel: piece for piece in table.pieces if piece.use == "held_out"}
     assert set(held_out) == {MOTOR_SPEED, MOTOR_CURRENT}
     assert all(found.after < found.before for found in held_out.values())
 
@@ -227,12 +227,11 @@ def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
     )
     assert found.answer.verdict == "parameter_error"
     assert names(found) == ["shaft_stiffness_nm_per_rad"]
-    fitted = fitted(found, "shaft_stiffness_nm_per_rad")
-    assert near(fitted["shaft_stiffness_nm_per_rad"], true)
-    assert found.answer.augmented_bench is not None
-    assert found.answer.augmented_bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(
-        true, rel=0.03
-    )
+    (error,) = found.answer.parameter_errors
+    assert near(error.fitted, true)
+    bench = found.answer.augmented_bench
+    assert bench is not None
+    assert bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
 
 
 def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:

@@ -15,6 +15,7 @@ from bayesbl.diagnosis.residuals.analysis import analyse_residuals
 from bayesbl.diagnosis.residuals.attribution import offset_dependence
 from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
 from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
+from bayesbl.diagnosis.summary import plain
 from bayesbl.errors import RecordingError
 from bayesbl.matching.signals import Observed
 from bayesbl.presentation.figures.residuals_by_angle import residuals_by_angle
@@ -303,7 +304,7 @@ def test_what_is_left_is_described_once_for_all_recordings(three):
     motor = next(entry for entry in entries if entry.dependence == "motor angle")
     assert motor.recordings == ("forward", "reverse", "slow")
     assert motor.lowest_order == pytest.approx(3.0, abs=1e-3)
-    assert unexplained_phrase(motor).startswith("motor speed: 2.")
+    assert unexplained_phrase(plain(motor)).startswith("motor speed: 2.")
     sentences = residual_sentences(residuals_dataset(three, "before"))
     assert any(s.startswith("Motor speed: 2.") and "order 3 of the motor" in s for s in sentences)
 

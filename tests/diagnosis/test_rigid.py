@@ -8,8 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bayesbl.diagnosis.report import Diagnosis
-from bayesbl.diagnosis.rigid.free_motion import FreeMotionComparison, free_motion_candidates
 from rigid_machine import LOAD_INERTIA, RATIO, bench, motion, recording
 from scipy.integrate import solve_ivp
 
@@ -18,7 +16,10 @@ from bayesbl.bench.effects.backlash import play
 from bayesbl.bench.effects.shaft_hysteresis import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import Piece, residuals
+from bayesbl.diagnosis.comparison import Piece, residuals, residuals_of_pieces
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.free_motion.comparison import FreeMotionComparison, free_motion_candidates
 from bayesbl.diagnosis.residual_noise import ResidualNoise, sandwich
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of, settled

@@ -14,7 +14,7 @@ from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
-from bayesbl.measurement.amplitude_route import measure
+from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation.figures import (
     bench_draws,

@@ -22,7 +22,7 @@ from bayesbl.presentation.captions import CAPTIONS, caption, reading_order
 from bayesbl.presentation.page.build import page
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.results.summary import summarise
+from bayesbl.runs.summary import summarise
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""

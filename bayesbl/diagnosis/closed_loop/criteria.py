@@ -105,15 +105,10 @@ def consistency(base: SimulatedFit, more: SimulatedFit) -> float:
 def gains_per_rotation(base: SimulatedFit, more: SimulatedFit) -> list[FloatArray]:
     """Drop of χ² in each whole rotation, a vector for each recording."""
     gains = []
-    begin = 0
-    for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
-        n = seen.samples - noise.order
-        size = len(seen.signals) * n
-        part = slice(begin, begin + size)
-        begin += size
-        change = base.residual[part] ** 2 - more.residual[part] ** 2
-        rows = change.reshape(len(seen.signals), n).sum(axis=0)
-        whole = n // seen.lag
+    parts = base.model.by_recording(base.residual**2 - more.residual**2)
+    for seen, change in zip(base.model.recordings, parts, strict=True):
+        rows = change.sum(axis=0)
+        whole = rows.size // seen.lag
         gains.append(rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1))
     return gains
 

@@ -217,13 +217,9 @@ def _difference(
         return []
     if phase is None:
         return [change]
-    parts, begin = [], 0
-    for seen, noise in zip(model.recordings, model.noise, strict=True):
-        size = len(seen.signals) * (seen.samples - noise.order)
-        part = np.zeros_like(change)
-        part[begin : begin + size] = change[begin : begin + size]
-        parts.append(part)
-        begin += size
+    parts = [np.zeros_like(change) for _ in model.recordings]
+    for owner, part in enumerate(parts):
+        model.by_recording(part)[owner][:] = model.by_recording(change)[owner]
     return parts
 
 
