@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bayesbl.config.loading import dump_config
-from bayesbl.errors import UserError
+from bayesbl.errors import ResultError, UserError
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,
     CONFIG_FILE,
@@ -99,10 +100,12 @@ def run_into_folder(
         anything in the configuration cannot be used.
     """
     output = config.run.output
-    # Work beside a result is that of a run that was killed after the result was there.
-    fresh = options.force or is_finished(output)
-    with WorkStore.beside(output, problem_of(settings_of(config)), fresh=fresh) as work:
-        require_free(output, force=options.force)
+    if is_finished(output):
+        with suppress(ResultError), WorkStore.beside(output, fresh=True):
+            pass  # forgets the work of a run that was killed after its result was there
+    require_free(output, force=options.force)
+    problem = problem_of(settings_of(config))
+    with WorkStore.beside(output, problem, fresh=options.force) as work:
         if work.resumes:
             options.say("This goes on where an unfinished run was left.")
         try:
