@@ -13,12 +13,12 @@ from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.change import Gap, MeasuredRinging, gaps
 from bayesbl.measurement.task import StageProgress, Task
+from bayesbl.processes import processes
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.ringing.warm_start import EarlierOptimum
-from bayesbl.runs.processes import processes
 from bayesbl.sampling.chains import Progress
 
 FEWEST_PER_PROCESS = 2

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.errors import UserError
-from bayesbl.runs.processes import processes
+from bayesbl.processes import processes
 from bayesbl.runs.study_file import Study, Table, load_study, seed_of_case
 
 

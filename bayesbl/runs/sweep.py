@@ -18,12 +18,12 @@ from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nomin
 from bayesbl.curve.swept_curve import departures, swept_curve
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.measurement.stored_curve import GAP_CURVE, curve_group, curve_to_dataset
+from bayesbl.processes import processes
 from bayesbl.recording.types import Recording
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
-from bayesbl.runs.processes import processes
 from bayesbl.runs.sweep_groups import (
     BENCH_DRAWS,
     degree_group,
