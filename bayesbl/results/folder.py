@@ -8,10 +8,10 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
 from bayesbl.results.atomic import sibling, staging
 
-RESULT_FILE = "result.nc"
 SUMMARY_FILE = "summary.json"
 CONFIG_FILE = "config.toml"
 FIGURES = "figures"

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
 from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
 from bayesbl.recording.netcdf import FORMAT
 from bayesbl.results.atomic import replacing
-from bayesbl.results.folder import RESULT_FILE
 
 FORMAT_VERSION = 1
 

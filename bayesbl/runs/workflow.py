@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from bayesbl.config.fields import RESULT_FILE
 from bayesbl.config.loading import dump_config
 from bayesbl.errors import ResultError, UserError
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,
     CONFIG_FILE,
     FIGURES,
-    RESULT_FILE,
     SUMMARY_FILE,
     is_finished,
     new_result,
