@@ -26,16 +26,13 @@ from bayesbl.measurement.shared_groups import (
     sampling_values,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
 from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.jacobian import jacobian_columns
 from bayesbl.ringing.second_sampler import SamplerCheck
 from bayesbl.ringing.symbols import ROTATION, SYMBOLS
 
 PREDICTIVE_DRAWS = 100
-
-_BASELINE = "load-angle harmonics of the speed"
-_TERMS = labels("baseline_term", "term of the load-angle baseline")
 
 
 def _symbol(*dims: str) -> Callable[[str], Variable | None]:
@@ -52,145 +49,102 @@ def _symbol(*dims: str) -> Callable[[str], Variable | None]:
 POSTERIOR = Group(
     "posterior",
     (
-        Variable("baseline_rpm", (*DRAWS, "baseline_term"), "rpm", _BASELINE),
+        *table(
+            "baseline_rpm (chain, draw, baseline_term) | rpm | load-angle harmonics of the speed"
+        ),
         DELTA,
     ),
-    (CHAIN, DRAW, _TERMS),
+    (CHAIN, DRAW, labels("baseline_term", "term of the load-angle baseline")),
     named=_symbol(*DRAWS),
 )
 
 SAMPLE_STATS = Group(
     "sample_stats",
     (
-        Variable("lp", DRAWS, "1", "log likelihood less its largest, linear symbols at their best"),
+        *table("""
+            lp (chain, draw) | 1 | log likelihood less its largest, linear symbols at their best
+            outside_curve (chain, draw) | 1 | amplitude below (-1), inside (0) or above (1)
+                the range of the gap curve
+        """),
         ACCEPTANCE,
-        Variable(
-            "outside_curve",
-            DRAWS,
-            "1",
-            "amplitude below (-1), inside (0) or above (1) the range of the gap curve",
-        ),
     ),
 )
 
 PREDICTIVE = Group(
     "predictive",
-    (
-        Variable("model_rpm", ("sample",), "rpm", "motor speed of the RMSE optimum"),
-        Variable("residual_rpm", ("sample",), "rpm", "recording minus optimum"),
-        Variable("low_rpm", ("sample",), "rpm", "lower bound of the predictive band"),
-        Variable("high_rpm", ("sample",), "rpm", "upper bound of the predictive band"),
-    ),
+    table("""
+        model_rpm (sample) | rpm | motor speed of the RMSE optimum
+        residual_rpm (sample) | rpm | recording minus optimum
+        low_rpm (sample) | rpm | lower bound of the predictive band
+        high_rpm (sample) | rpm | upper bound of the predictive band
+    """),
 )
 
 OPTIMUM = Group(
     "optimum",
-    (
-        Variable("baseline_rpm", ("baseline_term",), "rpm", _BASELINE),
-        Variable("rmse_rpm", (), "rpm", "root mean square error"),
-        Variable("relative_rmse", (), "1", "RMSE over the standard deviation of the speed"),
-        Variable("evaluations", (), "1", "model evaluations"),
-        Variable("search_seconds", (), "s", "time of the search"),
-        Variable(
-            "covariance",
-            ("parameter", "parameter_"),
-            "products of the parameters' units",
-            "sandwich covariance of the optimum",
-        ),
-        Variable("rival_amplitude_rpm", ("rival",), "rpm", "amplitude at other local optima"),
-        Variable(
-            "rival_rmse_rpm", ("rival",), "rpm", "root mean square error at other local optima"
-        ),
-        Variable("start", (), "", "start of the search", "text", optional=True),
-    ),
+    table("""
+        baseline_rpm (baseline_term) | rpm | load-angle harmonics of the speed
+        rmse_rpm | rpm | root mean square error
+        relative_rmse | 1 | RMSE over the standard deviation of the speed
+        evaluations | 1 | model evaluations
+        search_seconds | s | time of the search
+        covariance (parameter, parameter_) | products of units | sandwich covariance of the optimum
+        rival_amplitude_rpm (rival) | rpm | amplitude at other local optima
+        rival_rmse_rpm (rival) | rpm | root mean square error at other local optima
+        start? | text | start of the search
+    """),
     (labels("parameter", "free parameter"), labels("parameter_", "free parameter")),
     named=_symbol(),
 )
 
 SEARCH_HISTORY = Group(
     "search_history",
-    (
-        Variable("run", ("iteration",), "1", "start that the iteration belongs to"),
-        Variable("evaluations", ("iteration",), "1", "model evaluations in the run"),
-        Variable("rmse_rpm", ("iteration",), "rpm", "best RMSE so far in the run"),
-    ),
+    table("""
+        run (iteration) | 1 | start that the iteration belongs to
+        evaluations (iteration) | 1 | model evaluations in the run
+        rmse_rpm (iteration) | rpm | best RMSE so far in the run
+    """),
 )
 
 NOISE = Group(
     "noise",
     (
-        Variable("sd_rpm", (), "rpm", "standard deviation of the noise"),
+        *table("""
+            sd_rpm | rpm | standard deviation of the noise
+            coefficients (lag) | 1 | autoregressive coefficients
+            differentiated | 1 | 1 where the noise is the change from sample to sample of such
+                a process
+            degrees_of_freedom | 1 | of Student-t innovations, infinite for normal ones
+            student_t_evidence | 1 | gain in log likelihood of Student-t over normal innovations,
+                less 1/2 ln n
+            hidden_sd_rpm | rpm | standard deviation of the rounding that repeats every rotation
+            bic (candidate_order) | 1 | Bayesian information criterion less its smallest
+        """),
         NOISE_ORDER,
-        Variable("coefficients", ("lag",), "1", "autoregressive coefficients"),
-        Variable(
-            "differentiated",
-            (),
-            "1",
-            "1 where the noise is the change from sample to sample of such a process",
-        ),
-        Variable(
-            "degrees_of_freedom",
-            (),
-            "1",
-            "of Student-t innovations, infinite for normal ones",
-        ),
-        Variable(
-            "student_t_evidence",
-            (),
-            "1",
-            "gain in log likelihood of Student-t over normal innovations, less 1/2 ln n",
-        ),
-        Variable(
-            "hidden_sd_rpm",
-            (),
-            "rpm",
-            "standard deviation of the rounding that repeats every rotation",
-        ),
-        Variable(
-            "bic",
-            ("candidate_order",),
-            "1",
-            "Bayesian information criterion less its smallest",
-        ),
         DIFFERENCES,
     ),
 )
 
 MISFIT = Group(
     "misfit",
-    (
-        Variable("mean_rpm", ("phase_rad",), "rpm", "residual that repeats every load rotation"),
-        Variable(
-            "standard_error_rpm",
-            ("phase_rad",),
-            "rpm",
-            "standard error of the repeating residual",
-        ),
-        Variable("rms_rpm", (), "rpm", "RMS of the repeating residual"),
-    ),
-    (Variable("phase_rad", ("phase_rad",), "rad", "load phase from the start of the recording"),),
+    table("""
+        mean_rpm (phase_rad) | rpm | residual that repeats every load rotation
+        standard_error_rpm (phase_rad) | rpm | standard error of the repeating residual
+        rms_rpm | rpm | RMS of the repeating residual
+    """),
+    table("phase_rad (phase_rad) | rad | load phase from the start of the recording"),
 )
 
 DIAGNOSTICS = Group("diagnostics", SAMPLING, (SAMPLED_SYMBOLS,))
 
 SAMPLER_CHECK = Group(
     "sampler_check",
-    (
-        Variable(
-            "difference_sd",
-            ("symbol",),
-            "1",
-            "mean of the nested sampler less emcee's, in standard deviations",
-        ),
-        Variable(
-            "width_ratio",
-            ("symbol",),
-            "1",
-            "standard deviation of the nested sampler over emcee's",
-        ),
-        Variable("differs", ("symbol",), "1", "1 where the samplers disagree"),
-        Variable("evaluations", (), "1", "posterior evaluations by the nested sampler"),
-    ),
+    table("""
+        difference_sd (symbol) | 1 | mean of the nested sampler less emcee's, in standard deviations
+        width_ratio (symbol) | 1 | standard deviation of the nested sampler over emcee's
+        differs (symbol) | 1 | 1 where the samplers disagree
+        evaluations | 1 | posterior evaluations by the nested sampler
+    """),
     (SAMPLED_SYMBOLS,),
     optional=True,
 )
@@ -220,12 +174,16 @@ def amplitude_groups(fit: Fit, gap: Gap, level: float) -> dict[str, xr.Dataset]:
         "observed_data": observed_group(fit.point.recording),
         "predictive": _predictive(fit, level),
         "optimum": _optimum(fit),
-        "search_history": _history(fit),
+        "search_history": _of(SEARCH_HISTORY, fit.point.optimum.history),
         "noise": _noise(fit),
-        "misfit": _misfit(fit),
+        "misfit": _of(MISFIT, fit.point.misfit),
         "diagnostics": _diagnostics(fit),
         "gap": gap_group(gap.budget),
     }
+
+
+def _of(group: Group, source: object) -> xr.Dataset:
+    return dataset(group, attributes(group, source))
 
 
 def _posterior(fit: Fit, gap: Gap) -> xr.Dataset:
@@ -294,11 +252,8 @@ def _optimum(fit: Fit) -> xr.Dataset:
     result = dataset(
         OPTIMUM,
         {
+            **attributes(OPTIMUM, optimum),
             **optimum.symbols,
-            "baseline_rpm": optimum.baseline_rpm,
-            "rmse_rpm": optimum.rmse_rpm,
-            "relative_rmse": optimum.relative_rmse,
-            "evaluations": optimum.evaluations,
             "search_seconds": optimum.seconds,
             "covariance": spread.sandwich,
             "rival_amplitude_rpm": [r.symbols["amplitude_rpm"] for r in optimum.rivals],
@@ -311,33 +266,10 @@ def _optimum(fit: Fit) -> xr.Dataset:
     return result
 
 
-def _history(fit: Fit) -> xr.Dataset:
-    history = fit.point.optimum.history
-    names = ("run", "evaluations", "rmse_rpm")
-    return dataset(SEARCH_HISTORY, {name: getattr(history, name) for name in names})
-
-
 def _noise(fit: Fit) -> xr.Dataset:
     noise = fit.point.noise
-    names = (
-        "sd_rpm",
-        "order",
-        "coefficients",
-        "differentiated",
-        "student_t_evidence",
-        "hidden_sd_rpm",
-        "bic",
-        "differences",
-    )
-    values = {name: getattr(noise, name) for name in names}
-    return dataset(NOISE, values | {"degrees_of_freedom": noise.degrees_of_freedom or np.inf})
-
-
-def _misfit(fit: Fit) -> xr.Dataset:
-    misfit = fit.point.misfit
-    names = ("mean_rpm", "standard_error_rpm", "rms_rpm")
-    values = {name: getattr(misfit, name) for name in names}
-    return dataset(MISFIT, values, {"phase_rad": misfit.phase_rad})
+    freedom = noise.degrees_of_freedom or np.inf
+    return dataset(NOISE, attributes(NOISE, noise) | {"degrees_of_freedom": freedom})
 
 
 def _diagnostics(fit: Fit) -> xr.Dataset:

@@ -89,7 +89,6 @@ class AmplitudeMeasurer:
                 for recording, fit, gap in zip(task.recordings, fits, found, strict=True)
             ],
             self.curve,
-            task.seeds,
             warnings=self.curve.warnings,
         )
 

@@ -1,25 +1,12 @@
 """Wear in time, as ``result.nc`` and ``summary.json`` of a comparison hold it.
 
-
 Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
 the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
 where the answer is withheld, ``decide_before`` where that was asked, and with three snapshots or
 more those of :class:`bayesbl.measurement.wear.Straightness`, ``line_`` before their names.
 
-Keys of ``wear`` in ``summary.json`` (the whole is ``null`` where no snapshot is dated):
-
-- ``snapshots``: names of those used, ``first_date``, ``last_date``
-- ``rate_rad_per_year``: interval, healing ruled out; ``rate_at_most_rad_per_year``: one-sided
-- ``probability_wear``: that the gap grows, before healing is ruled out
-- ``scatter_rad_per_root_year``: interval of irregular wear; ``null`` under four snapshots
-- ``line``: whether the gaps lie on a straight line (``is_straight``, ``probability``), and which
-  ``snapshot`` is farthest off (``excess_rad``, ``standard_deviations``); ``null`` under three
-- ``limit_rad``, ``years_to_limit`` from the last snapshot, ``limit_date``; ``limit_not_before``:
-  the date before which the limit is not reached, one-sided
-- ``decide_before``, ``probability_limit_before``
-- ``reason``: why all of these are ``null``
-
-One-sided statements hold with the probability of the intervals, ``level``.
+``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
+:class:`bayesbl.measurement.summary_types.WearSummary`.
 """
 
 from __future__ import annotations
@@ -34,7 +21,6 @@ import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.measurement import Snapshot
-from bayesbl.measurement.shared_groups import DRAWS
 from bayesbl.measurement.summary_types import DateInterval, LineSummary, WearSummary
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
@@ -48,7 +34,7 @@ from bayesbl.measurement.wear import (
     wear,
 )
 from bayesbl.results.intervals import Interval, interval
-from bayesbl.results.variables import Group, Variable, dataset
+from bayesbl.results.variables import Group, attributes, dataset, table
 
 DAYS_PER_YEAR = 365.25
 
@@ -67,34 +53,15 @@ def date_after(first: Date, years: float) -> Date | None:
 
 WEAR = Group(
     "wear",
-    (
-        Variable("date", ("dated",), "", "date of snapshot", "text"),
-        Variable("used", ("dated",), "1", "1 where taken since the last repair"),
-        Variable(
-            "rate_rad_per_year",
-            DRAWS,
-            "rad/year",
-            "growth of the gap, of either sign",
-            optional=True,
-        ),
-        Variable(
-            "current_rad",
-            DRAWS,
-            "rad",
-            "gap at the last snapshot, from all of them",
-            optional=True,
-        ),
-        Variable(
-            "scatter_rad_per_root_year", DRAWS, "rad/year^0.5", "irregular wear", optional=True
-        ),
-        Variable(
-            "years_to_limit",
-            DRAWS,
-            "year",
-            "time from the last snapshot to the limit; none where the gap would heal",
-            optional=True,
-        ),
-    ),
+    table("""
+        date (dated) | text | date of snapshot
+        used (dated) | 1 | 1 where taken since the last repair
+        rate_rad_per_year? (chain, draw) | rad/year | growth of the gap, of either sign
+        current_rad? (chain, draw) | rad | gap at the last snapshot, from all of them
+        scatter_rad_per_root_year? (chain, draw) | rad/year^0.5 | irregular wear
+        years_to_limit? (chain, draw) | year | time from the last snapshot to the limit; none where
+            the gap would heal
+    """),
     optional=True,
 )
 
@@ -143,7 +110,7 @@ def wear_group(
     """Group :data:`WEAR`; ``found`` is ``None`` where nothing could be computed."""
     chosen = np.zeros(len(dates))
     chosen[used] = 1.0
-    draws = {} if found is None else {f.name: getattr(found, f.name) for f in fields(Wear)}
+    draws = attributes(WEAR, found)
     group = dataset(WEAR, {"date": [d.isoformat() for d in dates], "used": chosen, **draws})
     group.attrs = {"reason": reason}
     if decide_before is not None:

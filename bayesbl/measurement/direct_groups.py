@@ -22,7 +22,7 @@ from bayesbl.matching.signals import Unknown
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.change import Gap
 from bayesbl.recording.types import Recording
-from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
 from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.units import unit_of
@@ -30,8 +30,6 @@ from bayesbl.units import unit_of
 DELTA = shared.DELTA.name
 NEITHER = np.full((1, 1), np.nan)
 """Draws of the amplitude route where it has none."""
-
-_BESIDE = ("amplitude_chain", "amplitude_draw")
 
 
 def result_name(unknown: Unknown) -> str:
@@ -73,38 +71,26 @@ POSTERIOR = Group(
 SAMPLE_STATS = Group(
     "sample_stats",
     (
-        Variable(
-            "lp",
-            shared.DRAWS,
-            "1",
-            "log likelihood less its largest, by full simulation, all recordings together",
-        ),
+        *table("""
+            lp (chain, draw) | 1 | log likelihood less its largest, by full simulation,
+                all recordings together
+        """),
         shared.ACCEPTANCE,
     ),
 )
 
 PREDICTIVE = Group(
-    "predictive",
-    (Variable("rotation_period_s", (), "s", "one load rotation"),),
-    named=_predicted,
+    "predictive", table("rotation_period_s | s | one load rotation"), named=_predicted
 )
 
 OPTIMUM = Group(
     "optimum",
-    (
-        Variable(
-            "cramer_rao_sd",
-            ("parameter",),
-            "each parameter's own",
-            "Cramér-Rao bound on the standard deviation, priors left out",
-        ),
-        Variable(
-            "covariance",
-            ("parameter", "parameter_"),
-            "products of the parameters' units",
-            "covariance of the normal approximation, priors included",
-        ),
-    ),
+    table("""
+        cramer_rao_sd (parameter) | each parameter's own
+            | Cramér-Rao bound on the standard deviation, priors left out
+        covariance (parameter, parameter_) | products of units
+            | covariance of the normal approximation, priors included
+    """),
     (labels("parameter", "unknown"), labels("parameter_", "unknown")),
     named=_unknown(),
 )
@@ -112,20 +98,14 @@ OPTIMUM = Group(
 NOISE = Group(
     "noise",
     (
-        Variable("sd", ("channel",), "each channel's own", "standard deviation of the noise"),
+        *table("""
+            sd (channel) | each channel's own | standard deviation of the noise
+            coefficients (lag, channel, channel_) | ratios of units
+                | vector autoregressive coefficients
+            innovation_root (channel, channel_) | each channel's own
+                | lower triangular root of the innovations' covariance
+        """),
         shared.NOISE_ORDER,
-        Variable(
-            "coefficients",
-            ("lag", "channel", "channel_"),
-            "ratios of the channels' units",
-            "vector autoregressive coefficients",
-        ),
-        Variable(
-            "innovation_root",
-            ("channel", "channel_"),
-            "each channel's own",
-            "lower triangular root of the innovations' covariance",
-        ),
         shared.DIFFERENCES,
     ),
     (labels("channel", "channel"), labels("channel_", "channel")),
@@ -133,23 +113,13 @@ NOISE = Group(
 
 PREDICTIVE_CHECK = Group(
     "predictive_check",
-    (
-        Variable(
-            "ratio",
-            ("channel", "highest_order"),
-            "1",
-            "power that repeats every rotation over that expected of noise",
-        ),
-        Variable(
-            "probability",
-            ("channel", "highest_order"),
-            "1",
-            "probability of a ratio as large from noise alone",
-        ),
-    ),
+    table("""
+        ratio (channel, highest_order) | 1 | power that repeats every rotation over that of noise
+        probability (channel, highest_order) | 1 | probability of a ratio as large from noise alone
+    """),
     (
         labels("channel", "channel"),
-        Variable("highest_order", ("highest_order",), "1", "highest load order of the band"),
+        *table("highest_order (highest_order) | 1 | highest load order of the band"),
     ),
 )
 
@@ -157,19 +127,22 @@ DIAGNOSTICS = Group(
     "diagnostics",
     (
         *shared.SAMPLING,
-        Variable("effective", (), "1", "effective draws after full simulation"),
-        Variable("simulated", (), "1", "draws simulated in full"),
-        Variable("refits", (), "1", "times the surrogate was fitted again"),
+        *table("""
+            effective | 1 | effective draws after full simulation
+            simulated | 1 | draws simulated in full
+            refits | 1 | times the surrogate was fitted again
+        """),
     ),
     (shared.SAMPLED_SYMBOLS,),
 )
 
 AMPLITUDE_ROUTE = Group(
     "amplitude_route",
-    (
-        Variable(DELTA, _BESIDE, "rad", "backlash gap by the amplitude and the gap curve"),
-        Variable(AMPLITUDE, _BESIDE, "rpm", "amplitude of the impact ringing"),
-    ),
+    table("""
+        delta_rad (amplitude_chain, amplitude_draw) | rad
+            | backlash gap by the amplitude and the gap curve
+        amplitude_rpm (amplitude_chain, amplitude_draw) | rpm | amplitude of the impact ringing
+    """),
 )
 
 GROUPS = (
@@ -288,13 +261,11 @@ def _noise(posterior: DirectPosterior, index: int) -> xr.Dataset:
     return dataset(
         NOISE,
         {
-            "sd": noise.sd,
-            "order": noise.order,
-            "coefficients": noise.coefficients,
+            **attributes(NOISE, noise),
             "innovation_root": noise.root,
-            "differences": noise.differences,
+            "channel": channels,
+            "channel_": channels,
         },
-        {"channel": channels, "channel_": channels},
     )
 
 
@@ -319,10 +290,8 @@ def _diagnostics(posterior: DirectPosterior, index: int) -> xr.Dataset:
     return dataset(
         DIAGNOSTICS,
         {
+            **attributes(DIAGNOSTICS, posterior),
             **shared.sampling_values(posterior.diagnostics, rotations),
-            "effective": posterior.effective,
-            "simulated": posterior.simulated,
-            "refits": posterior.refits,
         },
         {"symbol": list(posterior.diagnostics.r_hat)},
     )

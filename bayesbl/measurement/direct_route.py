@@ -127,7 +127,6 @@ class DirectMeasurer:
                 for index, recording in enumerate(task.recordings)
             ],
             self.curve,
-            task.seeds,
             attributes={"bench": self.bench.fingerprint()},
         )
 

@@ -12,7 +12,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import SnapshotSummary
-from bayesbl.measurement.task import Seeds, Task
+from bayesbl.measurement.task import Task
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group
@@ -52,8 +52,6 @@ class Measurement:
         In order of time.
     curve
         From amplitude to gap.
-    seeds
-        Of what is still to be drawn: the curve's band and the wear.
     warnings
         Beside those of the recordings.
     attributes
@@ -63,7 +61,6 @@ class Measurement:
     route: str
     snapshots: Sequence[Snapshot]
     curve: GapCurve
-    seeds: Seeds
     warnings: Sequence[str] = ()
     attributes: Mapping[str, str] = field(default_factory=dict)
 

@@ -13,9 +13,13 @@ import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.measurement.compatibility import require_plausible_limit
+from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Route
+from bayesbl.measurement.shared_groups import CHANGE
+from bayesbl.measurement.stored_curve import CURVE
 from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
 from bayesbl.measurement.tree import measurement_tree
+from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 ROUTES = {
@@ -24,14 +28,22 @@ ROUTES = {
 }
 """Name to the module, which is imported only where it is used."""
 
-ROUTE_OF_OLD = "amplitude"
-"""Route of results that do not name theirs."""
-
 
 def route_of(name: str) -> Route:
     """The route of this name."""
     found: Route = import_module(ROUTES[name]).ROUTE
     return found
+
+
+def route_of_result(tree: xr.DataTree) -> Route:
+    """The route that a stored result was made by; version 0.1 named the direct one only."""
+    return route_of(tree.attrs.get("route", "amplitude"))
+
+
+def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a stored fit or comparison."""
+    compared = (CHANGE, WEAR) if tree.attrs["kind"] == "compare" else ()
+    return (*route_of_result(tree).groups, CURVE, *compared)
 
 
 def measure(

@@ -15,25 +15,30 @@ import xarray as xr
 
 from bayesbl.measurement.change import Change
 from bayesbl.recording.types import CHANNELS, Recording
-from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.results.variables import Group, Variable, dataset, labels, table
 from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.units import unit_of
 
 DRAWS = ("chain", "draw")
-DELTA = Variable("delta_rad", DRAWS, "rad", "backlash gap")
-CHAIN = Variable("chain", ("chain",), "1", "number of the independent ensemble")
-DRAW = Variable("draw", ("draw",), "1", "number of the draw")
-ACCEPTANCE = Variable("acceptance_rate", ("chain",), "1", "accepted share of proposals")
-NOISE_ORDER = Variable("order", (), "1", "autoregressive order, 0 is white")
-DIFFERENCES = Variable("differences", (), "1", "samples with a counterpart one rotation later")
+(DELTA, ACCEPTANCE, NOISE_ORDER, DIFFERENCES) = table("""
+    delta_rad (chain, draw) | rad | backlash gap
+    acceptance_rate (chain) | 1 | accepted share of proposals
+    order | 1 | autoregressive order, 0 is white
+    differences | 1 | samples with a counterpart one rotation later
+""")
 
-SAMPLING = (
-    Variable("r_hat", ("symbol",), "1", "rank-normalised split R-hat over independent ensembles"),
-    Variable("ess_bulk", ("symbol",), "1", "bulk effective sample size"),
-    Variable("autocorrelation_steps", (), "1", "longest integrated autocorrelation time"),
-    Variable("steps", (), "1", "steps after burn-in"),
-    Variable("rotations", (), "1", "load rotations in the recording"),
-)
+(CHAIN, DRAW) = table("""
+    chain (chain) | 1 | number of the independent ensemble
+    draw (draw) | 1 | number of the draw
+""")
+
+SAMPLING = table("""
+    r_hat (symbol) | 1 | rank-normalised split R-hat over independent ensembles
+    ess_bulk (symbol) | 1 | bulk effective sample size
+    autocorrelation_steps | 1 | longest integrated autocorrelation time
+    steps | 1 | steps after burn-in
+    rotations | 1 | load rotations in the recording
+""")
 """What ``diagnostics`` holds of the sampling by every route; see :func:`sampling_values`."""
 
 SAMPLED_SYMBOLS = labels("symbol", "name of what was sampled")
@@ -45,41 +50,31 @@ def _channel(name: str) -> Variable:
 
 OBSERVED = Group(
     "observed_data",
-    (
-        Variable("time_s", ("sample",), "s", "time"),
-        Variable(
-            "excluded",
-            ("sample",),
-            "1",
-            "sample that was lost or cannot be trusted (1), bridged and left out of the fit",
-            optional=True,
-        ),
-    ),
+    table("""
+        time_s (sample) | s | time
+        excluded? (sample) | 1 | sample that was lost or cannot be trusted (1), bridged and left
+            out of the fit
+    """),
     named=_channel,
 )
 
 GAP = Group(
     "gap",
-    (Variable("budget", ("source",), "1", "share of the variance of ln δ"),),
+    table("budget (source) | 1 | share of the variance of ln δ"),
     (labels("source", "source of the uncertainty of δ"),),
 )
 
 CHANGE = Group(
     "change",
-    (
-        Variable("change_rad", DRAWS, "rad", "change of the backlash gap from first to last"),
-        Variable(
-            "step_change_rad",
-            ("step", *DRAWS),
-            "rad",
-            "change of the backlash gap between neighbouring snapshots",
-        ),
-    ),
-    (
-        Variable("step_from", ("step",), "", "snapshot before the step", "text"),
-        Variable("step_to", ("step",), "", "snapshot after the step", "text"),
-    ),
-    optional=True,
+    table("""
+        change_rad (chain, draw) | rad | change of the backlash gap from first to last
+        step_change_rad (step, chain, draw) | rad
+            | change of the backlash gap between neighbouring snapshots
+    """),
+    table("""
+        step_from (step) | text | snapshot before the step
+        step_to (step) | text | snapshot after the step
+    """),
 )
 
 

@@ -11,50 +11,32 @@ import xarray as xr
 from bayesbl.curve.gap_curve import GapCurve, Ringing
 from bayesbl.errors import CurveError
 from bayesbl.results.store import read_tree, texts
-from bayesbl.results.variables import Group, Variable, arrays, dataset, require_declared
+from bayesbl.results.variables import (
+    Group,
+    Variable,
+    arrays,
+    attributes,
+    dataset,
+    require_declared,
+    table,
+)
 
 SOURCE_PREFIX = "source_"
 """Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
 
-_COEFFICIENTS = Variable(
-    "coefficients", ("power",), "rad / rpm^k", "coefficient of A^k in the gap curve"
-)
+_COEFFICIENTS = table("coefficients (power) | rad / rpm^k | coefficient of A^k in the gap curve")
 
 CURVE = Group(
     "curve",
     (
-        Variable("delta_rad", ("amplitude",), "rad", "backlash gap, nominal"),
-        Variable("low_rad", ("amplitude",), "rad", "lower bound of the curve's band"),
-        Variable("high_rad", ("amplitude",), "rad", "upper bound of the curve's band"),
-        _COEFFICIENTS,
+        *table("""
+            delta_rad (amplitude) | rad | backlash gap, nominal
+            low_rad (amplitude) | rad | lower bound of the curve's band
+            high_rad (amplitude) | rad | upper bound of the curve's band
+        """),
+        *_COEFFICIENTS,
     ),
-    (Variable("amplitude", ("amplitude",), "rpm", "amplitude of the impact ringing"),),
-)
-
-_RINGING = (
-    Variable("log_frequency", ("knot",), "1", "ln of ω in rad/s", optional=True),
-    Variable("log_decay", ("knot",), "1", "ln of τ in 1/s", optional=True),
-    Variable(
-        "frequency_draws",
-        ("draw_bench", "knot"),
-        "1",
-        "departures of ln ω for the bench draws",
-        optional=True,
-    ),
-    Variable(
-        "decay_draws",
-        ("draw_bench", "knot"),
-        "1",
-        "departures of ln τ for the bench draws",
-        optional=True,
-    ),
-    Variable(
-        "scatter",
-        ("knot", "row", "column"),
-        "mixed",
-        "covariance of (A, ln ω, ln τ) over start angles",
-        optional=True,
-    ),
+    table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
 )
 
 
@@ -69,16 +51,17 @@ def _source(name: str) -> Variable | None:
 GAP_CURVE = Group(
     "gap_curve",
     (
-        _COEFFICIENTS,
-        Variable("knots_rpm", ("knot",), "rpm", "amplitude of the impact ringing"),
-        Variable("correction", ("knot",), "1", "departure of ln δ from the polynomial's"),
-        Variable(
-            "start_angle_sd_rpm",
-            ("knot",),
-            "rpm",
-            "scatter of the amplitude with the start angle",
-        ),
-        *_RINGING,
+        *_COEFFICIENTS,
+        *table("""
+            knots_rpm (knot) | rpm | amplitude of the impact ringing
+            correction (knot) | 1 | departure of ln δ from the polynomial's
+            start_angle_sd_rpm (knot) | rpm | scatter of the amplitude with the start angle
+            log_frequency? (knot) | 1 | ln of ω in rad/s
+            log_decay? (knot) | 1 | ln of τ in 1/s
+            frequency_draws? (draw_bench, knot) | 1 | departures of ln ω for the bench draws
+            decay_draws? (draw_bench, knot) | 1 | departures of ln τ for the bench draws
+            scatter? (knot, row, column) | mixed | covariance of (A, ln ω, ln τ) over start angles
+        """),
     ),
     named=_source,
 )
@@ -108,16 +91,9 @@ def curve_group(curve: GapCurve, level: float, seed: np.random.SeedSequence) -> 
 
 def curve_to_dataset(curve: GapCurve) -> xr.Dataset:
     """The curve as a dataset; :func:`curve_from_dataset` gives it back."""
-    values: dict[str, object] = {
-        "coefficients": curve.coefficients,
-        "knots_rpm": curve.knots_rpm,
-        "correction": curve.correction,
-        "start_angle_sd_rpm": curve.start_angle_sd_rpm,
-        **{f"{SOURCE_PREFIX}{name}": draws for name, draws in curve.sources.items()},
-    }
-    if curve.ringing is not None:
-        values |= {field.name: getattr(curve.ringing, field.name) for field in fields(Ringing)}
-    result = dataset(GAP_CURVE, values)
+    sources = {f"{SOURCE_PREFIX}{name}": draws for name, draws in curve.sources.items()}
+    ringing = attributes(GAP_CURVE, curve.ringing)
+    result = dataset(GAP_CURVE, {**attributes(GAP_CURVE, curve), **sources, **ringing})
     result.attrs = {
         "name": curve.name,
         "fingerprint": curve.fingerprint or "",
@@ -136,24 +112,21 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
         If anything is missing.
     """
     found = arrays(GAP_CURVE, stored)
-    ringing = None
-    if "log_frequency" in found:
-        ringing = Ringing(**{field.name: found[field.name] for field in fields(Ringing)})
+    own = {f.name: found[f.name] for f in fields(GapCurve) if f.name in found}
     return GapCurve(
         name=name,
-        coefficients=found["coefficients"],
-        knots_rpm=found["knots_rpm"],
-        correction=found["correction"],
         sources={
             key.removeprefix(SOURCE_PREFIX): draws
             for key, draws in found.items()
             if key.startswith(SOURCE_PREFIX)
         },
-        start_angle_sd_rpm=found["start_angle_sd_rpm"],
         fingerprint=stored.attrs.get("fingerprint") or None,
-        ringing=ringing,
+        ringing=Ringing(**{f.name: found[f.name] for f in fields(Ringing)})
+        if "log_frequency" in found
+        else None,
         warnings=tuple(texts(stored.attrs.get("warnings"))),
         reference_speed_rpm=float(stored.attrs.get("reference_speed_rpm", 0.0)) or None,
+        **own,
     )
 
 

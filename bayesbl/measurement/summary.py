@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.dated_wear import summarise_wear
-from bayesbl.measurement.routes import ROUTE_OF_OLD, route_of
+from bayesbl.measurement.routes import route_of_result
 from bayesbl.measurement.stored_snapshot import StoredSnapshot, stored_snapshots
 from bayesbl.measurement.summary_types import (
     ComparisonSummary,
@@ -59,7 +59,7 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
 
 
 def _snapshot(tree: xr.DataTree, stored: StoredSnapshot) -> SnapshotSummary:
-    result = route_of(tree.attrs.get("route", ROUTE_OF_OLD)).summarise(stored)
+    result = route_of_result(tree).summarise(stored)
     if stored.limit_rad is not None:
         result["limit_rad"] = stored.limit_rad
         result["probability_above_limit"] = stored.probability_above_limit

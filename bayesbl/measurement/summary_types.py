@@ -128,7 +128,7 @@ StepSummary = TypedDict(
 
 
 class LineSummary(TypedDict):
-    """Whether the gaps lie on a straight line in time."""
+    """Whether the gaps lie on a straight line in time, and which is farthest off."""
 
     is_straight: bool
     probability: float
@@ -148,7 +148,14 @@ class DateInterval(TypedDict):
 
 
 class WearSummary(TypedDict):
-    """Wear in time (see :mod:`bayesbl.measurement.dated_wear`)."""
+    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
+
+    ``snapshots`` are those since the last repair. ``rate_rad_per_year`` has healing ruled out,
+    ``probability_wear`` that the gap grows has not. ``scatter_rad_per_root_year`` is irregular
+    wear, ``None`` under four snapshots; ``line`` is ``None`` under three. ``years_to_limit`` count
+    from the last snapshot; before ``limit_not_before`` the limit is not reached, one-sided.
+    ``reason`` says why all of these are ``None``.
+    """
 
     snapshots: list[str]
     first_date: str

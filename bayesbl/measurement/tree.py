@@ -18,7 +18,7 @@ from bayesbl.measurement.stored_curve import curve_group
 from bayesbl.measurement.stored_snapshot import ALONE
 from bayesbl.measurement.task import Task
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.tree import stack_snapshots
+from bayesbl.results.stacking import stack_snapshots
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
@@ -29,7 +29,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     if isinstance(config, CompareConfig):
         groups = stack_snapshots({s.name: s.groups for s in snapshots})
         groups["change"] = change_group(*changes({s.name: s.delta_rad for s in snapshots}))
-        wear = wear_of(config, snapshots, measured.seeds.wear)
+        wear = wear_of(config, snapshots, task.seeds.wear)
         if wear is not None:
             groups["wear"] = wear
     else:
@@ -40,7 +40,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     for group in snapshots[0].group_reasons:
         reasons = {key: s.group_reasons[group] for key, s in zip(keys, snapshots, strict=True)}
         groups[group].attrs["reasons"] = _json(reasons)
-    groups["curve"] = curve_group(measured.curve, level, measured.seeds.curve)
+    groups["curve"] = curve_group(measured.curve, level, task.seeds.curve)
     tree = xr.DataTree.from_dict(groups)
     tree.attrs = {
         "kind": config.kind,

@@ -1,13 +1,12 @@
-"""Groups of several snapshots stacked into one."""
+"""The former writer of groups, for the groups that are not declared yet."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import xarray as xr
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.variables import STACKED
 
 Variables = Mapping[str, tuple[tuple[str, ...], FloatArray, str, str]]
 """Name to (dimensions, values, unit, long name)."""
@@ -22,36 +21,3 @@ def dataset(variables: Variables, coordinates: Mapping[str, object] | None = Non
         },
         coords=None if coordinates is None else dict(coordinates),
     )
-
-
-def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str, xr.Dataset]:
-    """Groups of several fits by snapshot name, stacked along :data:`STACKED`, padded with NaN."""
-    names = list(groups)
-    stacked = {}
-    for group in next(iter(groups.values())):
-        parts = _padded([groups[name][group] for name in names])
-        stacked[group] = xr.concat(
-            parts,
-            dim=xr.Variable(STACKED, names),
-            data_vars="all",
-            coords="minimal",
-            compat="override",
-            join="outer",
-            combine_attrs="drop_conflicts",
-        )
-    return stacked
-
-
-def _padded(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """All dimensions without labels brought to their longest, NaN behind."""
-    longest: dict[str, int] = {}
-    for part in parts:
-        for dim, size in part.sizes.items():
-            if dim not in part.coords:
-                longest[str(dim)] = max(longest.get(str(dim), 0), size)
-    return [
-        part.pad(
-            {dim: (0, size - part.sizes[dim]) for dim, size in longest.items() if dim in part.sizes}
-        )
-        for part in parts
-    ]

@@ -75,15 +75,52 @@ class Group:
         for declared in (*self.variables, *self.coordinates):
             if declared.name == name:
                 return declared
-        found = None if self.named is None else self.named(name)
+        found = None if self.named is None or name == STACKED else self.named(name)
         if found is None:
             raise KeyError(f"group {self.name} declares no variable {name}")
         return found
 
 
+def table(text: str) -> tuple[Variable, ...]:
+    """Declarations as the lines of a table.
+
+    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar; a ``?``
+    behind the name makes it optional, and the unit ``text`` is that of texts. Lines that are
+    indented farther than the first one go on with the line above.
+    """
+    rows: list[str] = []
+    margin = None
+    for line in filter(str.strip, text.splitlines()):
+        indent = len(line) - len(line.lstrip())
+        margin = indent if margin is None else margin
+        if indent > margin:
+            rows[-1] += f" {line.strip()}"
+        else:
+            rows.append(line.strip())
+    return tuple(_declared(*(cell.strip() for cell in row.split("|"))) for row in rows)
+
+
+def _declared(head: str, unit: str, meaning: str) -> Variable:
+    name, _, dims = head.partition(" (")
+    return Variable(
+        name.removesuffix("?"),
+        tuple(dims.removesuffix(")").split(", ")) if dims else (),
+        "" if unit == "text" else unit,
+        meaning,
+        "text" if unit == "text" else "number",
+        optional=name.endswith("?"),
+    )
+
+
 def labels(name: str, meaning: str) -> Variable:
     """A coordinate of texts along its own dimension."""
     return Variable(name, (name,), "", meaning, "text")
+
+
+def attributes(group: Group, source: object) -> dict[str, object]:
+    """Values for :func:`dataset` from an object's attributes that have the names declared."""
+    names = [declared.name for declared in (*group.variables, *group.coordinates)]
+    return {name: getattr(source, name) for name in names if hasattr(source, name)}
 
 
 def dataset(
@@ -95,10 +132,8 @@ def dataset(
 
     Parameters
     ----------
-    values
-        Array, number or text by name of a variable; ``None`` leaves an optional one out.
-    coordinates
-        The same for coordinates.
+    values, coordinates
+        Array, number or text by name; ``None`` leaves an optional one out.
 
     Raises
     ------
@@ -107,14 +142,15 @@ def dataset(
     ValueError
         If an array has another number of dimensions than its declaration.
     """
-    given = {name: value for name, value in values.items() if value is not None}
-    labelled = dict(coordinates or {})
+    every = {**values, **(coordinates or {})}
+    stored = {n: _stored(group, n, value) for n, value in every.items() if value is not None}
     for declared in (*group.variables, *group.coordinates):
-        if not (declared.optional or declared.name in given or declared.name in labelled):
+        if not (declared.optional or declared.name in stored):
             raise KeyError(f"group {group.name} is given no {declared.name}")
+    labelled = {declared.name for declared in group.coordinates}
     return xr.Dataset(
-        {name: _stored(group, group.variable(name), value) for name, value in given.items()},
-        {name: _stored(group, group.variable(name), value) for name, value in labelled.items()},
+        {name: variable for name, variable in stored.items() if name not in labelled},
+        {name: variable for name, variable in stored.items() if name in labelled},
     )
 
 
@@ -155,8 +191,8 @@ def require_declared(
         raise _incomplete(problems, file)
 
 
-def _stored(group: Group, declared: Variable, value: object) -> xr.Variable:
-    array = np.asarray(value)
+def _stored(group: Group, name: str, value: object) -> xr.Variable:
+    declared, array = group.variable(name), np.asarray(value)
     if declared.kind == "text":
         array = array.astype(np.str_)
     elif array.ndim == 0:

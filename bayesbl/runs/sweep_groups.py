@@ -14,86 +14,50 @@ from bayesbl.curve.sweep import SweepRow, SweepSettings
 from bayesbl.curve.swept_curve import degree_reports
 from bayesbl.measurement.stored_curve import CURVE, GAP_CURVE
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.variables import Group, Variable, dataset, labels
-from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, SYMBOLS, DisturbanceModel
+from bayesbl.results.variables import Group, attributes, dataset, labels, table
+from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
 
 EXAMPLE_GAPS = 6
 
-_RUNS = ("gap", "start")
-
-
-def _symbol(name: str) -> Variable:
-    return Variable(name, _RUNS, SYMBOLS[name].unit, SYMBOLS[name].long_name)
-
-
 SWEEP = Group(
     "sweep",
-    (
-        Variable("gap_rad", ("gap",), "rad", "backlash gap simulated"),
-        Variable("start_angle_rad", _RUNS, "rad", "load angle at the start"),
-        _symbol(AMPLITUDE),
-        _symbol(FREQUENCY),
-        _symbol(DECAY),
-        Variable("rmse_rpm", _RUNS, "rpm", "misfit of the waveform"),
-        Variable(
-            "amplitude_over_published",
-            ("gap",),
-            "1",
-            "amplitude over that of the paper's eq. 4",
-        ),
-    ),
+    table("""
+        gap_rad (gap) | rad | backlash gap simulated
+        start_angle_rad (gap, start) | rad | load angle at the start
+        amplitude_rpm (gap, start) | rpm | amplitude of the impact ringing
+        angular_frequency_rad_per_s (gap, start) | rad/s | angular frequency of the ringing
+        decay_rate_per_s (gap, start) | 1/s | decay rate of the ringing
+        rmse_rpm (gap, start) | rpm | misfit of the waveform
+        amplitude_over_published (gap) | 1 | amplitude over that of the paper's eq. 4
+    """),
 )
 
 DEGREES = Group(
     "degrees",
-    (
-        Variable(
-            "rms_departure",
-            ("degree",),
-            "1",
-            "RMS relative departure of δ from the polynomial",
-        ),
-        Variable(
-            "largest_departure",
-            ("degree",),
-            "1",
-            "largest relative departure of δ from the polynomial",
-        ),
-        Variable(
-            "log_evidence",
-            ("degree",),
-            "1",
-            "restricted log likelihood with a smooth lack of fit beside it",
-        ),
-    ),
-    (Variable("degree", ("degree",), "1", "degree of the polynomial"),),
+    table("""
+        rms_departure (degree) | 1 | RMS relative departure of δ from the polynomial
+        largest_departure (degree) | 1 | largest relative departure of δ from the polynomial
+        log_evidence (degree) | 1 | restricted log likelihood with a smooth lack of fit beside it
+    """),
+    table("degree (degree) | 1 | degree of the polynomial"),
 )
 
 EXAMPLES = Group(
     "examples",
-    (
-        Variable("gap_rad", ("example",), "rad", "backlash gap simulated"),
-        Variable("time_s", ("sample",), "s", "time"),
-        Variable("motor_speed_rpm", ("example", "sample"), "rpm", "motor speed, noise-free"),
-    ),
+    table("""
+        gap_rad (example) | rad | backlash gap simulated
+        time_s (sample) | s | time
+        motor_speed_rpm (example, sample) | rpm | motor speed, noise-free
+    """),
 )
 
 BENCH_DRAWS = Group(
     "bench_draws",
-    (
-        Variable(
-            "shift",
-            ("draw", "parameter"),
-            "1",
-            "departure of the parameter in units of its tolerance",
-        ),
-        Variable(
-            "departure",
-            ("draw", "gap", "quantity"),
-            "1",
-            "departure of ln A, ln ω and ln τ from the nominal sweep",
-        ),
-    ),
+    table("""
+        shift (draw, parameter) | 1 | departure of the parameter in units of its tolerance
+        departure (draw, gap, quantity) | 1 | departure of ln A, ln ω and ln τ from the nominal
+            sweep
+    """),
     (
         labels("parameter", "parameter of the bench"),
         labels("quantity", "quantity of the ringing"),
@@ -101,7 +65,10 @@ BENCH_DRAWS = Group(
     optional=True,
 )
 
-GROUPS = (SWEEP, DEGREES, EXAMPLES, CURVE, GAP_CURVE, BENCH_DRAWS)
+
+def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a sweep."""
+    return SWEEP, DEGREES, EXAMPLES, CURVE, GAP_CURVE, BENCH_DRAWS
 
 
 def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
@@ -110,12 +77,9 @@ def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
     return dataset(
         SWEEP,
         {
-            "gap_rad": nominal.gap_rad,
-            "start_angle_rad": nominal.start_angle_rad,
-            AMPLITUDE: nominal.amplitude_rpm,
+            **attributes(SWEEP, nominal),
             FREQUENCY: nominal.symbol(FREQUENCY, model.fixed),
             DECAY: nominal.symbol(DECAY, model.fixed),
-            "rmse_rpm": nominal.rmse_rpm,
             "amplitude_over_published": nominal.amplitude_rpm.mean(axis=1) / published,
         },
     )
@@ -124,9 +88,8 @@ def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
 def degree_group(nominal: SweepRow) -> xr.Dataset:
     """How well polynomials of several degrees describe the sweep."""
     reports = degree_reports(nominal)
-    names = [variable.name for variable in DEGREES.variables]
-    values = {name: [getattr(r, name) for r in reports] for name in names}
-    return dataset(DEGREES, values, {"degree": [r.degree for r in reports]})
+    names = [variable.name for variable in (*DEGREES.variables, *DEGREES.coordinates)]
+    return dataset(DEGREES, {name: [getattr(r, name) for r in reports] for name in names})
 
 
 def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:

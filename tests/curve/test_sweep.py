@@ -26,6 +26,7 @@ from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.variables import require_declared
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
@@ -33,6 +34,7 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
+from bayesbl.runs.declared_groups import declared_groups
 from bayesbl.runs.run import check
 from bayesbl.runs.sweep import run_sweep
 
@@ -474,3 +476,10 @@ def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:
     assert read_tree(tmp_path / "result.nc").attrs["kind"] == "fit"
     with pytest.raises(CurveError, match="holds no gap curve"):
         read_curve(tmp_path / "result.nc")
+
+
+def test_a_sweep_holds_all_that_its_groups_declare(
+    tolerant_sweep,  # type: ignore[no-untyped-def]
+) -> None:
+    tree = tolerant_sweep[2]
+    require_declared(tree, declared_groups(tree))
