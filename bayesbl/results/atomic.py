@@ -1,6 +1,6 @@
 """Files and folders that appear whole or not at all, by one writer at a time.
 
-What is being written stands in a hidden folder beside its place and is renamed when it is whole. A
+What is being written is in a hidden folder beside its place and is renamed when it is whole. A
 process that is killed leaves at most such a folder, which the next writer of the same place clears
 away: one that is still in use is known by a lock, which the system drops with the process.
 """

@@ -45,7 +45,7 @@ def encoded(value: object) -> bytes:
         arrays[name] = array
         return {_ARRAY: name}
 
-    text = json.dumps(_plain(value, put), ensure_ascii=False)
+    text = json.dumps(_plain(value, put))
     stream = io.BytesIO()
     arrays[_TEXT] = np.frombuffer(text.encode(), dtype=np.uint8)
     np.savez(stream, **arrays)  # type: ignore[arg-type]
@@ -80,7 +80,7 @@ def address(value: object) -> str:
     def put(array: Array) -> object:
         return [array.dtype.str, array.shape, hashlib.sha256(array.tobytes()).hexdigest()]
 
-    text = json.dumps(_plain(value, put), ensure_ascii=False, sort_keys=True)
+    text = json.dumps(_plain(value, put), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

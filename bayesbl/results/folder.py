@@ -40,7 +40,7 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
     ------
     ResultError
         If it holds a finished result and ``force`` is not given, if it holds anything that is not
-        part of a result (which is never deleted), or if a file stands there or above.
+        part of a result (which is never deleted), or if there is a file at this path or above it.
     """
     path = _absolute(path)
     _undo_half_replacement(path)

@@ -81,7 +81,7 @@ def inputs_of(config: object) -> dict[str, str]:
 
 
 def code_versions() -> dict[str, str]:
-    """All that may make the same problem come out otherwise: this code, Python, dependencies."""
+    """All that may change the numbers of the same problem: this code, Python, dependencies."""
     own = f"{bayesbl.__version__}, commit {git_commit()}"
     return {"bayesbl": own, "python": platform.python_version(), **dependency_versions()}
 

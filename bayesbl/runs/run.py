@@ -111,6 +111,6 @@ def _workflow(kind: str) -> Workflow:
 
 
 def _output(config: RunConfig) -> str:
-    """The output folder; a result that stands there stops a run, but is no fault of the file."""
+    """The output folder; a result in it stops a run, but is no fault of the file."""
     folder = config.run.output
     return f"{folder} (holds a finished result)" if is_finished(folder) else str(folder)

@@ -1,6 +1,6 @@
 """Studies: many independent cases in rows, over processes or a cluster, resumed where left.
 
-What a study is stands in :mod:`bayesbl.runs.study_file`. ``result.nc`` holds all cases, a
+For what a study is, see :mod:`bayesbl.runs.study_file`. ``result.nc`` holds all cases, a
 group per row; ``table.csv`` a line per row.
 """
 
