@@ -2,7 +2,8 @@
 
 Defaults are in these models and nowhere else. Paths are resolved against the folder that the
 validation context names, and must exist. A new kind is one module beside this one with an entry
-in ``kinds.KINDS``, and one in ``bayesbl/runs`` with an entry in ``run.WORKFLOWS``. Only pydantic is imported, so that ``bayesbl check`` answers at once.
+in ``kinds.KINDS``, and one in ``bayesbl/runs`` with an entry in ``run.WORKFLOWS``. Only pydantic is
+imported, so that ``bayesbl check`` answers at once.
 """
 
 from __future__ import annotations
