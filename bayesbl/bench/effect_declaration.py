@@ -9,7 +9,7 @@ the recording's ``motor_start_angle_rad`` is given.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
@@ -35,140 +35,84 @@ PHASE = "phase_rad"
 ARMSTRONG = "Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30, 1083"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """One parameter of an effect; made by :func:`amplitude`, :func:`shape`, :func:`order`, …
+    """One parameter of an effect: an :class:`Amplitude` or a :class:`Shape`.
 
     Attributes
     ----------
     role
-        ``amplitude``: at its neutral value the effect, or this part of it, is off. ``shape``,
-        ``order`` and ``phase`` matter only while an amplitude is not neutral; an order is found
-        from the data; a phase belongs to each recording, as the motor starts at another angle.
+        ``amplitude``: at zero the effect, or this part of it, is off. ``shape``, ``order`` and
+        ``phase`` matter only while an amplitude is not zero; an order is found from the data; a
+        phase belongs to each recording, as the motor starts at another angle.
     low, high
         Range that a search may use.
-    neutral
-        Value where it is not given: off for an amplitude, a default for the others.
     typical
         A middling strength on the reference bench: it shows and spoils nothing.
-    repeats
-        Of an amplitude: whether the bench in steady rotation repeats every load rotation with it:
-        ``always``, only with a whole number of cycles per load rotation (``whole_orders``), or
-        ``never``. What is declared to repeat is simulated for one rotation and continued.
-    not_negative, smaller_than, positive_scale
-        What the simulator refuses: a value below zero; a size that reaches this; a value of zero
-        or below while an amplitude of the effect is not zero.
-    sought_from
-        Lower end of the search, where ``low`` is out of its reach.
+    neutral
+        Value where it is not given: off for an amplitude, a default for the others.
     """
 
     name: str
     unit: str
     meaning: str
+    _: KW_ONLY
     role: Role
     low: float
     high: float
     typical: float
     neutral: float = 0.0
-    repeats: Repeats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Amplitude(EffectParameter):
+    """A parameter that switches the effect on.
+
+    Attributes
+    ----------
+    repeats
+        Whether the bench in steady rotation repeats every load rotation with it: ``always``, only
+        with a whole number of cycles per load rotation (``whole_orders``), or ``never``. What is
+        declared to repeat is simulated for one rotation and continued.
+    not_negative, smaller_than
+        What the simulator refuses: a value below zero, a size that reaches this.
+    sought_from
+        Lower end of a search in the loop, where it is not ``low``.
+    """
+
+    _: KW_ONLY
+    role: Role = "amplitude"
+    repeats: Repeats
     not_negative: bool = False
     smaller_than: float | None = None
-    positive_scale: bool = False
     sought_from: float | None = None
 
-    @property
-    def shape_only(self) -> bool:
-        """It changes nothing at the effect's neutral point."""
-        return self.role != "amplitude"
 
-    @property
-    def search_low(self) -> float:
-        """Lower end of the range that a search uses."""
-        return self.low if self.sought_from is None else self.sought_from
+@dataclass(frozen=True, slots=True)
+class Shape(EffectParameter):
+    """A parameter that says how, not how much.
 
+    ``positive_scale``: the simulator refuses zero and below while an amplitude is not zero.
+    """
 
-def amplitude(
-    name: str,
-    unit: str,
-    meaning: str,
-    *,
-    low: float,
-    high: float,
-    typical: float,
-    repeats: Repeats,
-    not_negative: bool = False,
-    smaller_than: float | None = None,
-    sought_from: float | None = None,
-) -> EffectParameter:
-    """A parameter that switches the effect on; zero is off."""
-    return EffectParameter(
-        name=name,
-        unit=unit,
-        meaning=meaning,
-        role="amplitude",
-        low=low,
-        high=high,
-        typical=typical,
-        repeats=repeats,
-        not_negative=not_negative,
-        smaller_than=smaller_than,
-        sought_from=sought_from,
-    )
-
-
-def shape(
-    name: str,
-    unit: str,
-    meaning: str,
-    *,
-    low: float,
-    high: float,
-    default: float,
-    typical: float,
-    positive_scale: bool = False,
-) -> EffectParameter:
-    """A parameter that says how, not how much."""
-    return EffectParameter(
-        name=name,
-        unit=unit,
-        meaning=meaning,
-        role="shape",
-        low=low,
-        high=high,
-        typical=typical,
-        neutral=default,
-        positive_scale=positive_scale,
-    )
+    _: KW_ONLY
+    role: Role = "shape"
+    positive_scale: bool = False
 
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0
 
 
-def order(typical: float) -> EffectParameter:
+def order(typical: float) -> Shape:
     """Cycles per motor turn n."""
-    return EffectParameter(
-        name=ORDER,
-        unit="",
-        meaning="cycles per motor turn n, found from the data",
-        role="order",
-        low=LOWEST_ORDER,
-        high=HIGHEST_ORDER,
-        typical=typical,
-        neutral=1.0,
-    )
+    meaning = "cycles per motor turn n, found from the data"
+    low, high = LOWEST_ORDER, HIGHEST_ORDER
+    return Shape(ORDER, "", meaning, role="order", low=low, high=high, typical=typical, neutral=1.0)
 
 
-def phase(typical: float) -> EffectParameter:
+def phase(typical: float) -> Shape:
     """Phase φ of what turns with the motor."""
-    return EffectParameter(
-        name=PHASE,
-        unit="rad",
-        meaning="phase φ",
-        role="phase",
-        low=-3.1416,
-        high=3.1416,
-        typical=typical,
-    )
+    return Shape(PHASE, "rad", "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical)
 
 
 class RigidMotion(Protocol):
@@ -278,7 +222,7 @@ class Effect:
     name: str
     sentence: str
     equation: str
-    parameters: tuple[EffectParameter, ...]
+    parameters: tuple[Amplitude | Shape, ...]
     enters: Enters
     depends_on: tuple[Dependence, ...]
     data: str
@@ -295,7 +239,7 @@ class Effect:
         slots = {item.name: Slot[f"{self.name}__{item.name}"] for item in self.parameters}
         object.__setattr__(self, "slots", slots)
 
-    def parameter(self, name: str) -> EffectParameter:
+    def parameter(self, name: str) -> Amplitude | Shape:
         """The parameter of that name.
 
         Raises
@@ -313,19 +257,24 @@ class Effect:
         )
 
     @property
-    def amplitudes(self) -> tuple[EffectParameter, ...]:
+    def amplitudes(self) -> tuple[Amplitude, ...]:
         """Parameters that switch it on."""
-        return tuple(item for item in self.parameters if item.role == "amplitude")
+        return tuple(item for item in self.parameters if isinstance(item, Amplitude))
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Parameters that matter only while it is on."""
+        return tuple(item for item in self.parameters if isinstance(item, Shape))
 
     @property
     def is_periodic(self) -> bool:
         """It goes as sin(n θ_m + φ), with a phase for each recording."""
-        return any(item.role == "phase" for item in self.parameters)
+        return PHASE in self.slots
 
     @property
     def has_order(self) -> bool:
         """Its cycles per motor turn are a parameter; else there is one."""
-        return any(item.role == "order" for item in self.parameters)
+        return ORDER in self.slots
 
     def complete(self, given: Mapping[str, float]) -> dict[str, float]:
         """All parameters by name, what is not given at its neutral value.

@@ -114,7 +114,10 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
 PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
 
 CORRECTABLE_PARAMETERS = tuple(info.name for info in BENCH_PARAMETERS if info.correctable)
-"""Whose wrong values explain a disagreement, as a missing effect does."""
+"""Parameters whose wrong values are a class of explanations of their own.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
@@ -195,15 +198,14 @@ def _check_gap(matrix: FloatArray) -> None:
         )
 
 
-_EVERY = tuple(
-    (effect, item, effect.slots[item.name]) for effect in EFFECTS for item in effect.parameters
-)
-_NOT_NEGATIVE = [slot for _, item, slot in _EVERY if item.not_negative]
-_BOUNDED = [(slot, item.smaller_than, item.unit) for _, item, slot in _EVERY if item.smaller_than]
+_AMPLITUDES = [(item, effect.slots[item.name]) for effect in EFFECTS for item in effect.amplitudes]
+_NOT_NEGATIVE = [slot for item, slot in _AMPLITUDES if item.not_negative]
+_BOUNDED = [(slot, item.smaller_than, item.unit) for item, slot in _AMPLITUDES if item.smaller_than]
 _SCALES = [
-    (slot, [effect.slots[amplitude.name] for amplitude in effect.amplitudes])
-    for effect, item, slot in _EVERY
-    if item.positive_scale
+    (effect.slots[scale.name], [effect.slots[item.name] for item in effect.amplitudes])
+    for effect in EFFECTS
+    for scale in effect.shapes
+    if scale.positive_scale
 ]
 
 

@@ -23,10 +23,10 @@ def summarise_fit(tree: xr.DataTree) -> FitSummary:
     """δ is ``None`` where it is withheld; ``reason`` says why."""
     (stored,) = stored_snapshots(tree)
     return {
-        **head(tree),
-        **_snapshot(tree, stored),
         "kind": "fit",
+        **head(tree),
         "curve": stored.curve,
+        **_snapshot(tree, stored),
     }
 
 
@@ -37,8 +37,8 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
     names = [snapshot.name for snapshot in stored]
     total = _step(change["change_rad"].values, stored[0], stored[-1])
     return {
-        **head(tree),
         "kind": "compare",
+        **head(tree),
         "curve": stored[0].curve,
         "snapshots": [
             {

@@ -58,7 +58,7 @@ _REPEATS = {
 
 
 def _repeats(effect: Effect) -> str:
-    answers = {item.name: _REPEATS[str(item.repeats)] for item in effect.amplitudes}
+    answers = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
     if len(set(answers.values())) == 1:
         return next(iter(answers.values()))
     return ", ".join(f"{name}: {answer}" for name, answer in answers.items())

@@ -39,8 +39,8 @@ def summarise_sweep(tree: xr.DataTree) -> SweepSummary:
     sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
     stored = tree["gap_curve"].to_dataset()
     return {
-        **head(tree),
         "kind": "sweep",
+        **head(tree),
         "curve": tree["curve"].attrs["name"],
         "coefficients": stored["coefficients"].values.tolist(),
         "degree": int(tree.attrs["degree"]),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench import effects
-from bayesbl.bench.effect_declaration import ORDER, Effect, EffectParameter
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Amplitude, Effect, Shape
 from bayesbl.bench.effects import (
     EFFECT_BY_NAME,
     EFFECTS,
@@ -33,12 +33,12 @@ BY_AMPLITUDE = pytest.mark.parametrize(
 )
 
 
-def settings(effect: Effect, amplitudes: tuple[EffectParameter, ...]) -> dict[str, float]:
+def settings(effect: Effect, amplitudes: tuple[Amplitude, ...]) -> dict[str, float]:
     """The effect at its typical shape, with these amplitudes at their typical strength."""
     return {
         f"{effect.name}__{item.name}": item.typical
         for item in effect.parameters
-        if item.shape_only or item in amplitudes
+        if isinstance(item, Shape) or item in amplitudes
     }
 
 
@@ -67,7 +67,7 @@ def does_repeat(parameters: np.ndarray) -> bool:
 
 @BY_AMPLITUDE
 def test_what_is_declared_to_repeat_repeats_and_nothing_else(
-    effect: Effect, amplitude: EffectParameter
+    effect: Effect, amplitude: Amplitude
 ) -> None:
     given = settings(effect, (amplitude,))
     if effect.has_order:
@@ -75,8 +75,8 @@ def test_what_is_declared_to_repeat_repeats_and_nothing_else(
     for ratio in (WHOLE, BROKEN):
         parameters = bench(ratio, **given)
         declared = {"always": True, "never": False, "whole_orders": ratio == WHOLE}
-        assert repeat_each_rotation(parameters) is declared[str(amplitude.repeats)]
-        assert does_repeat(parameters) is declared[str(amplitude.repeats)]
+        assert repeat_each_rotation(parameters) is declared[amplitude.repeats]
+        assert does_repeat(parameters) is declared[amplitude.repeats]
 
 
 @BY_NAME
@@ -89,10 +89,10 @@ def test_only_what_depends_on_the_motor_angle_feels_where_the_motor_starts(effec
 
 @BY_NAME
 def test_shapes_change_nothing_while_no_amplitude_is_on(effect: Effect) -> None:
-    shapes = [item for item in effect.parameters if item.shape_only]
+    names = [f"{effect.name}__{item.name}" for item in effect.shapes]
+    lows, highs = [item.low for item in effect.shapes], [item.high for item in effect.shapes]
     low, high = (
-        simulated(bench(**{f"{effect.name}__{item.name}": getattr(item, end) for item in shapes}))
-        for end in ("low", "high")
+        simulated(bench(**dict(zip(names, values, strict=True)))) for values in (lows, highs)
     )
     assert np.array_equal(low, high)
     assert np.max(np.abs(low - simulated(bench()))[[SPEED, CURRENT]]) < 2e-3
@@ -100,14 +100,14 @@ def test_shapes_change_nothing_while_no_amplitude_is_on(effect: Effect) -> None:
 
 @BY_AMPLITUDE
 def test_every_amplitude_shows_at_its_typical_strength(
-    effect: Effect, amplitude: EffectParameter
+    effect: Effect, amplitude: Amplitude
 ) -> None:
     change = simulated(bench(**settings(effect, (amplitude,)))) - simulated(bench())
     largest = np.max(np.abs(change), axis=1)
     assert largest[SPEED] > 0.1 or largest[CURRENT] > 0.02 or largest[POSITION] > 0.1
 
 
-def refused(effect: Effect, item: EffectParameter, value: float) -> bool:
+def refused(effect: Effect, item: Amplitude | Shape, value: float) -> bool:
     """Whether the simulator refuses the effect with another value of one parameter."""
     given = settings(effect, effect.amplitudes) | {f"{effect.name}__{item.name}": value}
     wrong = ""
@@ -125,11 +125,13 @@ def test_the_simulator_refuses_what_the_declaration_excludes_and_nothing_else(
     for item in effect.parameters:
         assert not refused(effect, item, item.typical)
         assert not refused(effect, item, item.high)
-        assert refused(effect, item, -abs(item.typical)) is (
-            item.not_negative or item.positive_scale
-        )
-        assert refused(effect, item, 0.0) is item.positive_scale
+    for item in effect.amplitudes:
+        assert not refused(effect, item, 0.0)
+        assert refused(effect, item, -abs(item.typical)) is item.not_negative
         assert refused(effect, item, 1e9) is (item.smaller_than is not None)
+    for item in effect.shapes:
+        assert refused(effect, item, 0.0) is item.positive_scale
+        assert refused(effect, item, -abs(item.typical)) is item.positive_scale
 
 
 def torque_of(effect: Effect, speed: float) -> np.ndarray:
@@ -163,7 +165,8 @@ def test_a_declaration_is_complete_and_consistent(effect: Effect) -> None:
     assert effect.sentence.endswith(".")
     assert effect.amplitudes
     for item in effect.parameters:
-        assert (item.repeats is not None) is (item.role == "amplitude")
+        assert (item.role == "order") is (item.name == ORDER)
+        assert (item.role == "phase") is (item.name == PHASE)
         assert item.low <= item.typical <= item.high
         assert item.low <= item.neutral <= item.high or effect.replaces == item.name
     names = {item.name: item.role for item in effect.parameters}

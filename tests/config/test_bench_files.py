@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
 
 import bayesbl.bench
 from bayesbl.bench.parameters import BENCH_PARAMETERS
@@ -16,7 +17,6 @@ from bayesbl.errors import ConfigError, ResultError
 from bayesbl.noise.process import NoiseModel
 from bayesbl.runs.simulate import run_simulate
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = CONFIGS / "bench.toml"
 
 SIMULATE = """

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 
-FILE = Path(__file__).parents[2] / "experiments" / "independent_bench.py"
 BENCH = reference_bench()
 # What has a default, the other simulator has one of its own for, or lacks.
 VALUES = {
@@ -29,16 +25,6 @@ OUTSIDE = {
     "belt": {"outside__belt_torque_nm": 0.3},
     "second gap": {"outside__second_gap_rad": 4e-4},
 }
-
-
-@pytest.fixture(scope="module")
-def independent():
-    spec = importlib.util.spec_from_file_location("independent_bench", FILE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from importlib import import_module
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import Effect, FloatArray
+from bayesbl.bench.effect_declaration import ORDER, Effect, FloatArray
 from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
@@ -54,7 +54,7 @@ _AMPLITUDES = tuple(
 )
 _NEVER_REPEATING = [slot for _, slot, repeats in _AMPLITUDES if repeats == "never"]
 _REPEATING_AT_WHOLE_ORDERS = [
-    (slot, effect.slots["order"] if effect.has_order else None)
+    (slot, effect.slots[ORDER] if effect.has_order else None)
     for effect, slot, repeats in _AMPLITUDES
     if repeats == "whole_orders"
 ]

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
+    Amplitude,
     Effect,
     FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
-    amplitude,
 )
 
 
@@ -40,7 +40,7 @@ EFFECT = Effect(
     sentence="The gap itself, where the nominal bench has none.",
     equation="δ → δ + gap",
     parameters=(
-        amplitude(
+        Amplitude(
             "gap_rad",
             "rad",
             "half the clearance, at the load",

@@ -10,25 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Effect,
-    EffectParameter,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-)
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Law, RigidLaw
+
+_NOTHING: Law = lambda motion, bench, given: np.zeros_like(motion.speed)  # noqa: E731
 
 
-def nothing(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """Zero: the comparison itself shifts the motion."""
-    return np.zeros_like(motion.speed)
-
-
-def _skew(name: str, typical: float) -> EffectParameter:
-    return amplitude(
+def _skew(name: str, typical: float) -> Amplitude:
+    return Amplitude(
         name,
         "s",
         "time by which this channel lags the true signal",
@@ -52,7 +40,7 @@ EFFECT = Effect(
     enters="measurement",
     depends_on=(),
     data="channels whose pulses do not start together",
-    torque=RigidLaw(signal=nothing, amplitude="current_s"),
-    position=RigidLaw(signal=nothing, amplitude="position_s"),
+    torque=RigidLaw(signal=_NOTHING, amplitude="current_s"),
+    position=RigidLaw(signal=_NOTHING, amplitude="position_s"),
     sought_alone="current_s",
 )

@@ -8,7 +8,7 @@ comparison does not see it: the recorded current is the one that flows.
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Effect, amplitude
+from bayesbl.bench.effect_declaration import Amplitude, Effect
 
 EFFECT = Effect(
     place=170,
@@ -16,7 +16,7 @@ EFFECT = Effect(
     sentence="The motor torque follows the controller with a first-order lag.",
     equation="T dτ_m/dt = τ_demand − τ_m",
     parameters=(
-        amplitude(
+        Amplitude(
             "time_s",
             "s",
             "time constant T",

@@ -11,13 +11,13 @@ import numpy as np
 
 from bayesbl.bench.effect_declaration import (
     PHASE,
+    Amplitude,
     Effect,
     FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
-    amplitude,
     phase,
 )
 
@@ -42,7 +42,7 @@ EFFECT = Effect(
     sentence="The encoder disc sits off centre: the measured angle sways once per motor turn.",
     equation="θ_meas = θ_m + e sin(θ_m + φ), ω_meas = ω_m (1 + e cos(θ_m + φ)), inside the loop",
     parameters=(
-        amplitude(
+        Amplitude(
             "angle_rad",
             "rad",
             "amplitude e",

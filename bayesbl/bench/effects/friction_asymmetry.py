@@ -7,25 +7,7 @@ c is half the difference of the two coefficients; their mean is viscous friction
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import (
-    ARMSTRONG,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-    direction,
-)
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """c |ω_m|."""
-    return np.asarray(given["coefficient_nm_s_per_rad"] * motion.speed * direction(motion))
-
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect, RigidLaw, direction
 
 EFFECT = Effect(
     place=50,
@@ -33,7 +15,7 @@ EFFECT = Effect(
     sentence="Viscous friction that differs between the two directions.",
     equation="J_m dω_m/dt: − c |ω_m|",
     parameters=(
-        amplitude(
+        Amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "half the difference of the coefficients, forward less reverse",
@@ -47,6 +29,11 @@ EFFECT = Effect(
     depends_on=("speed",),
     data="current offsets of forward and reverse recordings that differ in size, more at speed",
     reference=ARMSTRONG,
-    torque=RigidLaw(signal=torque_nm, amplitude="coefficient_nm_s_per_rad"),
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["coefficient_nm_s_per_rad"] * motion.speed * direction(motion)
+        ),
+        amplitude="coefficient_nm_s_per_rad",
+    ),
     free_motion=True,
 )

@@ -1,6 +1,8 @@
 """Drift: motor friction that changes during the recording as the joint warms up.
 
-J_m dω_m/dt = … − (T₀ + r t) sign ω_m
+    J_m dω_m/dt = … − (T₀ + r t) sign ω_m
+
+T₀ repeats every load rotation, the change r does not: such a bench is simulated in full length.
 """
 
 from __future__ import annotations
@@ -8,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
+    Amplitude,
     Effect,
     FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
-    amplitude,
     direction,
 )
 
@@ -32,7 +34,7 @@ EFFECT = Effect(
     sentence="Motor friction that changes during the recording as the joint warms up.",
     equation="J_m dω_m/dt: − (T₀ + r t) sign ω_m",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "friction at the start T₀",
@@ -41,7 +43,7 @@ EFFECT = Effect(
             typical=0.1,
             repeats="always",
         ),
-        amplitude(
+        Amplitude(
             "rate_nm_per_s",
             "N m/s",
             "change r",

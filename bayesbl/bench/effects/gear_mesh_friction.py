@@ -1,29 +1,15 @@
 """Friction between the teeth: a loss in proportion to the torque that the gear passes on.
 
-J_m dω_m/dt = … − μ |τ_s|/N sign ω_m
+    J_m dω_m/dt = … − μ |τ_s|/N sign ω_m
+
+The loss is largest where gravity is lifted or held back, so twice in a load rotation.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-    direction,
-)
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """μ |τ_s|/N sign ω_m."""
-    passed_on = np.abs(bench.transmitted_torque(motion))
-    return np.asarray(given["coefficient"] * passed_on * direction(motion))
-
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw, direction
 
 EFFECT = Effect(
     place=110,
@@ -31,7 +17,7 @@ EFFECT = Effect(
     sentence="Loss in the gear in proportion to the torque it passes on.",
     equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
     parameters=(
-        amplitude(
+        Amplitude(
             "coefficient",
             "",
             "share of the torque lost μ",
@@ -46,6 +32,11 @@ EFFECT = Effect(
     depends_on=("transmitted_torque", "direction"),
     data="current at twice the load rotation: more where gravity is lifted or held back",
     reference="Hamon, Gautier & Garrec 2010, IROS, 6187",
-    torque=RigidLaw(signal=torque_nm, amplitude="coefficient"),
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["coefficient"] * np.abs(bench.transmitted_torque(motion)) * direction(motion)
+        ),
+        amplitude="coefficient",
+    ),
     free_motion=True,
 )

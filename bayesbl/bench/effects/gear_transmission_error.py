@@ -1,31 +1,15 @@
 """Transmission error: the gear passes motion on unevenly.
 
-Δθ → Δθ + a sin(n θ_m + φ),   Δω → Δω + a n ω_m cos(n θ_m + φ)
+    Δθ → Δθ + a sin(n θ_m + φ),   Δω → Δω + a n ω_m cos(n θ_m + φ)
+
+Felt only while the teeth touch. It repeats with the load only if the gear ratio times n is whole.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    ORDER,
-    PHASE,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-    order,
-    phase,
-)
-
-
-def position_rad(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """a sin(n θ_m + φ), at the load."""
-    return np.asarray(given["angle_rad"] * np.sin(given[ORDER] * motion.angle + given[PHASE]))
-
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Amplitude, Effect, RigidLaw, order, phase
 
 EFFECT = Effect(
     place=130,
@@ -33,7 +17,7 @@ EFFECT = Effect(
     sentence="The gear passes motion on unevenly, once or more per motor turn.",
     equation="Δθ → Δθ + a sin(n θ_m + φ), Δω → Δω + a n ω_m cos(n θ_m + φ)",
     parameters=(
-        amplitude(
+        Amplitude(
             "angle_rad",
             "rad",
             "amplitude a at the load",
@@ -49,5 +33,11 @@ EFFECT = Effect(
     depends_on=("motor_angle",),
     data="a line at order n while the teeth touch, gone while they do not",
     reference="Tuttle & Seering 1996, IEEE Trans. Robot. Autom. 12, 368",
-    position=RigidLaw(signal=position_rad, amplitude="angle_rad", scanned=ORDER),
+    position=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["angle_rad"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
+        ),
+        amplitude="angle_rad",
+        scanned=ORDER,
+    ),
 )

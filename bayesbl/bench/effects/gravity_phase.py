@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
+    Amplitude,
     Effect,
     FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
-    amplitude,
 )
 
 
@@ -36,7 +36,7 @@ EFFECT = Effect(
     sentence="Gravity's direction is not where the load angle's zero says.",
     equation="J_l dω_l/dt: − m_c cos θ_l",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "torque at θ_l = 0, m_c",

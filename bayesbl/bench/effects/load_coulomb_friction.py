@@ -10,23 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    ARMSTRONG,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidMotion,
-    amplitude,
-)
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect
 from bayesbl.bench.kernel import LOAD_SIGN_WIDTH
-
-
-def load_torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """T_c sign ω_l, at the load."""
-    load_speed = motion.speed / bench.value("gear_ratio")
-    return np.asarray(given["torque_nm"] * np.tanh(load_speed / LOAD_SIGN_WIDTH))
-
 
 EFFECT = Effect(
     place=70,
@@ -34,7 +19,7 @@ EFFECT = Effect(
     sentence="Dry friction at the load, beyond the gap.",
     equation="J_l dω_l/dt: − T_c sign ω_l",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "friction torque T_c",
@@ -49,5 +34,7 @@ EFFECT = Effect(
     depends_on=("direction",),
     data="pulses move away from half a rotation apart and change in size; current offset",
     reference=ARMSTRONG,
-    load_torque=load_torque_nm,
+    load_torque=lambda motion, bench, given: (
+        given["torque_nm"] * np.tanh(motion.speed / bench.value("gear_ratio") / LOAD_SIGN_WIDTH)
+    ),
 )

@@ -1,26 +1,15 @@
 """A constant torque at the load: a weight on a cable, a spring, wind.
 
-J_l dω_l/dt = … − T
+    J_l dω_l/dt = … − T
+
+It moves the two pulses of a rotation towards each other or apart, whichever way the load turns.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidMotion,
-    amplitude,
-)
-
-
-def load_torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """T, at the load."""
-    return np.asarray(given["torque_nm"] * np.ones_like(motion.speed))
-
+from bayesbl.bench.effect_declaration import Amplitude, Effect
 
 EFFECT = Effect(
     place=90,
@@ -28,7 +17,7 @@ EFFECT = Effect(
     sentence="A constant torque at the load that does not know the direction.",
     equation="J_l dω_l/dt: − T",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "torque against forward rotation T",
@@ -41,5 +30,5 @@ EFFECT = Effect(
     enters="load",
     depends_on=(),
     data="pulses shift alike in both directions",
-    load_torque=load_torque_nm,
+    load_torque=lambda motion, bench, given: given["torque_nm"] * np.ones_like(motion.speed),
 )

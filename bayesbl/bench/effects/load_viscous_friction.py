@@ -1,28 +1,13 @@
 """Viscous friction at the load, behind the gap.
 
-J_l dω_l/dt = … − b ω_l
+    J_l dω_l/dt = … − b ω_l
+
+At one speed it moves the pulses as Coulomb friction at the load does.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import (
-    ARMSTRONG,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidMotion,
-    amplitude,
-)
-
-
-def load_torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """b ω_l, at the load."""
-    coefficient = given["coefficient_nm_s_per_rad"]
-    return np.asarray(coefficient * motion.speed / bench.value("gear_ratio"))
-
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect
 
 EFFECT = Effect(
     place=80,
@@ -30,7 +15,7 @@ EFFECT = Effect(
     sentence="Friction at the load in proportion to its speed.",
     equation="J_l dω_l/dt: − b ω_l",
     parameters=(
-        amplitude(
+        Amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "coefficient b",
@@ -45,5 +30,7 @@ EFFECT = Effect(
     depends_on=("speed",),
     data="as load Coulomb friction, in proportion to the reference speed",
     reference=ARMSTRONG,
-    load_torque=load_torque_nm,
+    load_torque=lambda motion, bench, given: (
+        given["coefficient_nm_s_per_rad"] * motion.speed / bench.value("gear_ratio")
+    ),
 )

@@ -9,25 +9,7 @@ viscous friction. On a rigid bench load friction T_l is the same law, T_c = T_l/
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import (
-    ARMSTRONG,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-    direction,
-)
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """T_c sign ω_m."""
-    return np.asarray(given["torque_nm"] * direction(motion))
-
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect, RigidLaw, direction
 
 EFFECT = Effect(
     place=20,
@@ -35,7 +17,7 @@ EFFECT = Effect(
     sentence="Dry friction at the motor that does not depend on speed.",
     equation="J_m dω_m/dt: − T_c sign ω_m",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "friction torque T_c",
@@ -51,7 +33,7 @@ EFFECT = Effect(
     data="constant current offset that changes sign with the direction",
     reference=ARMSTRONG,
     torque=RigidLaw(
-        signal=torque_nm,
+        signal=lambda motion, bench, given: given["torque_nm"] * direction(motion),
         amplitude="torque_nm",
         same_as=("load_coulomb_friction",),
     ),

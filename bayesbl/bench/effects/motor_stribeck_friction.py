@@ -11,15 +11,15 @@ import numpy as np
 
 from bayesbl.bench.effect_declaration import (
     ARMSTRONG,
+    Amplitude,
     Effect,
     FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
-    amplitude,
+    Shape,
     direction,
-    shape,
 )
 
 
@@ -35,7 +35,7 @@ EFFECT = Effect(
     sentence="Extra friction at low speed that fades as the lubricant film builds up.",
     equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "extra torque at standstill T_s",
@@ -44,13 +44,13 @@ EFFECT = Effect(
             typical=0.3,
             repeats="always",
         ),
-        shape(
+        Shape(
             "speed_rad_per_s",
             "rad/s",
             "fading speed ω_s",
             low=1.0,
             high=500.0,
-            default=50.0,
+            neutral=50.0,
             typical=200.0,
             positive_scale=True,
         ),

@@ -1,27 +1,15 @@
-"""A constant torque at the motor: a spring, a counterweight's cable, an offset current sensor.
+"""A constant torque at the motor: a spring, a cable, a current sensor that does not read zero.
 
-J_m dω_m/dt = … − T
+    J_m dω_m/dt = … − T
+
+Forward and reverse recordings together tell it from friction.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-)
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """T."""
-    return np.asarray(given["torque_nm"] * np.ones_like(motion.speed))
-
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw
 
 EFFECT = Effect(
     place=60,
@@ -29,7 +17,7 @@ EFFECT = Effect(
     sentence="A constant torque at the motor that does not know the direction.",
     equation="J_m dω_m/dt: − T",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "torque against forward rotation T",
@@ -42,6 +30,10 @@ EFFECT = Effect(
     enters="motor",
     depends_on=(),
     data="constant current offset of the same sign in both directions",
-    torque=RigidLaw(signal=torque_nm, amplitude="torque_nm", same_as=("load_torque_offset",)),
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: given["torque_nm"] * np.ones_like(motion.speed),
+        amplitude="torque_nm",
+        same_as=("load_torque_offset",),
+    ),
     free_motion=True,
 )

@@ -9,25 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    ORDER,
-    PHASE,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-    order,
-    phase,
-)
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """a sin(n θ_m + φ)."""
-    return np.asarray(given["torque_nm"] * np.sin(given[ORDER] * motion.angle + given[PHASE]))
-
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Amplitude, Effect, RigidLaw, order, phase
 
 EFFECT = Effect(
     place=120,
@@ -35,7 +17,7 @@ EFFECT = Effect(
     sentence="Torque that repeats with the motor angle: cogging, current sensor errors.",
     equation="J_m dω_m/dt: − a sin(n θ_m + φ)",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "amplitude a",
@@ -51,5 +33,11 @@ EFFECT = Effect(
     depends_on=("motor_angle",),
     data="a line at order n of the motor speed in speed and current",
     reference="Holtz & Springob 1996, IEEE Trans. Ind. Electron. 43, 309",
-    torque=RigidLaw(signal=torque_nm, amplitude="torque_nm", scanned=ORDER),
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["torque_nm"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
+        ),
+        amplitude="torque_nm",
+        scanned=ORDER,
+    ),
 )

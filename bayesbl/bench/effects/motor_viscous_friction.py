@@ -1,28 +1,14 @@
 """Viscous friction at the motor: lubricant that is sheared.
 
-J_m dω_m/dt = … − b ω_m
+    J_m dω_m/dt = … − b ω_m
+
+Recordings at two speeds tell it from Coulomb friction. On a rigid bench load friction b_l is the
+same law, b = b_l/N².
 """
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import (
-    ARMSTRONG,
-    Effect,
-    FloatArray,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    amplitude,
-)
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """b ω_m."""
-    return np.asarray(given["coefficient_nm_s_per_rad"] * motion.speed)
-
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect, RigidLaw
 
 EFFECT = Effect(
     place=30,
@@ -30,7 +16,7 @@ EFFECT = Effect(
     sentence="Friction at the motor in proportion to speed.",
     equation="J_m dω_m/dt: − b ω_m",
     parameters=(
-        amplitude(
+        Amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "coefficient b",
@@ -46,7 +32,7 @@ EFFECT = Effect(
     data="current offset that grows with the reference speed; a little more damping of the ringing",
     reference=ARMSTRONG,
     torque=RigidLaw(
-        signal=torque_nm,
+        signal=lambda motion, bench, given: given["coefficient_nm_s_per_rad"] * motion.speed,
         amplitude="coefficient_nm_s_per_rad",
         same_as=("load_viscous_friction",),
     ),

@@ -1,6 +1,8 @@
 """Hysteresis of the shaft, Dahl's law: friction whose size depends on where the twist came from.
 
-τ_s → τ_s + T z,   dz/dt = (Δω/θ_p)(1 − z sign Δω),   also inside the gap
+    τ_s → τ_s + T z,   dz/dt = (Δω/θ_p)(1 − z sign Δω)
+
+It acts inside the gap too. On a rigid bench it shows as twist between motor and load position.
 """
 
 from __future__ import annotations
@@ -8,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
+    Amplitude,
     Effect,
     FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
-    amplitude,
-    shape,
+    Shape,
 )
 
 
@@ -47,7 +49,7 @@ EFFECT = Effect(
     ),
     equation="τ_s + T z, dz/dt = (Δω/θ_p)(1 − z sign Δω), also inside the gap",
     parameters=(
-        amplitude(
+        Amplitude(
             "torque_nm",
             "N m",
             "friction torque T",
@@ -56,13 +58,13 @@ EFFECT = Effect(
             typical=20.0,
             repeats="always",
         ),
-        shape(
+        Shape(
             "angle_rad",
             "rad",
             "twist that builds it up θ_p",
             low=1e-5,
             high=1e-2,
-            default=1e-3,
+            neutral=1e-3,
             typical=1e-3,
             positive_scale=True,
         ),

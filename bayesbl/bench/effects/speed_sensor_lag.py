@@ -1,11 +1,13 @@
 """Lag of the speed sensor: a filter between the motor and the controller.
 
-T dω_meas/dt = ω_m − ω_meas
+    T dω_meas/dt = ω_m − ω_meas
+
+The recorded speed is the filtered one. Nearly the same as a lag of the current loop with a skew.
 """
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Effect, amplitude
+from bayesbl.bench.effect_declaration import Amplitude, Effect
 
 EFFECT = Effect(
     place=180,
@@ -13,7 +15,7 @@ EFFECT = Effect(
     sentence="The speed that the controller sees and records is filtered.",
     equation="T dω_meas/dt = ω_m − ω_meas",
     parameters=(
-        amplitude(
+        Amplitude(
             "time_s",
             "s",
             "time constant T",

@@ -1,11 +1,13 @@
 """Hardening: the shaft, or the gear's teeth, stiffen as they are wound up.
 
-τ_s → τ_s + k₃ e³,   e the compression beyond the gap
+    τ_s → τ_s + k₃ e³,   e the compression beyond the gap
+
+A rigid bench has no shaft, so no law there.
 """
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Effect, amplitude
+from bayesbl.bench.effect_declaration import Amplitude, Effect
 
 EFFECT = Effect(
     place=150,
@@ -13,7 +15,7 @@ EFFECT = Effect(
     sentence="The shaft stiffens as it is wound up.",
     equation="τ_s + k₃ e³, e the compression beyond the gap",
     parameters=(
-        amplitude(
+        Amplitude(
             "stiffness_nm_per_rad3",
             "N m/rad³",
             "k₃",

@@ -10,7 +10,14 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effect_declaration import PHASE, Effect, EffectParameter, Role
+from bayesbl.bench.effect_declaration import (
+    PHASE,
+    Amplitude,
+    Effect,
+    EffectParameter,
+    Role,
+    Shape,
+)
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
@@ -109,7 +116,7 @@ def candidates(
 
 def _plain(effect: Effect) -> Candidate:
     sought = [p for p in effect.parameters if effect.sought_alone in (None, p.name)]
-    unknowns = tuple(_unknown(effect, p, p.search_low, p.high) for p in sought)
+    unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
     neutral = np.array([p.neutral for p in sought])
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
@@ -117,7 +124,7 @@ def _plain(effect: Effect) -> Candidate:
         main = effect.amplitudes[0]
         grid = main.high * np.array(_SCANNED_SHARES)
         scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
-    shape = [i for i, p in enumerate(sought) if p.shape_only]
+    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape)]
     if shape:
         i = shape[0]
         middle = np.geomspace(sought[i].low, sought[i].high, 7)[2:6]
@@ -127,6 +134,13 @@ def _plain(effect: Effect) -> Candidate:
     return Candidate(
         effect.name, "effect", unknowns, neutral, starts, scanned, _neutral_effect(effect)
     )
+
+
+def _lowest(parameter: EffectParameter) -> float:
+    """Lower end of the range that a search uses."""
+    if isinstance(parameter, Amplitude) and parameter.sought_from is not None:
+        return parameter.sought_from
+    return parameter.low
 
 
 def _periodic(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import EffectParameter
+from bayesbl.bench.effect_declaration import EffectParameter, Shape
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.simulation import simulate_states
@@ -124,7 +124,7 @@ class FreeMotionComparison:
             for item in effect_named(name).parameters:
                 lower = 0.0 if candidate.not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
-                if item.shape_only:
+                if isinstance(item, Shape):
                     lower, upper = item.low, item.high
                 value = known.get(item.name, self._first(item))
                 shared[f"{name}.{item.name}"] = (value, lower, upper)
@@ -135,7 +135,7 @@ class FreeMotionComparison:
         speed = max(float(np.std(np.gradient(p.measured, p.period_s))) for p in self.pieces)
         if self.pieces[0].channel == SPEED_CHANNEL:
             speed = max(float(np.std(p.measured)) for p in self.pieces) / RPM_PER_RAD_PER_S
-        if parameter.shape_only:
+        if isinstance(parameter, Shape):
             return min(parameter.neutral, speed)
         ratio = self.bench.value("gear_ratio")
         torque = _FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio

@@ -60,7 +60,8 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
         freedom=2 if effect.is_periodic else 1,
         same_as=law.same_as,
         contains=law.contains,
-        not_negative=law.not_negative or effect.parameter(law.amplitude).not_negative,
+        not_negative=law.not_negative
+        or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
     )
     return Term(
         candidate,
