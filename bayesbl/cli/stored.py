@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,14 +16,20 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def figures_command(result: ResultPath) -> None:
+def figures_command(
+    result: ResultPath,
+    study: Annotated[
+        Path | None,
+        typer.Option("--study", metavar="FILE", help="Run this study file to draw its figure."),
+    ] = None,
+) -> None:
     """Draw the figures of a result again."""
     from bayesbl.results.folder import FIGURES
     from bayesbl.results.store import read_tree
 
     tree = read_tree(result)
     folder = (result if result.is_dir() else result.parent) / FIGURES
-    for path in _draw_in_place(tree, folder):
+    for path in _draw_in_place(tree, folder, study):
         typer.echo(str(path))
 
 
@@ -31,7 +38,14 @@ def report_command(result: ResultPath) -> None:
     from bayesbl.library import draw
     from bayesbl.presentation.page.build import write_page
 
-    typer.echo(str(write_page(result, draw)))
+    def draw_or_say(tree: xr.DataTree, folder: Path) -> list[Path]:
+        if tree.attrs["kind"] != "study":
+            return draw(tree, folder)
+        command = f"bayesbl figures {shlex.quote(str(result))} --study FILE"
+        typer.echo(f"The page has no figure: none is stored. To draw it: {command}", err=True)
+        return []
+
+    typer.echo(str(write_page(result, draw_or_say)))
 
 
 def inspect_command(result: ResultPath, json: Json = False) -> None:
@@ -59,14 +73,14 @@ def cite_command(
     typer.echo(all_bibtex())
 
 
-def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:
+def _draw_in_place(tree: xr.DataTree, folder: Path, study: Path | None) -> list[Path]:
     """Draw beside and move: an interrupted command leaves the figures that were there."""
     import tempfile
 
     from bayesbl.library import draw
 
     with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
-        drawn = draw(tree, Path(beside))
+        drawn = draw(tree, Path(beside), *([] if study is None else [study]))
         folder.mkdir(exist_ok=True)
         for path in drawn:
             os.replace(path, folder / path.name)

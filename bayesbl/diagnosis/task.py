@@ -13,6 +13,7 @@ from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.checks import require_channels
 from bayesbl.recording.clipping import require_unclipped, without_rails
 from bayesbl.recording.types import Recording
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, of how many)."""
@@ -29,11 +30,15 @@ OTHER_METHODS = {
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """The configuration, the bench it names, and a recording for each of its entries."""
+    """The configuration, the bench it names, and a recording for each of its entries.
+
+    ``work`` keeps what a method has finished.
+    """
 
     config: DiagnoseConfig
     bench: Bench
     recordings: tuple[Recording, ...]
+    work: WorkStore = NOTHING_KEPT
 
     def require_drive(self, drive: Drive, why: str) -> None:
         """Refuse a bench of another kind."""

@@ -232,10 +232,11 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
     return found
 
 
+@dataclass(eq=False)
 class SimulatedSignals:
     """What the bench predicts for some recordings, at many points at once.
 
-    Parameters
+    Attributes
     ----------
     noise
         Of each recording: makes residuals independent and standard normal.
@@ -247,23 +248,16 @@ class SimulatedSignals:
         Simulations that another comparison of the same recordings has made.
     """
 
-    def __init__(
-        self,
-        bench: Bench,
-        recordings: Sequence[Observed],
-        unknowns: Sequence[Unknown],
-        noise: Sequence[ChannelNoise],
-        workers: int = 1,
-        settings: Mapping[str, float] | None = None,
-        recent: RecentSimulations | None = None,
-    ) -> None:
-        self.settings = dict(settings or {})
-        self.recent = RecentSimulations() if recent is None else recent
-        self.bench = bench
-        self.recordings = tuple(recordings)
-        self.unknowns = tuple(unknowns)
-        self.noise = tuple(noise)
-        self.workers = workers
+    bench: Bench
+    recordings: Sequence[Observed]
+    unknowns: Sequence[Unknown]
+    noise: Sequence[ChannelNoise]
+    workers: int = field(default=1, compare=False)
+    settings: Mapping[str, float] = field(default_factory=dict)
+    recent: RecentSimulations = field(default_factory=RecentSimulations, compare=False)
+
+    def __post_init__(self) -> None:
+        self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
         self._white_recordings = [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
@@ -296,7 +290,7 @@ class SimulatedSignals:
             for i, unknown in enumerate(self.unknowns)
             if unknown.recording in (None, seen.name)
         }
-        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known} | self.settings
+        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known, **self.settings}
         matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)

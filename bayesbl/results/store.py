@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shlex
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats
 from bayesbl.recording.formats.netcdf import RESULT_MARK
-from bayesbl.results.folder import RESULT_FILE
+from bayesbl.results.atomic import replacing
 
 FORMAT_VERSION = 1
 
@@ -39,19 +37,17 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     """
     marked = tree.copy()
     marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
-    with replacing(Path(path)) as temporary:
+    with replacing(path) as temporary:
         marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
 
 
-def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
+def read_tree(path: str | Path) -> xr.DataTree:
     """Read a tree into memory and close its file.
 
     Parameters
     ----------
     path
         A NetCDF file that :func:`write_tree` wrote, or the output folder that holds it.
-    unfinished
-        Whether a file without outcome is wanted too, as when a run is resumed.
 
     Raises
     ------
@@ -91,7 +87,7 @@ def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
             expected="a result.nc that bayesbl wrote",
         ) from error
     _require_ours(tree, file)
-    if not unfinished and tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
+    if tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
         raise ResultError(
             "The run that wrote this result has not finished.",
             file=file,
@@ -115,21 +111,8 @@ def texts(attribute: str | Iterable[object] | None) -> list[str]:
 
 def write_text(text: str, path: str | Path) -> None:
     """Write a text file that appears whole or not at all."""
-    with replacing(Path(path)) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file in the same folder that takes the name ``path`` on success."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
-        yield folder / path.name
-        os.replace(folder / path.name, path)
-    finally:
-        (folder / path.name).unlink(missing_ok=True)
-        folder.rmdir()
 
 
 def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:

@@ -16,7 +16,6 @@ import numpy as np
 
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.covariance import Covariance, signal_to_noise
-from bayesbl.ringing.memory import Forgetful, Memory
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
@@ -86,7 +85,6 @@ def sample_posterior(
     progress: Progress | None = None,
     *,
     contenders: Sequence[Contender] | None = None,
-    memory: Memory | None = None,
 ) -> Posterior:
     """Sample until converged or ``settings.max_steps`` is reached.
 
@@ -100,10 +98,7 @@ def sample_posterior(
     contenders
         Other optima to weigh against this one; if ``None``, the optimum's rivals by their
         likelihood.
-    memory
-        Keeps every stretch of steps; what it recalls is not run again.
     """
-    memory = Forgetful() if memory is None else memory
     *ensemble_seeds, linear_seed = seed.spawn(settings.ensembles + 1)
     target = LogPosterior(objective, optimum, spread.scale)
     searched = np.array([spread.names.index(n) for n in objective.searched])
@@ -115,7 +110,8 @@ def sample_posterior(
     last: FloatArray | None = None
     while steps < settings.max_steps:
         count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
-        _go_on(ensembles, count, f"steps-{steps:07d}", memory)
+        for ensemble in ensembles:
+            ensemble.run(count)
         steps += count
         chains = [e.chain[steps // 4 :] for e in ensembles]
         tau = max(integrated_time(chain) for chain in chains)
@@ -172,20 +168,6 @@ def _other_answer(
     sd = math.sqrt(spread.sandwich[0, 0])
     others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
     return max(others, key=lambda c: c.log_odds, default=None)
-
-
-def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory) -> None:
-    """Every ensemble by a number of steps, recalled where they were already made."""
-    stored = memory.recall(stage)
-    if stored is None:
-        made = [ensemble.run(count) for ensemble in ensembles]
-        memory.remember(
-            stage, {f"{key}_{i}": x for i, m in enumerate(made) for key, x in m.items()}
-        )
-        return
-    for i, ensemble in enumerate(ensembles):
-        end = f"_{i}"
-        ensemble.put_back({k.removesuffix(end): x for k, x in stored.items() if k.endswith(end)})
 
 
 def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:

@@ -8,7 +8,7 @@ import xarray as xr
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.config.loading import dump_config
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import method_named
 from bayesbl.diagnosis.task import Progress, Task
@@ -16,35 +16,51 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.provenance import file_sha256, provenance
+from bayesbl.results.provenance import provenance_of
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.runs.workflow import Options, Plan, Summary, run_into_folder, settings_of
 
 FEWEST_SAMPLES = 200
 
 
-def run_diagnose(config: DiagnoseConfig, progress: Progress | None = None) -> xr.DataTree:
-    """Diagnose as configured; nothing is written.
+def run(config: DiagnoseConfig, options: Options) -> Summary:
+    """Diagnose, and write the output folder."""
+    return run_into_folder(
+        config, options, lambda work: run_diagnose(config, options.progress, work)
+    )
+
+
+def run_diagnose(
+    config: DiagnoseConfig, progress: Progress | None = None, work: WorkStore = NOTHING_KEPT
+) -> xr.DataTree:
+    """Diagnose as configured; nothing is written but finished work.
 
     Raises
     ------
     UserError
         If bench or recordings cannot be used for this comparison.
     """
-    found = method_named(config.comparison.method).diagnose(task_of(config), progress)
+    method, task = method_named(config.comparison.method), task_of(config, work)
+    found = work.get(
+        "diagnosis",
+        (settings_of(config), task.bench, task.recordings),
+        lambda: method.diagnose(task, progress),
+        Diagnosis,
+    )
     tree = diagnosis_tree(found, config.interval.level, config.interval.kind)
-    inputs = {str(entry.file): file_sha256(entry.file) for entry in config.recordings}
-    inputs[str(config.bench)] = file_sha256(config.bench)
-    tree.attrs |= provenance(dump_config(config), config.run.seed, inputs)
+    tree.attrs |= provenance_of(config)
     return tree
 
 
-def describe_diagnosis(config: DiagnoseConfig) -> str:
+def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared, without comparing it."""
-    return method_named(config.comparison.method).describe(task_of(config))
+    method = method_named(config.comparison.method)
+    plan.add("comparison", lambda: method.describe(task_of(config)))
 
 
-def task_of(config: DiagnoseConfig) -> Task:
+def task_of(config: DiagnoseConfig, work: WorkStore = NOTHING_KEPT) -> Task:
     """Bench and recordings, read and long enough to be compared."""
-    return Task(config, load_bench(config.bench), tuple(_recordings(config)))
+    return Task(config, load_bench(config.bench), tuple(_recordings(config)), work)
 
 
 def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:

@@ -396,19 +396,25 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
 ) -> None:
     config = sweep_config(tmp_path, draws=0)
     first = run_sweep(config)
-    (kept,) = (tmp_path / "out" / ".sweep-cache").iterdir()
-    with np.load(kept) as stored:
-        rows = dict(stored)
-    rows["amplitude_rpm"] = rows["amplitude_rpm"] * 2.0
-    np.savez(kept, **rows)
-    stale = run_sweep(config)["sweep"]["amplitude_rpm"].values
-    np.testing.assert_array_equal(stale, 2.0 * first["sweep"]["amplitude_rpm"].values)
+    made: list[str] = []
+
+    def counted(*arguments: object) -> SweepRow:
+        made.append("row")
+        return sweep_nominal(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("bayesbl.runs.sweep.sweep_nominal", counted)
+    run_sweep(config)
+    assert not made
     with monkeypatch.context() as edited:
-        edited.setattr("bayesbl.runs.sweep.code_sha256", lambda: "another code")
+        edited.setattr("bayesbl.results.work.code_sha256", lambda: "another code")
         other = run_sweep(config)
-    np.testing.assert_array_equal(other["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+    assert len(made) == 1
     anew = run_sweep(config, fresh=True)
-    np.testing.assert_array_equal(anew["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+    assert len(made) == 2
+    for swept in (other, anew):
+        np.testing.assert_array_equal(
+            swept["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"]
+        )
 
 
 def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]

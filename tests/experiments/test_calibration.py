@@ -20,8 +20,10 @@ from bayesbl.presentation.calibration import main
 from bayesbl.presentation.figures.calibration import draw_calibration
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.study import prepare, run_study, stored_rows
+from bayesbl.runs.study import prepare, stored_rows
+from bayesbl.runs.study import run as run_study
 from bayesbl.runs.sweep import run_sweep
+from bayesbl.runs.workflow import Options
 from bayesbl.sampling.calibration import (
     LEVELS,
     coverage,
@@ -218,7 +220,7 @@ def rows(folder) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def result(folder, rows) -> xr.DataTree:
-    run_study(load_config(study_of(folder, "one", rows)), say=lambda _: None)
+    run_study(load_config(study_of(folder, "one", rows)), Options(say=lambda _: None))
     return read_tree(folder / "one")
 
 
@@ -227,7 +229,8 @@ def without_times(tree: xr.DataTree) -> dict[str, xr.Dataset]:
 
 
 def test_one_worker_and_two_give_the_same_file(folder, rows, result):
-    run_study(load_config(study_of(folder, "two", rows, workers=2)), say=lambda _: None)
+    config = load_config(study_of(folder, "two", rows, workers=2))
+    run_study(config, Options(say=lambda _: None))
     again = read_tree(folder / "two")
     for name, cases in without_times(result).items():
         xr.testing.assert_identical(
@@ -249,7 +252,7 @@ def test_ranks_of_bench_recordings_are_uniform_and_would_not_be_if_intervals_wer
     folder, rows
 ):
     text = rows["amplitude"].replace("cases = 3", "cases = 24").replace("emcee_cases = 1", "")
-    run_study(load_config(study_of(folder, "many", {"a": text})), say=lambda _: None)
+    run_study(load_config(study_of(folder, "many", {"a": text})), Options(say=lambda _: None))
     cases = stored_rows(read_tree(folder / "many"))[1]["a"]
     for name in ("delta", "change"):
         ranks = cases[f"{name}_rank"].values

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
@@ -32,7 +32,6 @@ from bayesbl.diagnosis.diagnosis import (
     Estimate,
     NamedEffect,
     ParameterError,
-    RankedCandidate,
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import disagreement_table
@@ -52,7 +51,7 @@ class ForwardSettings:
     false_alarm: float = 0.01
     load_angle_known: bool = False
     motor_angle_known: bool = False
-    workers: int = 1
+    workers: int = field(default=1, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +191,7 @@ def diagnosis_of(
         posterior=posterior,
         residuals_before=found.residuals_before,
         residuals_after=found.residuals_after,
-        ranking=tuple(_ranking(naming)),
+        ranking=naming.ranking,
         augmented_bench=augmented_bench(final) if final.candidates else None,
     )
 
@@ -246,16 +245,6 @@ def _probability(final: Explanation, effect: NamedCandidate) -> float:
     own = final.log_evidence
     odds = [math.exp(min(700.0, e.log_evidence - own)) for e in effect.indistinguishable]
     return 1.0 / (1.0 + sum(odds))
-
-
-def _ranking(naming: Naming) -> Iterator[RankedCandidate]:
-    nominal = naming.nominal
-    for other in naming.ranking:
-        yield RankedCandidate(
-            other.candidates[-1].name,
-            nominal.fit.chi_square - other.fit.chi_square,
-            other.log_evidence - nominal.log_evidence,
-        )
 
 
 def _analysis(

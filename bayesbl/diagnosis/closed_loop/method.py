@@ -12,6 +12,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import (
+    Findings,
     ForwardSettings,
     diagnosis_of,
     halves,
@@ -80,7 +81,8 @@ class ClosedLoop:
             config.run.workers,
         )
         fits = None if progress is None else partial(progress, "candidates")
-        found = search(task.bench, used, held_out, unknowns, settings, fits)
+        problem = (task.bench, used, held_out, unknowns, settings)
+        found = task.work.get("naming", problem, lambda: search(*problem, fits), Findings)
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
         posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)

@@ -23,7 +23,7 @@ from bayesbl.diagnosis.closed_loop.explain import (
     refitted,
 )
 from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak, order_peaks
-from bayesbl.diagnosis.diagnosis import ALIKE
+from bayesbl.diagnosis.diagnosis import ALIKE, RankedCandidate
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.recording.types import FloatArray
@@ -76,13 +76,13 @@ class Naming:
     repeats
         Whether something repeats that nothing explains.
     ranking
-        Fits with one candidate added to the nominal bench, most probable first.
+        Candidates added alone to the nominal bench, most probable first.
     """
 
     nominal: Explanation
     final: Explanation
     effects: tuple[NamedCandidate, ...]
-    ranking: tuple[Explanation, ...]
+    ranking: tuple[RankedCandidate, ...]
     repeats: bool
 
 
@@ -126,12 +126,21 @@ def name_missing(
     if len(final.candidates) == 2 and not search.is_done(final):
         final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
+    ranking = tuple(_ranked(nominal, other) for other in first)
     if not final.candidates:
-        return Naming(nominal, nominal, (), tuple(first), not agrees(before, false_alarm))
+        return Naming(nominal, nominal, (), ranking, not agrees(before, false_alarm))
     if not explains(nominal, final, before, disagreements(final.fit), false_alarm):
-        return Naming(nominal, nominal, (), tuple(first), True)
+        return Naming(nominal, nominal, (), ranking, True)
     effects = tuple(search.named(nominal, final, first))
-    return Naming(nominal, final, effects, tuple(first), False)
+    return Naming(nominal, final, effects, ranking, False)
+
+
+def _ranked(nominal: Explanation, other: Explanation) -> RankedCandidate:
+    return RankedCandidate(
+        other.candidates[-1].name,
+        nominal.fit.chi_square - other.fit.chi_square,
+        other.log_evidence - nominal.log_evidence,
+    )
 
 
 class _Search:

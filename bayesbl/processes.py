@@ -27,7 +27,7 @@ def processes(
     """A pool of processes, which end with the block, with this process, and at once on an error.
 
     They are started afresh: a forked child would inherit the state of numba's and the simulator's
-    threads. Each uses one thread, as linear algebra on many rounds otherwise and the numbers must
+    threads. Each uses one thread, as linear algebra on many rounds differently and the numbers must
     not depend on the workers.
 
     Parameters
