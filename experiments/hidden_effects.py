@@ -6,7 +6,7 @@
 A case hides something in the simulator of ``independent_bench.py``, which shares only the equations
 with the package: recordings at 2000, −2000 and 1200 rpm and one at 1600 rpm that is held out, a
 random gap, random start angles, coloured noise. The diagnosis gets the reference bench and the
-recordings; the truth is looked at afterwards. The second command writes what was answered to what.
+recordings; the truth is looked at afterwards. The second command writes what was answered for what.
 """
 
 from __future__ import annotations
@@ -92,7 +92,10 @@ _SAME_IN_THESE = (
     {"current_loop_lag", "channel_time_skew"},
     {"speed_sensor_lag", "channel_time_skew"},
 )
-"""Pairs declared indistinguishable beforehand (design.md section 9); a drift holds a constant."""
+"""Pairs declared indistinguishable beforehand; a drift contains a constant.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 PAIRS = tuple(
     pair
     for pair in combinations([name for name in EFFECT_NAMES if name not in _ONLY_ALONE], 2)
@@ -126,7 +129,7 @@ COLUMNS = {
     **{f"first_{k}": ("1", f"place of the first name of set {k}") for k in range(1, 4)},
     "z": ("1", "signature left after the best refit of all that is declared unknown"),
     "nearest": ("1", "distance of the truth's best fit to the nearest other candidate's"),
-    "closed_used": ("1", "closed share of the gap to the noise-free truth, fitted recordings"),
+    "closed_used": ("1", "closed share of the disagreement with the noise-free truth, fitted"),
     "closed_held_out": ("1", "the same, held-out recording"),
     "delta_rad": ("rad", "gap simulated"),
     "delta_z_before": ("1", "error of ln δ in standard deviations, bench as believed"),

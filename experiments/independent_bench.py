@@ -3,14 +3,14 @@
     python experiments/independent_bench.py
 
 prints, for every effect of the catalogue, how far the two simulators are apart beside how much the
-effect changes. Studies hide an effect here and diagnose it with ``bayesbl``: only the equations of
-``design.md`` are shared. This file integrates by Runge and Kutta's fourth-order rule at a fixed
-small step, does not look for the edges of the gap, smooths dry friction otherwise
-(ω/√(ω² + w²) at the motor, erf at the load), keeps the two angles instead of the twist, and runs
-through whole rotations from a rough start to reach steady rotation.
+effect changes. Studies hide an effect here and diagnose it with ``bayesbl``. Only the equations are
+shared (docs/design.md, "The virtual bench"). This file integrates with the classical fourth-order
+Runge-Kutta method at a fixed small step, does not look for the edges of the gap, smooths dry
+friction differently (ω/√(ω² + w²) at the motor, erf at the load), integrates the two angles instead
+of the twist, and reaches steady rotation by running through whole rotations from a rough start.
 
-It can also do what the catalogue does not hold: a torque periodic in time, a defect of a belt, lost
-speed samples, a second gap behind a third mass.
+It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, lost speed
+samples, a second gap behind a third mass.
 """
 
 from __future__ import annotations

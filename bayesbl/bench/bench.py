@@ -95,7 +95,9 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Two masses, a gap between them, gravity and a speed loop (design.md section 3).
+    """Two masses, a gap between them, gravity and a speed loop.
+
+    Equations in docs/design.md, "The virtual bench".
 
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
     ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared

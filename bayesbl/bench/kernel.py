@@ -395,7 +395,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
 
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
-    """Time derivative of the state into ``dy`` (design.md section 3 and the catalogue)."""
+    """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
     if c.effects or c.rigid:
         full_right_hand_side(t, y, region, p, c, dy)
         return

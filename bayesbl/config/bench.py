@@ -128,7 +128,7 @@ class CurrentNoise(_NoiseEntry):
 
 
 class MeasurementSection(Section):
-    """``[measurement]``: how the bench is seen."""
+    """``[measurement]``: how the bench is measured."""
 
     encoder_counts: int | None = Field(default=None, ge=1)
     speed_source: Literal["sensor", "encoder"] = "sensor"
@@ -200,7 +200,7 @@ class BenchFile(Section):
         names = [effect.name for effect in effects]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            refuse("An effect stands here twice.", found=twice[0], expected="each effect once")
+            refuse("An effect is listed twice.", found=twice[0], expected="each effect once")
         return effects
 
     def bench(self) -> Bench:
@@ -239,7 +239,7 @@ def load_bench(path: str | Path) -> Bench:
     Raises
     ------
     ConfigError
-        Naming file and field: no such file, no TOML, unknown keys or effects, values out of
+        Naming file and field: no such file, not TOML, unknown keys or effects, values out of
         range, parameters that make no physical sense.
     """
     loaded = load_file(Path(path), BenchFile)

@@ -323,8 +323,8 @@ def test_what_was_meant_is_told(arguments, told, foreign, capsys):
         (["run", "simulte.toml"], "Did you mean \"simulate\"? Found: 'simulte'. Expected: one of"),
         (
             ["fit", "monday.csv", "--route", "direct", "--bench", "friday.csv"],
-            "friday.csv: This is a recording, or no configuration at all. Found: a file ending in "
-            '.csv. Expected: a file of kind "bench" (a virtual bench) in TOML.',
+            "friday.csv: This is a recording, or not a configuration at all. Found: a file ending "
+            'in .csv. Expected: a file of kind "bench" (a virtual bench) in TOML.',
         ),
         (["compare", "result.nc", "monday.csv"], "This is a result of bayesbl, not a recording."),
         (["init", "result.nc"], "This is a result of bayesbl, not a recording."),

@@ -71,7 +71,7 @@ REFUSED = {
     ),
     "an effect without brackets": (
         DIAGNOSE + 'effects = "load_coulomb_friction"\n',
-        "line 8, [candidates] effects: This is no list",
+        "line 8, [candidates] effects: This is not a list",
         "Found: 'load_coulomb_friction'. Expected: \"all\"",
     ),
     "no effect": (DIAGNOSE + "effects = []\n", "line 8, [candidates] effects", "Found: []"),

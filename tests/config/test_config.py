@@ -434,7 +434,7 @@ def test_dates_give_the_order_and_without_them_the_file_does(folder: Path) -> No
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("(?m)^date = .*$", "", "needs recordings that are dated"),
+        ("(?m)^date = .*$", "", "needs dated recordings"),
         ("date = 2026-03-01", "", "every one needs its date, or none"),
         ("limit_rad = 1.2e-3", "", "needs a limit"),
         ("2027-01-01", "2026-07-01", "not after the last recording"),

@@ -27,7 +27,10 @@ BENCH_PARAMETERS = (
     "speed_gain_nm_s_per_rad",
     "integral_gain_nm_per_rad",
 )
-"""Whose wrong values are a class of explanations of their own (design.md section 9)."""
+"""Parameters whose wrong values are a class of explanations of their own.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 
 PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
