@@ -1,4 +1,4 @@
-"""What a simulation leaves, in sentences."""
+"""Residuals of a simulation, in sentences."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 
 def located_sentences(left: xr.Dataset) -> list[str]:
-    """What a comparison leaves, over all recordings; of a dataset of results.located."""
+    """The residuals of a comparison, over all recordings; of a dataset of results.located."""
     names = [str(name) for name in left["recording"].values]
     entries = [unexplained(entry) for entry in json.loads(left.attrs["unexplained"])]
     if not entries:
         rate = 100.0 * float(left.attrs["false_discovery_rate"])
         return [
             "Nothing repeats, drifts or lags beyond noise in any channel "
-            f"(were that so in truth, {rate:g} % of such data would show a line by chance)."
+            f"(if so, {rate:g} % of such data would still show a line by chance)."
         ]
     sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
     shown = {entry.channel for entry in entries if entry.dependence == "offset"}
     offsets = [o for o in json.loads(left.attrs["offsets"]) if o["channel"] in shown]
     if len(names) > 1:
-        sentences += [told for o in offsets if (told := _offset_sentence(o))]
+        sentences += filter(None, map(_offset_sentence, offsets))
     return [text[0].upper() + text[1:] for text in sentences]
 
 
@@ -97,7 +97,7 @@ def _where(entry: Unexplained, names: Sequence[str]) -> str:
 def _offset_sentence(offset: dict[str, Any]) -> str:
     """How an offset depends on direction and speed; empty if that is not sure."""
     unit = unit_of(offset["channel"])
-    told = [
+    parts = [
         text.format(quantity(offset[part], unit))
         for part, text in (
             ("constant", "{} in both directions"),
@@ -107,4 +107,4 @@ def _offset_sentence(offset: dict[str, Any]) -> str:
         if offset[part] is not None and abs(offset[part]) > 3.0 * offset[f"{part}_error"]
     ]
     name = channel_name(offset["channel"])
-    return f"The {name}'s mean is off by {', '.join(told)}." if told else ""
+    return f"The {name}'s mean is off by {', '.join(parts)}." if parts else ""
