@@ -23,7 +23,7 @@ def located_sentences(left: xr.Dataset) -> list[str]:
         rate = 100.0 * float(left.attrs["false_discovery_rate"])
         return [
             "Nothing repeats, drifts or lags beyond noise in any channel "
-            f"(if so, {rate:g} % of such data would still show a line by chance)."
+            f"(tested so that {rate:g} % of data without any show a line by chance)."
         ]
     sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
     shown = {entry.channel for entry in entries if entry.dependence == "offset"}
