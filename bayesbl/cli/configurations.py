@@ -13,7 +13,7 @@ from bayesbl.cli.statuses import WRONG
 from bayesbl.errors import ConfigError
 
 if TYPE_CHECKING:
-    from bayesbl.runs.run import Plan
+    from bayesbl.runs.workflow import Plan
 
 
 def run_command(

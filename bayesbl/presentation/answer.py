@@ -4,19 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from bayesbl.presentation import direct_route, wear
+from bayesbl.presentation import direct_route, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import (
-    RAREST,
-    Summary,
-    bounds,
-    common_decimals,
-    in_mrad,
-    median_of,
-    probability,
-    short_kind,
-    source_in_words,
-)
 from bayesbl.units import number
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
@@ -27,14 +16,14 @@ SHRANK = (
 )
 
 
-def snapshots(summary: Summary) -> list[tuple[str, Summary]]:
+def snapshots(summary: words.Summary) -> list[tuple[str, words.Summary]]:
     """(name, part) of every snapshot; the name of a fit's only one is empty."""
     if "snapshots" in summary:
         return [(part["name"], part) for part in summary["snapshots"]]
     return [("", summary)]
 
 
-def blocks(summary: Summary) -> Iterator[Block]:
+def blocks(summary: words.Summary) -> Iterator[Block]:
     """Everything below the headline: table of the snapshots, wear, and what limits the answer."""
     _, *others = lead(summary)
     for sentence in (*others, *steps(summary), above_limit(summary)):
@@ -58,7 +47,7 @@ def blocks(summary: Summary) -> Iterator[Block]:
         yield Sentence(sentence, "warning", label)
 
 
-def lead(summary: Summary) -> Iterator[str]:
+def lead(summary: words.Summary) -> Iterator[str]:
     """What a fit or a comparison leads with: the wear where it has a rate, else gap or change."""
     if not wear.has_rate(summary):
         yield headline(summary)
@@ -68,7 +57,7 @@ def lead(summary: Summary) -> Iterator[str]:
         yield headline(summary)
 
 
-def headline(summary: Summary) -> str:
+def headline(summary: words.Summary) -> str:
     """The gap, or the change of compared ones."""
     compared = "snapshots" in summary
     found = summary["change_rad" if compared else "delta_rad"]
@@ -77,47 +66,47 @@ def headline(summary: Summary) -> str:
         return f"The {what} is withheld: these data do not give an answer that can be trusted."
     if compared:
         return f"{change_in_words(found)}; {grew(summary['probability_increase'])}."
-    return f"The gap is {in_mrad(found)}."
+    return f"The gap is {words.in_mrad(found)}."
 
 
-def change_in_words(change: Summary) -> str:
+def change_in_words(change: words.Summary) -> str:
     """Whether the gap grew, shrank, or may have done neither."""
     if change["low"] > 0.0:
-        return f"The gap grew by {in_mrad(change)}"
+        return f"The gap grew by {words.in_mrad(change)}"
     if change["high"] < 0.0:
-        return f"The gap shrank by {in_mrad(change, -1.0)}"
-    return f"The gap may not have changed: the change is {in_mrad(change)}"
+        return f"The gap shrank by {words.in_mrad(change, -1.0)}"
+    return f"The gap may not have changed: the change is {words.in_mrad(change)}"
 
 
 def grew(value: float) -> str:
     """The probability of growth as part of a sentence."""
-    return f"probability that it grew: {probability(value)}"
+    return f"probability that it grew: {words.probability(value)}"
 
 
-def has_shrunk(summary: Summary) -> bool:
+def has_shrunk(summary: words.Summary) -> bool:
     """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
     change = summary.get("change_rad")
     return change is not None and change["high"] < 0.0 and not summary.get("wear")
 
 
-def steps(summary: Summary) -> Iterator[str]:
+def steps(summary: words.Summary) -> Iterator[str]:
     """Each step between neighbours, where there are more than two snapshots."""
     changes = summary.get("changes", [])
     for step in changes if len(changes) > 1 else []:
         change = "withheld"
         if step["change_rad"] is not None:
-            change = f"{in_mrad(step['change_rad'])}; {grew(step['probability_increase'])}"
+            change = f"{words.in_mrad(step['change_rad'])}; {grew(step['probability_increase'])}"
         yield f"From {step['from']} to {step['to']}: {change}."
 
 
-def is_by_other_machine(summary: Summary) -> bool:
+def is_by_other_machine(summary: words.Summary) -> bool:
     """Whether the answer rests on the gap curve of the paper's test bench."""
     from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
 
     return summary.get("curve") == PUBLISHED and not direct_route.is_direct(summary)
 
 
-def explained(summary: Summary) -> str:
+def explained(summary: words.Summary) -> str:
     """What δ and the range beneath it are, and what they rest on."""
     direct = direct_route.is_direct(summary)
     condition = "the bench is as its file says" if direct else "the curve fits your joint"
@@ -128,7 +117,7 @@ def explained(summary: Summary) -> str:
     )
 
 
-def above_limit(summary: Summary) -> str | None:
+def above_limit(summary: words.Summary) -> str | None:
     """The probability of each snapshot above the limit; ``None`` without a limit."""
     limited = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
     if not limited:
@@ -140,18 +129,21 @@ def above_limit(summary: Summary) -> str | None:
     return f"Probability that the gap is above its limit of {limit:g} mrad: {each}."
 
 
-def budget(summary: Summary) -> Iterator[str]:
+def budget(summary: words.Summary) -> Iterator[str]:
     """Where the width of the last interval given comes from, in one line."""
     answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
     for name, part in answered[-1:]:
-        shares = {source: share for source, share in part["budget"].items() if share >= RAREST}
-        ordered = sorted(shares, key=lambda source: -shares[source])
-        each = ", ".join(f"{source_in_words(s)} {probability(shares[s])}" for s in ordered)
+        shares = sorted(part["budget"].items(), key=lambda item: -item[1])
+        each = [
+            f"{words.source_in_words(source)} {words.probability(share)}"
+            for source, share in shares
+            if share >= words.RAREST
+        ]
         if each:
-            yield f"Variance of the gap{of(name)}, by source: {each}."
+            yield f"Variance of the gap{of(name)}, by source: {', '.join(each)}."
 
 
-def reasons(summary: Summary) -> Iterator[tuple[str, str]]:
+def reasons(summary: words.Summary) -> Iterator[tuple[str, str]]:
     """(``Withheld`` or ``Note``, sentence) of all that limits an answer, each once.
 
     The names of the snapshots that it applies to come first.
@@ -166,7 +158,7 @@ def reasons(summary: Summary) -> Iterator[tuple[str, str]]:
         yield label, f"{', '.join(whose)}: {sentence}" if any(whose) else sentence
 
 
-def outliers(summary: Summary) -> Iterator[str]:
+def outliers(summary: words.Summary) -> Iterator[str]:
     """A sentence for every snapshot whose noise is Student-t."""
     for name, part in snapshots(summary):
         freedom = part["noise"]["degrees_of_freedom"]
@@ -178,7 +170,7 @@ def outliers(summary: Summary) -> Iterator[str]:
             )
 
 
-def sampler_check(check: Summary) -> str:
+def sampler_check(check: words.Summary) -> str:
     """What the second sampler found of every parameter."""
     each = "; ".join(
         f"{symbol} {number(found['difference_sd'], 2)} sd, width × {found['width_ratio']:.2f}"
@@ -193,18 +185,18 @@ def of(name: str) -> str:
     return f" of {name}" if name else ""
 
 
-def _probability_or_withheld(part: Summary) -> str:
+def _probability_or_withheld(part: words.Summary) -> str:
     value = part["probability_above_limit"]
-    return "withheld" if value is None else probability(value)
+    return "withheld" if value is None else words.probability(value)
 
 
-def _snapshot_table(summary: Summary) -> Table:
+def _snapshot_table(summary: words.Summary) -> Table:
     parts = snapshots(summary)
     compared = "snapshots" in summary
     first = parts[0][1]
     # There may be an answer where the ringing gives no amplitude.
-    kind = short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
-    places = common_decimals(part["delta_rad"] for _, part in parts)
+    kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
+    places = words.common_decimals(part["delta_rad"] for _, part in parts)
     columns = (
         *([text("Snapshot")] if compared else []),
         numbers("Gap δ\n(mrad)"),
@@ -217,13 +209,13 @@ def _snapshot_table(summary: Summary) -> Table:
     return table(columns, [_row(name if compared else None, part, places) for name, part in parts])
 
 
-def _row(name: str | None, part: Summary, places: int) -> Iterator[str]:
+def _row(name: str | None, part: words.Summary, places: int) -> Iterator[str]:
     if name is not None:
         yield name
     delta = part["delta_rad"]
     yield "withheld" if delta is None else number(1e3 * delta["median"], places)
-    yield "withheld" if delta is None else bounds(delta, 1e3, places)
-    yield median_of(part["amplitude_rpm"], 1)
+    yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+    yield words.median_of(part["amplitude_rpm"], 1)
     yield f"{part['rotations']:.1f}"
     yield f"{part['noise']['sd_rpm']:.2f}"
     yield part["diagnostics"]["outcome"]

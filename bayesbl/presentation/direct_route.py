@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import (
-    Summary,
-    bounds,
-    decimals,
-    in_mrad,
-    probability,
-    sampling,
-    short_kind,
-    significant,
-)
 
 BOUND_EXPLAINED = (
     "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
@@ -27,12 +18,12 @@ CHECK_EXPLAINED = (
 )
 
 
-def is_direct(summary: Summary) -> bool:
+def is_direct(summary: words.Summary) -> bool:
     """Whether the answer comes from simulations of the bench: the amplitude then is beside it."""
     return "amplitude_route" in summary.get("snapshots", [summary])[0]
 
 
-def blocks(part: Summary) -> Iterator[Block]:
+def blocks(part: words.Summary) -> Iterator[Block]:
     """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
     yield _parameter_table(part)
     yield Sentence(BOUND_EXPLAINED, "aside")
@@ -40,14 +31,14 @@ def blocks(part: Summary) -> Iterator[Block]:
     yield Sentence(CHECK_EXPLAINED, "aside")
     lines = {
         "Noise": joint_noise(part),
-        "Sampling": sampling(part),
+        "Sampling": words.sampling(part),
         "Full simulation": corrected(part),
     }
     for label, sentence in lines.items():
         yield Sentence(sentence, label=label)
 
 
-def joint_noise(part: Summary) -> str:
+def joint_noise(part: words.Summary) -> str:
     """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
@@ -55,7 +46,7 @@ def joint_noise(part: Summary) -> str:
     return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
 
 
-def corrected(part: Summary) -> str:
+def corrected(part: words.Summary) -> str:
     """How much the surrogate had to be corrected."""
     found = part["diagnostics"]
     return (
@@ -64,40 +55,40 @@ def corrected(part: Summary) -> str:
     )
 
 
-def by_amplitude(name: str, route: Summary) -> str:
+def by_amplitude(name: str, route: words.Summary) -> str:
     """The amplitude's δ, with the curve that it was read from."""
     whose = f" of {name}" if name else ""
     source = f"For comparison{whose}, by the ringing's amplitude and the curve {route['curve']}"
     if route["delta_rad"] is None:
         return f"{source}: no answer. {route['reason'] or ''}".rstrip()
     warning = " (that curve belongs to the paper's bench)" if route["curve"] == "published" else ""
-    return f"{source}{warning}: {in_mrad(route['delta_rad'])}."
+    return f"{source}{warning}: {words.in_mrad(route['delta_rad'])}."
 
 
-def _parameter_table(part: Summary) -> Table:
-    kind = short_kind(next(iter(part["parameters"].values())))
+def _parameter_table(part: words.Summary) -> Table:
+    kind = words.short_kind(next(iter(part["parameters"].values())))
     titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
     rows = [_row(part, name) for name in part["optimum"]]
     return table((text("Parameter"), *map(numbers, titles)), rows)
 
 
-def _row(part: Summary, name: str) -> tuple[str, ...]:
+def _row(part: words.Summary, name: str) -> tuple[str, ...]:
     found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
-    errors = (significant(part[key][name], 3) for key in ("posterior_sd", "cramer_rao_sd"))
+    errors = (words.significant(part[key][name], 3) for key in ("posterior_sd", "cramer_rao_sd"))
     if found is None:
         return name, "withheld", *errors, "withheld"
     best = f"{part['optimum'][name]:.6g}"
-    return name, best, *errors, bounds(found, places=decimals(found))
+    return name, best, *errors, words.bounds(found, places=words.decimals(found))
 
 
-def _check_table(part: Summary) -> Table:
+def _check_table(part: words.Summary) -> Table:
     titles = ("Load orders\nup to", "Repeating\nover noise", "Probability")
     rows = [
         (
             entry["channel"],
             entry["highest_order"] or "mean",
-            significant(entry["ratio"], 3),
-            probability(entry["probability"]),
+            words.significant(entry["ratio"], 3),
+            words.probability(entry["probability"]),
         )
         for entry in part["predictive_check"]
     ]

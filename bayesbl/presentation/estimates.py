@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route
+from bayesbl.presentation import answer, direct_route, words
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import Summary, bounds, decimals, sampling, short_kind
 from bayesbl.units import number
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def blocks(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
+def blocks(tree: xr.DataTree, summary: words.Summary) -> Iterator[Block]:
     """Parameters and diagnostics of every snapshot."""
     for name, part in answer.snapshots(summary):
         yield Heading(f"Snapshot {name}" if name else "Fit")
@@ -24,7 +23,7 @@ def blocks(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
             yield from _of_amplitude(part, "; ".join(_rivals(tree, name)) or "none")
 
 
-def noise(part: Summary) -> str:
+def noise(part: words.Summary) -> str:
     """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
@@ -45,36 +44,36 @@ def noise(part: Summary) -> str:
     return text
 
 
-def _of_amplitude(part: Summary, rivals: str) -> Iterator[Block]:
+def _of_amplitude(part: words.Summary, rivals: str) -> Iterator[Block]:
     yield _parameter_table(part)
     lines = {
         **({"Search": part["start"]} if "start" in part else {}),
         "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
         "Noise": noise(part),
-        "Sampling": sampling(part),
+        "Sampling": words.sampling(part),
         "Rival optima": rivals,
     }
     for label, sentence in lines.items():
         yield Sentence(sentence, label=label)
 
 
-def _parameter_table(part: Summary) -> Table:
+def _parameter_table(part: words.Summary) -> Table:
     """All nine symbols: the free ones with their interval, the others as fixed."""
     from bayesbl.ringing.symbols import SYMBOLS
 
-    kind = short_kind(part["amplitude_rpm"])
+    kind = words.short_kind(part["amplitude_rpm"])
     columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
     return table(columns, [_row(part, symbol.name, symbol.unit) for symbol in SYMBOLS.values()])
 
 
-def _row(part: Summary, name: str, unit: str) -> tuple[str, ...]:
+def _row(part: words.Summary, name: str, unit: str) -> tuple[str, ...]:
     best, found = part["optimum"][name], part["parameters"].get(name)
     if found is None:
         return name, f"{best:g}", "", "fixed", unit
-    places = decimals(found, units=20.0)
+    places = words.decimals(found, units=20.0)
     shown = (number(value, places) for value in (best, found["median"]))
-    return name, *shown, bounds(found, places=places), unit
+    return name, *shown, words.bounds(found, places=places), unit
 
 
 def _rivals(tree: xr.DataTree, name: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The residuals of a simulation, in sentences."""
+"""Residuals of a simulation, in sentences."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def residual_sentences(stored: xr.Dataset) -> list[str]:
         rate = 100.0 * float(stored.attrs["false_discovery_rate"])
         return [
             "Nothing repeats, drifts or lags beyond noise in any channel "
-            f"(noise alone would show a line in {rate:g} % of such data)."
+            f"(tested so that {rate:g} % of data without any show a line by chance)."
         ]
     sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
     shown = {entry["channel"] for entry in entries if entry["dependence"] == "offset"}

@@ -35,7 +35,7 @@ def _no_cards(summary: Summary) -> Iterator[Card]:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """How one kind of result is told to a reader.
+    """How one kind of result is presented.
 
     Attributes
     ----------

@@ -110,7 +110,7 @@ def test_a_dead_current_is_refused_where_it_is_used(kind, command, dead, tmp_pat
         [command, path],
         capsys,
         *("dead.csv", "motor_current_a", "never changes", "0.5 in all"),
-        "out of [columns]",
+        "from [columns]",
     )
     assert not (tmp_path / "results").exists()
 

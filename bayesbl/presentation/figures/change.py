@@ -8,8 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import LINE_IN, grid
-from bayesbl.presentation.figures.panels import density, reach
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import (
     Snapshot,
     credible_interval,
@@ -17,13 +16,6 @@ from bayesbl.presentation.figures.snapshots import (
     snapshots,
 )
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.presentation.figures.style import (
-    NEUTRAL,
-    SINGLE_COLUMN_IN,
-    WITHHELD,
-    look,
-    new_figure,
-)
 from bayesbl.recording.types import FloatArray
 
 _STEPS = "each step in the colour of its later snapshot"
@@ -34,9 +26,9 @@ _STEPS = "each step in the colour of its later snapshot"
 )
 def change(tree: xr.DataTree) -> Figure:
     """The change of δ between snapshots; beside gaps on their curve it is a panel of theirs."""
-    above = 0.3 + LINE_IN * legend_lines(tree)
-    figure = new_figure(SINGLE_COLUMN_IN, 2.0 + above)
-    panel = figure.add_subplot(grid(figure, 1, 1, top=above)[0, 0])
+    above = 0.3 + layout.LINE_IN * legend_lines(tree)
+    figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0 + above)
+    panel = figure.add_subplot(layout.grid(figure, 1, 1, top=above)[0, 0])
     draw_change(panel, tree, snapshots(tree))
     return figure
 
@@ -48,7 +40,7 @@ def draw_change(panel: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     _draw_total(panel, tree, 1e3 * stored["change_rad"].values, hidden)
     if stored.sizes["step"] > 1:
         _draw_steps(panel, stored, {p.name: p.withheld for p in parts})
-    panel.axvline(0.0, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
+    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
     panel.set_ylim(0.0, 1.1 * panel.get_ylim()[1])
     panel.set_xlabel("Change of the gap δ (mrad)")
     panel.set_ylabel("Posterior density (1/mrad)")
@@ -67,28 +59,28 @@ def legend_lines(tree: xr.DataTree) -> int:
 
 def _draw_total(panel: Axes, tree: xr.DataTree, mrad: FloatArray, hidden: bool) -> None:
     """Distribution, and above it the median with its interval; grey and without where withheld."""
-    colour = WITHHELD if hidden else NEUTRAL
+    colour = style.WITHHELD if hidden else style.NEUTRAL
     label = "withheld" if hidden else None
-    heights, _ = density(panel, mrad, colour, linewidth=1.0, label=label)
+    heights, _ = panels.density(panel, mrad, colour, linewidth=1.0, label=label)
     if hidden:
         return
     found = credible_interval(tree, mrad)
     panel.errorbar(
-        [found["median"]], [1.06 * heights.max()], xerr=reach(found), color=colour, marker="o",
-        linestyle="none", capsize=2.5, label=interval_in_words(tree, found),
+        [found["median"]], [1.06 * heights.max()], xerr=panels.reach(found), color=colour,
+        marker="o", linestyle="none", capsize=2.5, label=interval_in_words(tree, found),
     )  # fmt: skip
 
 
 def _draw_steps(panel: Axes, change: xr.Dataset, withheld: Mapping[str, bool]) -> None:
     for step in range(change.sizes["step"]):
         first, last = (str(change[k].values[step]) for k in ("step_from", "step_to"))
-        hidden, style = withheld[first] or withheld[last], look(step + 1)
-        density(
+        hidden, own = withheld[first] or withheld[last], style.look(step + 1)
+        panels.density(
             panel,
             1e3 * change["step_change_rad"].values[step],
-            WITHHELD if hidden else style.colour,
+            style.WITHHELD if hidden else own.colour,
             filled=False,
-            linestyle=style.dashes,
+            linestyle=own.dashes,
             linewidth=1.0,
             label=f"{first} to {last}" + (": withheld" if hidden else ""),
         )

@@ -7,8 +7,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import one_panel_each
-from bayesbl.presentation.figures.panels import density
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
@@ -20,7 +19,6 @@ from bayesbl.presentation.figures.snapshots import (
 )
 from bayesbl.presentation.figures.stored import curve_name
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.presentation.figures.style import LIMIT, NEUTRAL, head_panels
 
 _OTHER = "#d55e00"
 
@@ -34,29 +32,29 @@ _OTHER = "#d55e00"
 def direct_gap(tree: xr.DataTree) -> Figure:
     """A panel per snapshot: draws of δ, a normal curve as wide as the Cramér-Rao bound."""
     parts = snapshots(tree)
-    figure, axes = one_panel_each(len(parts), shared=False)
+    figure, axes = layout.one_panel_each(len(parts), shared=False)
     curve = curve_name(tree["curve"].attrs["name"])
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw(panel, tree, snapshot, colour_of(snapshot, index), curve)
-    head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
+    style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     return figure
 
 
 def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, colour: str, curve: str) -> None:
     draws = 1e3 * snapshot.values("posterior", GAP).ravel()
-    heights, _ = density(panel, draws, colour, label="posterior, direct")
+    heights, _ = panels.density(panel, draws, colour, label="posterior, direct")
     sd = 1e3 * float(snapshot.groups["optimum"]["cramer_rao_sd"].sel(parameter=GAP))
     centre, width = float(np.median(draws)), 4.0 * max(sd, float(draws.std()))
     x = np.linspace(centre - width, centre + width, 300)
     bound = np.exp(-0.5 * ((x - centre) / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi))
     panel.plot(
-        x, bound, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)),
+        x, bound, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)),
         label="as wide as the Cramér-Rao bound",
     )  # fmt: skip
     _draw_other(panel, tree, snapshot, curve)
     limit = tree.attrs.get("limit_rad")
     if limit is not None and x[0] < 1e3 * float(limit) < x[-1]:
-        panel.axvline(1e3 * float(limit), color=LIMIT, linewidth=0.8)
+        panel.axvline(1e3 * float(limit), color=style.LIMIT, linewidth=0.8)
     panel.set_xlim(x[0], x[-1])
     panel.set_ylim(0.0, 1.6 * max(heights.max(), bound.max()))
     panel.set_xlabel("Gap δ (mrad)")

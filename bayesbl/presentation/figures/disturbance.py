@@ -8,15 +8,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.panels import shade
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.stored import values
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    head_panels,
-    new_figure,
-)
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
@@ -26,8 +20,8 @@ def disturbance(tree: xr.DataTree) -> Figure:
     """Noise-free speed at some gaps over one load rotation; both pulses from nearby."""
     names = ("time_s", "motor_speed_rpm", "gap_rad")
     time, speeds, gaps = (values(tree, "examples", name) for name in names)
-    figure = new_figure(DOUBLE_COLUMN_IN, 2.6)
-    spec = grid(figure, 1, 3, top=0.5, between=(0.0, 0.25), widths=(1.5, 1.0, 1.0))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.6)
+    spec = layout.grid(figure, 1, 3, top=0.5, between=(0.0, 0.25), widths=(1.5, 1.0, 1.0))
     whole = figure.add_subplot(spec[0, 0])
     positive = figure.add_subplot(spec[0, 1], sharey=whole)
     negative = figure.add_subplot(spec[0, 2], sharey=whole)
@@ -48,7 +42,7 @@ def disturbance(tree: xr.DataTree) -> Figure:
         panel.set_xlim(0.0, 1e3 * length)
         panel.set_xlabel("Time in the shaded part (ms)")
         panel.tick_params(labelleft=False)
-    head_panels(
+    style.head_panels(
         [whole, positive, negative], ["one load rotation", "positive pulse", "negative pulse"]
     )
     figure.legend(*whole.get_legend_handles_labels(), loc="upper center", ncols=len(gaps))
@@ -77,7 +71,7 @@ def _mark(whole: Axes, time: FloatArray, begin: float, length: float) -> None:
     for turn in (-period, 0.0, period):
         start, stop = max(begin + turn, time[0]), min(begin + turn + length, time[-1])
         if start < stop:
-            shade(whole, start, stop)
+            panels.shade(whole, start, stop)
 
 
 def _draw_pulse(

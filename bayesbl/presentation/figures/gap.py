@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.change import draw_change, legend_lines
-from bayesbl.presentation.figures.layout import LINE_IN, grid
-from bayesbl.presentation.figures.panels import density, limit_line, reach
 from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
@@ -24,13 +23,6 @@ from bayesbl.presentation.figures.snapshots import (
 )
 from bayesbl.presentation.figures.stored import curve_name
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    NEUTRAL,
-    head_panels,
-    look,
-    new_figure,
-)
 from bayesbl.ringing.symbols import AMPLITUDE
 
 
@@ -46,9 +38,9 @@ def gap(tree: xr.DataTree) -> Figure:
     # Two legends stand side by side above the panels.
     lines = 1 + len(parts) + ("limit_rad" in tree.attrs)
     lines = max(lines, legend_lines(tree)) if compare else lines
-    top = 0.28 + LINE_IN * lines
-    figure = new_figure(DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
-    outer = grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
+    top = 0.28 + layout.LINE_IN * lines
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
+    outer = layout.grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
     joint = outer[0, 0].subgridspec(
         2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
     )
@@ -66,7 +58,7 @@ def gap(tree: xr.DataTree) -> Figure:
         overview = figure.add_subplot(outer[0, 1])
         panels, titles = [above, overview], ["gap on its curve"]
     _draw_overview(overview, main, tree, parts)
-    head_panels(panels, [*titles, "the whole curve; grey: the range of (a)"])
+    style.head_panels(panels, [*titles, "the whole curve; grey: the range of (a)"])
     handles, labels = main.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
     return figure
@@ -81,7 +73,7 @@ def _draw_joint(
         _draw_marginals(top, side, snapshot, index)
     _set_view(main, tree, parts)
     for panel in (main, side):
-        limit_line(panel, tree)
+        panels.limit_line(panel, tree)
     main.set_xlabel("Amplitude of the ringing A (rpm)")
     main.set_ylabel("Gap δ (mrad)")
     for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
@@ -99,7 +91,7 @@ def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
         color="#c8c8c8", linewidth=0.0,
     )  # fmt: skip
     main.plot(
-        amplitude, 1e3 * curve["delta_rad"].values, color=NEUTRAL, linewidth=0.9,
+        amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
         label=f"gap curve ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
     )  # fmt: skip
 
@@ -111,8 +103,8 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
     main.errorbar(
         [amplitude["median"]],
         [delta["median"]],
-        xerr=reach(amplitude),
-        yerr=reach(delta),
+        xerr=panels.reach(amplitude),
+        yerr=panels.reach(delta),
         capsize=2.0,
         zorder=3.0,
         label=gap_in_words(tree, snapshot),
@@ -124,16 +116,16 @@ def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
     """The look of a snapshot's point; hollow and grey where δ must not be read."""
     colour = colour_of(snapshot, index)
     face = "white" if snapshot.withheld else colour
-    marker = look(index).marker
+    marker = style.look(index).marker
     return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
 
 
 def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
-    style = look(index)
-    outline: dict[str, Any] = {"linestyle": style.dashes, "linewidth": 0.9}
-    density(top, snapshot.values("posterior", AMPLITUDE), style.colour, **outline)
+    own = style.look(index)
+    outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
+    panels.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
     draws = 1e3 * snapshot.values("posterior", GAP)
-    density(side, draws, colour_of(snapshot, index), orientation="horizontal", **outline)
+    panels.density(side, draws, colour_of(snapshot, index), orientation="horizontal", **outline)
     if snapshot.withheld:
         side.annotate(
             "withheld",
@@ -174,7 +166,7 @@ def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snaps
         Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
     )
     _draw_curve(panel, tree)
-    limit_line(panel, tree)
+    panels.limit_line(panel, tree)
     for index, snapshot in enumerate(parts):
         place = _median(snapshot, AMPLITUDE), 1e3 * _median(snapshot, GAP)
         panel.plot(*place, **_marker(snapshot, index))
