@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +14,14 @@ import numpy as np
 from attack.engine import (
     HANG,
     HARM,
-    NOBODY,
     OTHER,
     TRACEBACK,
     Finding,
     Group,
     Skipped,
     Trial,
+    give_to_nobody,
+    give_up_root,
 )
 from attack.workshop import REPOSITORY, example, plain_csv, put_configuration
 
@@ -111,8 +112,11 @@ def output_to_full_device(place: Path) -> Findings:
     yield from judged(ended, 1)
 
 
-def read_only_package(place: Path) -> Findings:
-    """A container: nobody may write to the package, nor is there a home to write to."""
+def read_only_package(place: Path, *commands: Sequence[str]) -> Findings:
+    """A container: nobody may write to the package, nor is there a home to write to.
+
+    By default it simulates and measures, which compiles everything anew.
+    """
     package = place / "package"
     without = shutil.ignore_patterns("__pycache__")
     shutil.copytree(REPOSITORY / "bayesbl", package / "bayesbl", ignore=without)
@@ -123,32 +127,31 @@ def read_only_package(place: Path) -> Findings:
     private = {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")}
     more: dict[str, object] = {}
     if os.geteuid() == 0:
-        for path in (place, *place.glob("*.*")):
-            os.chown(path, NOBODY, NOBODY)
-        more = {"user": NOBODY, "group": NOBODY, "extra_groups": []}
+        give_to_nobody(place, *place.glob("*.*"))
+        more = {"preexec_fn": give_up_root}
     os.environ.pop("NUMBA_CACHE_DIR", None)  # this process runs one case alone
     simple = (place / "fit.toml").read_text().replace("max_steps = 1000", "max_steps = 100")
     (place / "fit.toml").write_text(simple)
     try:
-        for asked in (("check", "fit.toml"), ("simulate", "simulate.toml"), ("run", "fit.toml")):
+        for asked in commands or (("simulate", "simulate.toml"), ("run", "fit.toml")):
             yield from judged(command(place, *asked, package=package, env=private, **more), 0, 3)
     finally:
         for path in (home, package, *package.rglob("*")):
             path.chmod(0o755)
 
 
-def memory_of_a_large_csv(place: Path) -> Findings:
+def memory_of_a_large_csv(place: Path, size_bytes: int = LARGE_BYTES) -> Findings:
     """At most so many times the file, above what a small one takes."""
     head, *lines = plain_csv(example()).splitlines()
     size = len("\n".join(lines)) + 30 * len(lines)
     with (place / "large.csv").open("w") as stream:
         stream.write(head + "\n")
-        for turn in range(LARGE_BYTES // size * 2):
+        for turn in range(2 * size_bytes // size + 2):
             stream.writelines(
                 f"{turn * 8.3 + i * 0.01:.6f},{row.partition(',')[2]}\n"
                 for i, row in enumerate(lines)
             )
-            if stream.tell() > LARGE_BYTES:
+            if stream.tell() > size_bytes:
                 break
     for name in ("before", "large"):
         text = (place / "fit.toml").read_text().replace("before.csv", f"{name}.csv")
@@ -214,6 +217,7 @@ def in_own_process(
 ) -> Callable[[Path, np.random.Generator], Trial]:
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
         put_configuration(place, "simulate")
+        put_configuration(place, "direct")
         put_configuration(place, "fit")
         inputs = {path.name: path.read_bytes() for path in place.glob("*.csv")}
         try:

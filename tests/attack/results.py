@@ -29,7 +29,7 @@ from attack.engine import (
     Trial,
     run_step,
 )
-from attack.workshop import HEAD, JOINT, RESULTS, SHORT, Originals
+from attack.workshop import HEAD, JOINT, SHORT, Originals
 
 INSPECT: Step = ("inspect", "result")
 JSON: Step = ("inspect", "result", "--json")
@@ -334,17 +334,17 @@ class Cases:
         table = [
             (f"{kind}: {name}", self.changed(kind, change))
             for name, change in CHANGES.items()
-            for kind in RESULTS
+            for kind in self.originals.kinds
         ]
         table += [
             (f"{kind}: {name}", self.damaged(kind, damage))
             for name, damage in BYTES.items()
-            for kind in RESULTS
+            for kind in self.originals.kinds
         ]
         table += [
             (f"{kind}, beside: {name}", self.beside(kind, damage))
             for name, damage in BYTES.items()
-            for kind in RESULTS
+            for kind in self.originals.kinds
         ]
         return Group("results, damaged", 16, mixed(table))
 
@@ -366,7 +366,7 @@ def clean() -> None:
 
 def answer(ended: Ended, step: Step) -> tuple[int, str]:
     """What a command says, with the files that it writes."""
-    parts = [ended.out]
+    parts = [ended.out.replace(os.getcwd(), "")]
     if step == REPORT and Path("result/report.html").exists():
         parts.append(Path("result/report.html").read_text(encoding="utf-8"))
     if step == FIGURES:
@@ -390,7 +390,7 @@ def written_configuration(originals: Originals, damage: Damage) -> Prepare:
     """The configuration as it ran, damaged: people edit it, so it need not be what it was."""
 
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
-        kind = one(RESULTS, rng)
+        kind = one(originals.kinds, rng)
         file = originals.copy(kind, place) / "config.toml"
         file.write_bytes(damage(file.read_bytes(), rng))
         return Trial([("check", str(file.relative_to(place)))], names=["config.toml", "study.py"])

@@ -30,7 +30,7 @@ from attack.engine import (  # noqa: E402
     Result,
     run_all,
 )
-from attack.workshop import Originals  # noqa: E402
+from attack.workshop import RESULTS, Originals  # noqa: E402
 
 HEADINGS = {
     TRACEBACK: "tracebacks",
@@ -73,12 +73,13 @@ def failures(result: Result) -> list[tuple[str, str]]:
 def table(results: Sequence[Result]) -> str:
     """A line per group: cases, and how many of them failed in each way."""
     width = max(len(result.group) for result in results)
-    lines = ["  ".join([" " * width, "cases", *HEADINGS.values(), "skipped"])]
+    lines = ["  ".join([" " * width, "cases", *HEADINGS.values(), "skipped", "CPU s"])]
     for group in [*dict.fromkeys(result.group for result in results), None]:
         part = [result for result in results if group in (None, result.group)]
         counts = Counter(kind for result in part for kind in {kind for kind, _ in result.findings})
         cells = [f"{counts[kind]:{len(heading)}}" for kind, heading in HEADINGS.items()]
         cells.append(f"{counts['skipped']:7}")
+        cells.append(f"{sum(result.seconds for result in part):5.0f}")
         lines.append("  ".join([f"{group or 'all':{width}}", f"{len(part):5}", *cells]))
     return "\n".join(lines)
 
@@ -99,6 +100,11 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", metavar="GROUP", help="groups whose name holds this text")
     parser.add_argument("--case", type=int, action="append", metavar="N", help="repeat this case")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep what failing cases left")
+    parser.add_argument(
+        "--kinds",
+        default=",".join(RESULTS),
+        help="damage results of these kinds alone; numbers then mean other cases",
+    )
     parser.add_argument("--again", action="store_true", help="use the originals kept in FOLDER")
     return parser.parse_args(arguments)
 
@@ -112,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in (folder, Path(temporary)):
             path.chmod(0o755)  # cases that give up root's rights work below it
         begin = time.monotonic()
-        originals = Originals(folder / "originals", again=options.again)
+        originals = Originals(folder / "originals", options.kinds.split(","), again=options.again)
         print(f"Originals made in {time.monotonic() - begin:.0f} s.", flush=True)
         attack = Attack(all_groups(originals), options.seed)
         numbers = options.case or chosen(attack, options.cases, options.only)

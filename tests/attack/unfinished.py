@@ -179,6 +179,7 @@ def group(originals: Originals) -> Group:
         (f"{kind}: {name}", resumed(originals, kind, act))
         for name, act in ACTS.items()
         for kind in KINDS
+        if kind in originals.kinds
     ]
     order = np.random.default_rng(0).permutation(len(table))
     return Group("unfinished work, damaged", 2, [table[i] for i in order])

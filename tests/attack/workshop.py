@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import chdir
 from functools import cache
 from pathlib import Path
@@ -145,10 +145,13 @@ def _axis() -> str:
 class Originals:
     """Results that cases take copies of, in folders by the names of their configurations."""
 
-    def __init__(self, folder: Path, *, again: bool = False) -> None:
+    def __init__(
+        self, folder: Path, kinds: Sequence[str] = RESULTS, *, again: bool = False
+    ) -> None:
         """Make them; ``again`` takes those that an earlier attack with the same code kept."""
         self.folder = folder.resolve()
-        for kind in RESULTS:
+        self.kinds = kinds
+        for kind in kinds:
             place = self.folder / kind
             if again and (place / "result").is_dir():
                 _run(place, ["inspect", "result"])
