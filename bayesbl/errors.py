@@ -1,4 +1,4 @@
-"""Errors that a user can mend: each says where, what was found and what was expected."""
+"""Errors that a user can fix: each says where, what was found and what was expected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class UserError(Exception):
     where
         The line, column or field inside the file, e.g. ``"line 14"`` or ``"[run] seed"``.
     found, expected
-        What stood there and what should have.
+        What was there, and what should have been.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class UserError(Exception):
         super().__init__(self._message())
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Rebuilt from args when they cross process boundaries, exceptions would lose keywords.
+        # Exceptions that cross process boundaries are rebuilt from args and would lose keywords.
         parts = (self.problem, self.file, self.where, self.found, self.expected)
         return _rebuild, (type(self), *parts)
 

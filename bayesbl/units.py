@@ -1,7 +1,7 @@
-"""Units at the edges: rpm, degrees and milliseconds come in, SI goes on.
+"""Units at the edges: recordings may come in rpm, degrees or milliseconds.
 
 Each quantity that a recording may hold has one unit inside the package, named at the end of its
-channel name; ``convert`` brings a column in another accepted unit to it.
+channel name; :func:`conversion_factor` converts from the other accepted units.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
 
 # dimension -> unit -> factor to the first unit of that dimension
 _FACTORS: dict[str, dict[str, float]] = {
-    # "datenum" is MATLAB's count of days; "datetime" are dates, which the readers turn into s.
+    # "datenum" is MATLAB's count of days; "datetime" are dates, which readers turn into s.
     "time": {
         "s": 1.0,
         "ms": 1e-3,
@@ -107,11 +107,11 @@ _UNIT_OF_ENDING = {
     "_a": "A",
     "_s": "s",
 }
-"""The longest ending first: the first that fits is the parameter's."""
+"""Longest endings first: the first match wins."""
 
 
 def quantity_and_unit(parameter: str) -> tuple[str, str]:
-    """A parameter's name in words and its unit: ``friction torque``, ``N m``; or no unit."""
+    """A parameter's name in words and its unit: ``friction torque``, ``N m``; or an empty unit."""
     for ending, unit in _UNIT_OF_ENDING.items():
         if parameter.endswith(ending):
             return parameter.removesuffix(ending).replace("_", " "), unit
@@ -119,13 +119,13 @@ def quantity_and_unit(parameter: str) -> tuple[str, str]:
 
 
 def in_words(name: str) -> str:
-    """The name of an effect or parameter, its unit left out: ``motor Coulomb friction``."""
+    """The name of an effect or parameter without its unit: ``motor Coulomb friction``."""
     words, _ = quantity_and_unit(name)
     return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
 def dimension_of(channel: str) -> str | None:
-    """The dimension of a channel by its unit suffix, ``None`` where it has none we know."""
+    """The dimension of a channel by its unit suffix, ``None`` if that is unknown."""
     for suffix, dimension in _DIMENSION_OF_SUFFIX.items():
         if channel.endswith(suffix):
             return dimension
@@ -133,13 +133,13 @@ def dimension_of(channel: str) -> str | None:
 
 
 def unit_of(channel: str) -> str:
-    """The package's own unit of a channel, empty where its name ends in none we know."""
+    """The package's own unit of a channel, empty if its suffix is unknown."""
     units = accepted_units(channel)
     return units[0] if units else ""
 
 
 def accepted_units(channel: str) -> tuple[str, ...]:
-    """Units in which a column for this channel may come, the package's own first."""
+    """Units accepted for a column of this channel, the package's own first."""
     dimension = dimension_of(channel)
     return () if dimension is None else tuple(_FACTORS[dimension])
 
@@ -159,11 +159,11 @@ def conversion_factor(channel: str, unit: str) -> float:
 
 
 def spelled(unit: str) -> str:
-    """A unit as files spell it, in this package's spelling where that is known."""
+    """A unit as files spell it, in this package's spelling if that is known."""
     text = unit.strip().replace("·", " ").replace("⁻¹", "-1").replace("°", "deg")
     if is_unit(text):
         return text
-    # Only these in any case: "MN m" is not "mN m".
+    # Only these ignore case: "MN m" is not "mN m".
     return _OTHER_SPELLINGS.get(text.lower(), text)
 
 

@@ -6,7 +6,7 @@ Prints, for 18 s of the disturbance model at 1 kHz: one evaluation of the sum of
 kernel and by the formula in plain NumPy, the search, the posterior, both once more from the optimum
 of an earlier recording; then the whole ``bayesbl compare`` of the example recordings,
 ``bayesbl fit`` with its peak memory, and ``bayesbl --help``, each in a fresh process. Times are the
-best of several after a warm-up, but for fresh processes: the median.
+best of several runs after a warm-up; for fresh processes, the median.
 """
 
 from __future__ import annotations
@@ -257,7 +257,7 @@ def process_seconds(arguments: list[str], repeats: int) -> float:
 
 
 def processor() -> str:
-    """Name of the processor, as far as the system tells."""
+    """Name of the processor, if the system gives it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -5,13 +5,13 @@
     bayesbl run configs/calibration_model.toml
 
 Truths are drawn from the prior, recordings simulated, and each goes through the whole fit. On
-recordings of the virtual bench it is the gap δ and its change between two recordings that is asked
-for, on recordings of the disturbance model its A, τ and ω: a bench has no true A.
+recordings of the virtual bench the gap δ and its change between two recordings are studied, on
+recordings of the disturbance model its A, τ and ω: a bench has no true A.
 
 The prior of δ is log-uniform on the swept range. The product's own goes on beyond that range, where
-it then withholds the answer; so ranks are of that posterior cut off at the range, and stand beside
-those of the posterior as shipped. With the gap fixed there is no prior that truths came from: the
-posterior is as shipped, coverage is told and uniform ranks are not asked for.
+it then withholds the answer. So ranks are of that posterior cut off at the range, beside those of
+the posterior as shipped. With the gap fixed, truths come from no prior: the posterior is as
+shipped, coverage is reported and ranks are not tested.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY
@@ -66,7 +66,7 @@ FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
 SNAPSHOTS = ("before", "after")
 
 SYMBOLS = {"amplitude": AMPLITUDE, "decay_rate": DECAY, "frequency": FREQUENCY}
-"""What is asked for on recordings of the disturbance model: name in the table to symbol."""
+"""What is studied on recordings of the disturbance model: name in the table to symbol."""
 
 AMPLITUDES_RPM = (10.0, 40.0)
 FREQUENCIES_RAD_PER_S = (10.0 * math.pi, 50.0 * math.pi)
@@ -82,12 +82,11 @@ class Row(BaseModel):
 
     ``posterior`` of the amplitude route: ``emcee`` as shipped; ``short``, the same stopped early;
     ``normal`` around the optimum with the covariance that emcee samples. In the first
-    ``emcee_cases`` of a row emcee as shipped stands beside it. The direct route has its fast
-    posterior.
+    ``emcee_cases`` of a row emcee as shipped is run too. The direct route has its fast posterior.
 
     What real recordings suffer from: ``degrees_of_freedom`` of Student-t noise; ``missing_share``
     of the samples lost; ``speed_source`` ``encoder``, the speed differentiated from
-    ``encoder_counts``, with no other noise; ``drift_share``, growth of the speed from begin to end.
+    ``encoder_counts``, with no other noise; ``drift_share``, growth of the speed from start to end.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -189,7 +188,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Coverage at each level, whether it is in its band, uniformity of the ranks, and widths."""
-    from bayesbl.results.calibration import calibration_line
+    from bayesbl.sampling.calibration_table import calibration_line
 
     from_prior = row.bench is None or isinstance(row.gap_rad, tuple)
     line: dict[str, float | str] = {}
@@ -240,7 +239,7 @@ def _by_amplitude(
     seed: np.random.SeedSequence,
     wanted: Sequence[str],
 ) -> list[Answer]:
-    """The amplitude route's answer by each posterior that is wanted, from the same optima."""
+    """The amplitude route's answer by each posterior asked for, from the same optima."""
     search_seed, sample_seed, gap_seed = seed.spawn(3)
     estimator = Estimator()
     points = [

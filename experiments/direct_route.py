@@ -2,8 +2,8 @@
 promises?
 
 Recordings are simulated with a random start angle, on the bench itself or on one drawn within its
-tolerances, and fitted without a start from outside. The posterior is the surrogate's; in the first
-cases of each row the one weighed by full simulations stands beside it.
+tolerances, and fitted from the recording alone. The posterior is the surrogate's; in the first
+cases of each row the one weighted by full simulations is computed too.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 The same recordings of the virtual bench, each with a start angle of its own, are answered by the
 amplitude of the ringing through the swept curve and by direct simulation, from speed and current
-and from the speed alone. Beside the posterior standard deviation of ln δ stand the Cramér-Rao
+and from the speed alone. The posterior standard deviation of ln δ is compared with the Cramér-Rao
 bounds (bench known, start angle free) of speed and current, and of the speed alone, which is all
-that the amplitude route looks at. The direct posterior is the surrogate's, that of A normal around
+that the amplitude route uses. The direct posterior is the surrogate's, that of A normal around
 the optimum with the covariance that emcee samples.
 """
 
@@ -28,8 +28,8 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, gap_unknown, observed, start_angle_unknown
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.posterior import SamplerSettings
 

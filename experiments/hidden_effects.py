@@ -6,7 +6,7 @@
 A case hides something in the simulator of ``independent_bench.py``, which shares only the equations
 with the package: recordings at 2000, −2000 and 1200 rpm and one at 1600 rpm that is held out, a
 random gap, random start angles, coloured noise. The diagnosis gets the reference bench and the
-recordings; the truth is looked at afterwards. The second command writes what was answered to what.
+recordings; the truth is looked at afterwards. The second command writes what was answered for what.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ sys.path.append(str(Path(__file__).parent))
 
 from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 
-from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.candidates import BENCH_PARAMETERS, candidates
+from bayesbl.diagnosis.closed_loop.candidates import candidates
 from bayesbl.diagnosis.closed_loop.diagnosis import (
     ForwardDiagnosis,
     ForwardSettings,
@@ -54,8 +54,8 @@ KNOWN_ANGLE_SD_RAD = 1e-3
 LEVEL_SD = 1.6449
 """Half-width of a 90 % interval in standard deviations."""
 
-EFFECT_NAMES = tuple(effect.name for effect in EFFECTS)
-NAMES = (*EFFECT_NAMES, *BENCH_PARAMETERS)
+EFFECT_NAMES = tuple(TYPICAL)
+NAMES = (*EFFECT_NAMES, *CORRECTABLE_PARAMETERS)
 """Place of a name is its bit in ``set_1`` and so on."""
 VERDICTS = ("nothing_missing", "named", "parameter_error", "unexplained")
 MOST_NAMED = 3
@@ -92,7 +92,10 @@ _SAME_IN_THESE = (
     {"current_loop_lag", "channel_time_skew"},
     {"speed_sensor_lag", "channel_time_skew"},
 )
-"""Pairs declared indistinguishable beforehand (design.md section 9); a drift holds a constant."""
+"""Pairs declared indistinguishable beforehand; a drift contains a constant.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 PAIRS = tuple(
     pair
     for pair in combinations([name for name in EFFECT_NAMES if name not in _ONLY_ALONE], 2)
@@ -126,7 +129,7 @@ COLUMNS = {
     **{f"first_{k}": ("1", f"place of the first name of set {k}") for k in range(1, 4)},
     "z": ("1", "signature left after the best refit of all that is declared unknown"),
     "nearest": ("1", "distance of the truth's best fit to the nearest other candidate's"),
-    "closed_used": ("1", "closed share of the gap to the noise-free truth, fitted recordings"),
+    "closed_used": ("1", "closed share of the disagreement with the noise-free truth, fitted"),
     "closed_held_out": ("1", "the same, held-out recording"),
     "delta_rad": ("rad", "gap simulated"),
     "delta_z_before": ("1", "error of ln δ in standard deviations, bench as believed"),
@@ -300,7 +303,8 @@ def write_confusion(groups: Mapping[str, xr.Dataset], file: Path) -> None:
 @cache
 def _believed() -> dict[str, float]:
     bench = reference_bench()
-    return {info.name: bench.value(info.name) for info in ALL_PARAMETERS}
+    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
+    return {name: value for name, (value, default) in every.items() if value != default}
 
 
 def _strong(name: str, strength: float) -> dict[str, float]:
@@ -308,12 +312,9 @@ def _strong(name: str, strength: float) -> dict[str, float]:
     if name == "backlash":
         # The gap itself, where the bench is believed to have none.
         return {"gap_rad": 0.0, "backlash__gap_rad": strength * TYPICAL[name]["gap_rad"]}
-    shape = {
-        p.name for effect in EFFECTS if effect.name == name for p in effect.parameters
-        if p.shape_only
-    }  # fmt: skip
+    amplitudes = {item.name for item in effect_named(name).amplitudes}
     return {
-        f"{name}__{key}": value if key in shape else strength * value
+        f"{name}__{key}": strength * value if key in amplitudes else value
         for key, value in TYPICAL[name].items()
     }
 

@@ -1,4 +1,4 @@
-"""How often is the noise's kind chosen rightly, and what does a wrong kind cost?
+"""How often is the right kind of noise chosen, and what does a wrong kind cost?
 
     bayesbl run configs/noise_choice.toml
 
@@ -82,7 +82,7 @@ class Row(BaseModel):
 
     @property
     def kind(self) -> str:
-        """What it should be told to be."""
+        """What it should be called."""
         if self.degrees_of_freedom is not None:
             return "student_t"
         return "ar" if self.coefficients else "white"

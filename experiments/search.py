@@ -5,8 +5,8 @@
 Every case is a recording of the disturbance model itself: A = 20 rpm, T_w 2.5 to 4.5 s, 4 to 6
 rotations, half the cases with white noise and half with AR(1) noise of a random coefficient. The
 optimum refined from the truth is what a search has to reach. Under noise as strong as the ringing
-the global optimum is not always at the true pulses, so both are told: whether the search ended as
-low (``found``), and whether it did so with its pulses where they truly are (``success``).
+the global optimum is not always at the true pulses, so both are reported: whether the search ended
+as low (``found``), and whether it did so with its pulses where they truly are (``success``).
 """
 
 from __future__ import annotations

@@ -40,9 +40,9 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
 from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.sampling.calibration import coverage_band
@@ -180,7 +180,7 @@ def detection_curve(change_rad: FloatArray, reported: FloatArray) -> tuple[float
         z = (x - symbols[0]) / math.exp(symbols[1])
         return -float(np.sum(norm.logcdf(np.where(reported > 0.0, z, -z))))
 
-    # Curves much steeper than the changes are apart cannot be told from one another.
+    # Curves much steeper than the spacing of the changes cannot be distinguished.
     bounds = [(-2.0, 4.0), (math.log(0.02), math.log(5.0))]
     found = minimize(deviance, np.array([0.4, -1.5]), method="L-BFGS-B", bounds=bounds)
     return scale * float(found.x[0]), scale * math.exp(found.x[1])

@@ -41,7 +41,7 @@ Arrays = xr.Dataset | xr.DataTree
 class Made:
     """How a stored result comes about: its kind, and the configurations to be run for it.
 
-    What these need stands above in :data:`RESULTS`.
+    What these need is listed before it in :data:`RESULTS`.
     """
 
     kind: str
@@ -147,7 +147,7 @@ class Stored:
             raise ResultError(
                 "This sweep was stored without its bench.",
                 file=self.results / "sweep/result.nc",
-                expected=f"a sweep made anew: {RESULTS['sweep'].told} --force",
+                expected=f"a new sweep: {RESULTS['sweep'].told} --force",
             )
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "bench.toml"

@@ -118,7 +118,7 @@ def caption(shown: xr.Dataset) -> str:
     told = (
         "What was hidden in simulated recordings (rows) and what the diagnosis named first "
         "(columns); how often, shaded by its share of the row; the right answer framed. Effects "
-        "and parameters were named rightly in "
+        "and parameters were named correctly in "
         f"{int(count[single][right[single]].sum())} of {int(count[single].sum())} datasets. All "
         f"other answers: {'; '.join(wrong) or 'none'}."
     )

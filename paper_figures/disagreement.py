@@ -1,4 +1,4 @@
-"""Where recording and simulation disagree, and how naming the missing effect closes the gap."""
+"""Where recording and simulation disagree, and how naming the missing effect removes it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayesbl.presentation.figures.style import (
     look,
     new_figure,
 )
-from bayesbl.results.summary import summarise
+from bayesbl.runs.summary import summarise
 from bayesbl.units import unit_of
 
 RECORDING = "forward"
@@ -28,7 +28,7 @@ _STAGES = {"before": "bench as believed", "after": "with the effect that was nam
 
 
 def data(stored: Stored) -> xr.Dataset:
-    """Over the load angle: recorded, simulated, what is left; and how far each recording closed."""
+    """Over the load angle: recorded, simulated, residual; and how far each recording closed."""
     tree = stored.tree("hidden_friction")
     located = [tree[f"located_{s}"].to_dataset().sel(recording=RECORDING) for s in _STAGES]
     columns: dict[str, tuple[object, ...]] = {
@@ -59,7 +59,7 @@ def data(stored: Stored) -> xr.Dataset:
 
 
 def draw(shown: xr.Dataset) -> Figure:
-    """A row a channel: overlay and what is left; beside them every recording's gap closing."""
+    """A row a channel: overlay and residual; beside them the RMS of every recording."""
     figure = new_figure(DOUBLE_COLUMN_IN, 3.8)
     spec = grid(figure, 2, 3, left=0.62, top=0.55, between=(0.45, 0.62), widths=(1.0, 1.0, 1.0))
     panels, titles = [], []
@@ -68,7 +68,7 @@ def draw(shown: xr.Dataset) -> Figure:
         _draw_overlay(overlay, shown, channel)
         _draw_left(left, shown, channel)
         overlay.set_ylabel(f"{label} ({unit_of(channel)})")
-        left.set_ylabel(f"What is left ({unit_of(channel)})")
+        left.set_ylabel(f"Residual ({unit_of(channel)})")
         for panel in (overlay, left):
             panel.set_xticks(np.pi * np.arange(5) / 2.0, ["0", "π/2", "π", "3π/2", "2π"])
             panel.set_xlim(0.0, 2.0 * np.pi)
@@ -76,7 +76,7 @@ def draw(shown: xr.Dataset) -> Figure:
             if row == 1:
                 panel.set_xlabel("Load angle (rad)")
         panels += [overlay, left]
-        titles += [label.lower(), "what is left of it"]
+        titles += [label.lower(), "its residual"]
     closed = figure.add_subplot(spec[:, 2])
     box = closed.get_position()
     closed.set_position((box.x0 + 0.075, box.y0, box.width - 0.075, box.height))
@@ -137,14 +137,14 @@ def _draw_closed(panel: Axes, shown: xr.Dataset) -> None:
 
 
 def caption(shown: xr.Dataset) -> str:
-    """What is seen, with what was named and what it does to the gap."""
+    """What is seen, with what was named and what it does to δ."""
     before, after = shown["over_noise"].values.T
     held = shown["held_out"].values.astype(bool)
     return (
         f"A virtual joint with load friction that the bench lacks. (a), (c) Recording {RECORDING} "
-        "over the load angle, with the simulation by the bench as believed and with what was named "
+        "over the load angle, with the simulation by the bench before and after naming the effect "
         f"({shown.attrs['effect'].replace('_', ' ')}, {shown.attrs['size']:.2f} N m); (b), (d) "
-        "what is left, averaged over the rotations, with its standard error. (e) RMS difference "
+        "the residual, averaged over the rotations, with its standard error. (e) RMS difference "
         f"over the noise floor in every recording: {before.min():.1f} to {before.max():.1f} before "
         f"naming, at most {after.max():.2f} after it, {after[held].max():.2f} on the recording "
         f"held out. The gap δ is {shown.attrs['delta_after_mrad']:.3f} mrad with the effect and "

@@ -1,8 +1,8 @@
 """Figure 6: recorded and simulated position, speed and current laid over each other.
 
-The bench is the one that was swept, the gap the median of the stored posterior. What is left is
-where the load stood at the first sample: found by least squares: from the current alone to within
-a few degrees, as its error has one minimum, then from speed and current together.
+The bench is the one that was swept, the gap the median of the stored posterior. The only
+unknown is the load's angle at the first sample. Least squares finds it, first from the current
+alone to within a few degrees, as its error has one minimum, then from speed and current together.
 The example recordings were made by this bench, so they agree up to noise; a real joint would not.
 """
 
@@ -93,7 +93,7 @@ def draw(shown: xr.DataTree) -> Figure:
 
 
 def caption(shown: xr.DataTree) -> str:
-    """What is seen, with what is left between recording and simulation."""
+    """What is seen, with the residuals of recording and simulation."""
     left = "; ".join(
         f"{name}: "
         + ", ".join(
@@ -105,8 +105,8 @@ def caption(shown: xr.DataTree) -> str:
     return (
         "One load rotation of the two example recordings (grey) and of the virtual bench at the "
         "gap that was found (blue): motor position less that of the reference speed, motor speed, "
-        "motor current. Only the start angle was fitted. Standard deviation of what is left in "
-        f"speed and current, the recordings' noise: {left}."
+        "motor current. Only the start angle was fitted. Standard deviation of the residuals "
+        f"of speed and current, which are the recordings' noise: {left}."
     )
 
 

@@ -24,7 +24,7 @@ def caption(tree: xr.DataTree) -> str:
         f"Motor speed of the virtual bench without noise at {gaps.size} gaps δ from {gaps[0]:.2f} "
         f"to {gaps[-1]:.2f} mrad. (a) One load rotation; (b), (c) the two impacts, shaded in (a), "
         f"{1e3 * pulse_view(tree)[1]:.0f} ms each. The ringing grows with the gap and keeps its "
-        "shape; the slow wave under it is gravity, which the speed loop does not hold back wholly."
+        "shape; the slow wave under it is gravity, which the speed loop does not suppress fully."
     )
 
 

@@ -26,7 +26,7 @@ def data(stored: Stored) -> xr.DataTree:
 
 
 def caption(tree: xr.DataTree) -> str:
-    """What is seen, with the RMS of what is left."""
+    """What is seen, with the RMS of the residuals."""
     parts = snapshots(tree)
     left = " and ".join(
         f"{np.sqrt(np.nanmean(s.values('predictive', 'residual_rpm') ** 2)):.2f} rpm ({s.name})"

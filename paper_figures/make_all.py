@@ -3,7 +3,7 @@
     python paper_figures/make_all.py            # a few minutes; tables of studies as committed
     python paper_figures/make_all.py --remake   # the studies too: many hours
 
-What is stored under ``results`` is taken as it is; delete a folder there to have it made again.
+What is stored under ``results`` is used as it is; delete a folder there to make it again.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def caption(shown: xr.Dataset) -> str:
     widths = np.diff(shown["interval_mrad"].isel(bound=[0, 2]).values, axis=1).ravel()
     at_rest, worn = (shown["width_mrad"].isel(pair=i).values for i in (0, -1))
     return (
-        "One bench stands behind both recordings of a joint, so what is wrong with its curve "
+        "Both recordings of a joint come from one bench, so what is wrong with its curve "
         "cancels in a small change. (a) Posterior of the change of the example recordings through "
         "the curve of a bench known to 5 %: both through the same draws of the curve (90 % "
         f"interval {widths[0]:.3f} mrad wide) and each through draws of its own ({widths[1]:.3f} "

@@ -105,7 +105,7 @@ def caption(shown: xr.Dataset) -> str:
         "curve was swept with; all are read through the same curve, the same recordings in each "
         "panel; means with standard errors, grey the 90 % interval that the sweep's own estimator "
         f"claims. (a) {shown['noise'].values[0]}: {told}. (b) {shown['noise'].values[1]}: "
-        f"generalised least squares {span(1, 'generalised')}. No amount of data mends this: with "
+        f"generalised least squares {span(1, 'generalised')}. No amount of data cures this: with "
         "less noise the intervals shrink and the error stays."
     ).replace(" -", " −")
 

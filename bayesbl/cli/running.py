@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from bayesbl.config.sections import RunConfig
-    from bayesbl.measurement.amplitude_route import StageProgress
+    from bayesbl.measurement.task import StageProgress
 
 
 def run_config(config: RunConfig, force: bool, json: bool) -> None:
@@ -72,7 +72,7 @@ def print_json(folder: Path) -> None:
     typer.echo(text, nl=False)
 
 
-def tell_study(summary: dict[str, Any], folder: Path | None = None) -> None:
+def tell_study(summary: Mapping[str, Any], folder: Path | None = None) -> None:
     """The table of a study; the commit of each row stands in the files."""
     from bayesbl.presentation.console import make_console
     from bayesbl.presentation.study import print_study

@@ -22,14 +22,14 @@ Method = Literal["forward", "inverse", "free_motion"]
 
 
 def _effects(value: object) -> object:
-    """Refused before the choice between ``"all"`` and a list, whose every branch would be told."""
-    # Imported here: the catalogue stands on the compiled simulator, which takes a second.
+    """Refused before the choice between ``"all"`` and a list, which would report every branch."""
+    # Imported here: the catalogue needs the compiled simulator, which takes a second.
     from bayesbl.bench.effects import EFFECT_BY_NAME
 
     if value == "all":
         return value
     if not isinstance(value, list | tuple) or not value:
-        refuse("This is no list of effects.", expected='"all", or names in brackets: ["…"]')
+        refuse("This is not a list of effects.", expected='"all", or names in brackets: ["…"]')
     unknown = [name for name in value if not (isinstance(name, str) and name in EFFECT_BY_NAME)]
     if unknown:
         hints = dict.fromkeys(did_you_mean(str(name), EFFECT_BY_NAME) for name in unknown)
@@ -81,7 +81,7 @@ class Compared(Section):
 
 
 class Unknowns(Section):
-    """``[unknowns]``: what is fitted whatever is missing."""
+    """``[unknowns]``: what is fitted in any case."""
 
     gap_rad: Range | None = None
     bench_parameters: Annotated[
@@ -96,7 +96,7 @@ class DiagnosedRecording(SnapshotRecording):
 
 
 class Candidates(Section):
-    """``[candidates]``: effects that may be named, how many, and how often one falsely."""
+    """``[candidates]``: effects that may be named, how many, and the rate of false alarms."""
 
     effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(_effects)] = "all"
     max_effects: int = Field(default=3, ge=1, le=10)

@@ -1,4 +1,4 @@
-"""The kinds of value that configurations hold, each with the sentence that refuses a wrong one."""
+"""The kinds of value that configurations hold, each with the message for a wrong one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def refuse(
 ) -> NoReturn:
     """Refuse a value with a sentence; ``found`` replaces the whole value in the message.
 
-    ``at`` leads from the value on to the part of it that is wrong, for its line and its option.
+    ``at`` leads from the value to the part of it that is wrong, to find its line or option.
     """
     context = {
         "problem": problem.replace("{", "{{"),

@@ -1,4 +1,4 @@
-"""From a file to its tables and its model: what is wrong with it is told at once."""
+"""From a file to its tables and its model: all that is wrong is reported at once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def load_file(path: Path, model: type[_Model]) -> _Model:
     Raises
     ------
     ConfigError
-        Naming file and field: no such file, no TOML, another kind, or what the model refuses.
+        Naming file and field: no such file, not TOML, another kind, or what the model refuses.
     """
     (kind,) = get_args(model.model_fields["kind"].annotation)
     text, tables = read_toml(path, f"a file of kind {_told(kind)} in TOML")
@@ -51,11 +51,11 @@ def read_toml(
     Raises
     ------
     ConfigError
-        If there is no such file, or it is no TOML.
+        If there is no such file, or it is not TOML.
     """
     if path.suffix.lower() in SUFFIXES and path.is_file():
         raise ConfigError(
-            "This is a recording, or no configuration at all.",
+            "This is a recording, or not a configuration at all.",
             file=path,
             found=f"a file ending in {path.suffix}",
             expected=instead_of_recording or expected,
@@ -119,6 +119,6 @@ def _parse(text: str, file: Path) -> dict[str, Any]:
             f"This is not valid TOML: {problem}.",
             file=file,
             where=place[1] if place else None,
-            expected='key = value; text stands in quotes, e.g. file = "before.csv"; numbers have a '
+            expected='key = value; text is in quotes, e.g. file = "before.csv"; numbers have a '
             "decimal point, not a comma; dates are written 2026-07-01",
         ) from None

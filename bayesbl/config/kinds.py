@@ -28,7 +28,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "compare": "recordings to be measured and compared",
         "simulate": "recordings to be made on a bench",
         "sweep": "a bench to be swept over its gap",
-        "diagnose": "recordings, and the bench that is to describe them",
+        "diagnose": "recordings, and the bench that should describe them",
         "study": "an experiment and its rows",
         "bench": "a virtual bench",
     }

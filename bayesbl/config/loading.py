@@ -62,7 +62,7 @@ _Tables = dict[str, Any]
 class _Document:
     """A configuration as it was written, before validation.
 
-    ``origins`` names what an option set, by location: its problems are not the file's.
+    ``origins`` names what an option set, by location: such problems are not the file's.
     """
 
     tables: _Tables
@@ -85,7 +85,7 @@ def load_config(path: str | Path, *, kind: str | None = None) -> RunConfig:
     Raises
     ------
     ConfigError
-        With everything that is wrong: the file missing or no TOML, keys that are unknown, values
+        With everything that is wrong: the file missing or not TOML, keys that are unknown, values
         of a wrong type or out of range, files named in it that do not exist.
     """
     document = _read(Path(path))
@@ -103,7 +103,7 @@ def config_from_options(
     dates: Sequence[Date] = (),
     **options: object,
 ) -> RunConfig:
-    """The configuration of a command: options over a configuration file over the defaults.
+    """The configuration of a command: options override the file, which overrides the defaults.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def config_from_options(
     origins: dict[Location, str] = {("kind",): "command"}
     if dates and len(dates) != len(recordings):
         raise ConfigError(
-            "Dates and recordings do not pair up.",
+            "There must be one date for each recording.",
             where="--date",
             found=f"{len(dates)} for {len(recordings)} recordings",
             expected="one for each recording, in the same order, or none",
@@ -237,7 +237,7 @@ def _get(tables: _Tables, location: Location) -> object:
 
 
 def _set(tables: _Tables, location: Location, value: object) -> None:
-    """Put a value into a section of its own copy; a section that is no table is left as it is."""
+    """Put a value into a section of its own copy; a section that is no table stays as it is."""
     key = str(location[0])
     if len(location) == 1:
         tables[key] = value

@@ -22,7 +22,7 @@ from bayesbl.config.fields import (
 from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
 
 LARGEST_LIMIT_RAD = 0.05
-"""Nearly 3°: no joint whose gap is measured by its ringing may have so much."""
+"""Nearly 3°: more than any joint whose gap can be measured by its ringing."""
 
 
 class Joint(Section):
@@ -51,7 +51,7 @@ class Joint(Section):
     def _date_of_a_limit(self) -> Self:
         if self.decide_before is not None and self.limit_rad is None:
             refuse(
-                "A date to decide before needs a limit that the gap may pass.",
+                "A decision date needs a limit for the gap.",
                 found="decide_before without limit_rad",
                 expected="limit_rad beside it, e.g. limit_rad = 1.2e-3 (--limit-rad 1.2e-3)",
                 at=("decide_before",),
@@ -171,7 +171,7 @@ class SnapshotConfig(RecordedConfig):
         count, least, most = len(recordings), cls.least_recordings, cls.most_recordings
         if count < least or (most is not None and count > most):
             refuse(
-                "This is not the number of recordings that this kind of run takes.",
+                "This kind of run takes another number of recordings.",
                 found=f"{count} recording{'' if count == 1 else 's'}",
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
@@ -187,7 +187,7 @@ class SnapshotConfig(RecordedConfig):
     @field_validator("posterior")
     @classmethod
     def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:
-        estimator = info.data.get("estimator")  # missing where it was refused itself
+        estimator = info.data.get("estimator")  # absent if it was refused itself
         if estimator is not None and estimator.route == "direct" and posterior.check_sampler:
             refuse(
                 "The second sampler samples the amplitude route's posterior only; by the direct "
@@ -211,7 +211,7 @@ class FitConfig(SnapshotConfig):
     def _decides_nothing(self) -> Self:
         if self.joint.decide_before is not None:
             refuse(
-                "One recording tells no rate of wear, so nothing about a later date.",
+                "One recording gives no rate of wear, so it says nothing about a later date.",
                 found=f"decide_before = {self.joint.decide_before}",
                 expected='kind = "compare" with two dated recordings or more',
                 at=("joint", "decide_before"),
@@ -252,8 +252,8 @@ class CompareConfig(SnapshotConfig):
             repaired = [f'"{recording.name}"' for recording in recordings if recording.repaired]
             if repaired:
                 refuse(
-                    "repaired = true marks the recording from which wear is counted in time, and "
-                    "that needs dates.",
+                    "repaired = true marks the recording from which the rate of wear is "
+                    "counted, and a rate needs dates.",
                     found=f"{', '.join(repaired)}, and no dates",
                     expected="date = 2026-03-01 in every [[recordings]], or no repaired = true",
                 )
@@ -268,14 +268,14 @@ class CompareConfig(SnapshotConfig):
             return self
         if self.dates is None:
             refuse(
-                "A date to decide before needs recordings that are dated.",
+                "A decision date needs dated recordings.",
                 found="a recording without a date",
                 expected="date = 2026-03-01 in every [[recordings]], or --date for each",
                 at=("joint", "decide_before"),
             )
         if before <= self.dates[-1]:
             refuse(
-                "The date to decide before is not after the last recording.",
+                "The decision date is not after the last recording.",
                 found=f"decide_before = {before}, last recording {self.dates[-1]}",
                 expected="a later date",
                 at=("joint", "decide_before"),

@@ -1,4 +1,4 @@
-"""What validation found wrong in a configuration, said in sentences that name line and field."""
+"""What validation found wrong in a configuration, in sentences that name line and field."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _OUT_OF_RANGE = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong: a sentence, its place, what stood there, what should have."""
+    """One thing that is wrong: a sentence, its place, what was there, what should be."""
 
     problem: str
     where: str | None = None
@@ -71,7 +71,7 @@ def problems_of(error: ValidationError, model: type[BaseModel], text: str) -> li
 
 
 def items_of(error: ValidationError) -> list[dict[str, Any]]:
-    """What pydantic found, but for a list called too short only because its items are wrong."""
+    """What pydantic found, except a list called too short only because its items are wrong."""
     items: list[dict[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
     places: list[Location] = [item["loc"] for item in items]
 
@@ -108,7 +108,7 @@ def field_name(model: type[BaseModel], location: Location) -> str:
 
 
 def line_numbers(text: str) -> dict[Location, int]:
-    """Line of each table header and key of a TOML text, as far as they stand at a line's start."""
+    """Line of each table header and key of a TOML text, if they are at the start of a line."""
     lines: dict[Location, int] = {}
     entries: dict[Location, int] = {}
     table: Location = ()

@@ -1,6 +1,6 @@
 """What the configurations of several kinds share: one frozen model per section.
 
-Defaults stand in these models and nowhere else. Paths are resolved against the folder that the
+Defaults are in these models and nowhere else. Paths are resolved against the folder that the
 validation context names, and must exist. A new kind is one module beside this one, and one entry
 in ``kinds.KINDS``. Only pydantic is imported, so that ``bayesbl check`` answers at once.
 """
@@ -44,7 +44,7 @@ _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATI
 
 
 class Run(Section):
-    """``[run]``: what does not change the problem, besides the seed."""
+    """``[run]``: the seed, and what does not change the problem."""
 
     seed: int = Field(default=1, ge=0, lt=2**63)
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=1024)
@@ -123,9 +123,9 @@ class RecordedConfig(RunConfig):
 
 
 class Model(Section):
-    """``[estimator.model]``: which symbols of eq. 6 are held, and the baseline under the pulses.
+    """``[estimator.model]``: which symbols of eq. 6 are fixed, and the baseline under the pulses.
 
-    A symbol is free unless it stands in ``fixed``.
+    A symbol is free unless it is in ``fixed``.
     """
 
     baseline_harmonics: int = Field(default=1, ge=0, le=20)

@@ -12,7 +12,7 @@ from bayesbl.config.files import load_file
 
 
 class SimulatedRecording(Section):
-    """An entry of ``[[recordings]]`` that is to be simulated; no start angle: one is drawn."""
+    """An entry of ``[[recordings]]`` to be simulated; without a start angle one is drawn."""
 
     name: Name
     file: str = Field(min_length=1)
@@ -25,7 +25,7 @@ class SimulatedRecording(Section):
 
 
 class SimulateRun(Section):
-    """``[run]`` of a simulation; without an output the files stand beside the configuration."""
+    """``[run]`` of a simulation; without an output the files go beside the configuration."""
 
     seed: int = Field(default=1, ge=0, lt=2**63)
     workers: int = Field(default=1, ge=1, le=1024)
@@ -67,6 +67,6 @@ def load_simulation(path: str | Path) -> SimulateFile:
     Raises
     ------
     ConfigError
-        Naming file and field: no such file, no TOML, unknown keys, values out of range.
+        Naming file and field: no such file, not TOML, unknown keys, values out of range.
     """
     return load_file(Path(path), SimulateFile)

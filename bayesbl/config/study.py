@@ -42,7 +42,7 @@ class StudyRun(Run):
 class StudyConfig(RunConfig):
     """``kind = "study"``: an experiment from a file of its own, row by row.
 
-    A row is a free table that the study itself validates; only its ``name`` is asked for here.
+    A row is a free table that the study itself validates; only its ``name`` is required here.
     """
 
     kind: Literal["study"]

@@ -42,7 +42,7 @@ class Sweep(Section):
     @field_validator("degree")
     @classmethod
     def _fewer_than_gaps(cls, degree: int, info: ValidationInfo) -> int:
-        gap_rad = info.data.get("gap_rad")  # missing where it was refused itself
+        gap_rad = info.data.get("gap_rad")  # absent if it was refused itself
         if gap_rad is not None and gap_rad.count < degree + 3:
             refuse(
                 "The sweep has too few gaps for this degree.",

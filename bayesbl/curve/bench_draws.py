@@ -3,7 +3,7 @@
 The bench is swept at some draws of its parameters. At each gap, ln A, ln ω and ln τ are then
 described as smooth functions of the parameters (each draw regressed at its own gap: A on the
 parameters, never pooled points of δ on A), which gives as many further draws as inference needs.
-What the description leaves is added back from the swept draws themselves.
+Its residuals are added back from the swept draws themselves.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def virtual_departures(
     """Departures (ln A, ln ω, ln τ) of ``count`` benches drawn within the tolerances.
 
     Linear in the parameters, with their squares where the swept draws are three times as many as
-    the terms; the swept draws alone, with repetition, where they are too few for either.
+    the terms; the swept draws alone, with repetition, if they are too few for either.
 
     Returns
     -------

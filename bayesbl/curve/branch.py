@@ -1,8 +1,8 @@
-"""Which local optimum is the ringing, where the sum of squares alone can mistake it.
+"""Which local optimum is the ringing, where the sum of squares alone may be wrong.
 
 Pulses close to the noise can fit almost as well, and sometimes better, exchanged and half a ringing
-off. A sweep knows what frequency and decay go with each amplitude; as a prior on both it tells the
-optima apart. Within the optimum that is chosen, A stays the least-squares amplitude that the curve
+off. A sweep knows which frequency and decay belong to each amplitude; as a prior on both this
+separates the optima. Within the chosen optimum A stays the least-squares amplitude that the curve
 means.
 """
 
@@ -23,11 +23,11 @@ LARGEST_DEFICIT = 15.0
 
 
 def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate) -> PointEstimate:
-    """The optimum or the rival of it that is likeliest with the curve's frequency and decay.
+    """The optimum, or the rival that is likelier with the curve's frequency and decay.
 
     The evidence of each is its likelihood times the density of its (ln ω, ln τ) under the curve's
     at its amplitude, spread by the fit's covariance, the start angle's scatter and the bench's.
-    A curve that knows no ringing leaves the optimum as it is.
+    A curve without ringing keeps the optimum as it is.
     """
     ringing = curve.ringing
     if ringing is None:
@@ -51,9 +51,9 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
     if best is point:
         return replace(point, contenders=contenders)
     note = (
-        "The optimum of least RMSE rings unlike this bench at any gap; the one that does, "
+        "The optimum of least RMSE does not ring like this bench at any gap. Another that does, "
         f"{100.0 * (best.optimum.rmse_rpm / point.optimum.rmse_rpm - 1.0):.2g} % larger in RMSE, "
-        "was taken in its place."
+        "was used instead."
     )
     notes = (*point.notes, note)
     return replace(best, notes=notes, start=point.start, contenders=contenders, mended=point.mended)
@@ -70,7 +70,7 @@ def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float
     expected = np.array(
         [np.interp(x, log_knots, ringing.log_frequency), np.interp(x, log_knots, ringing.log_decay)]
     )
-    # A fixed frequency or decay tells nothing, and has no variance to weigh it with.
+    # A fixed frequency or decay carries no information and has no variance.
     told = np.diag(covariance)[1:] > 0.0
     difference = (centre[1:] - expected)[told]
     total = total[np.ix_(told, told)]

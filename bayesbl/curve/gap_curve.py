@@ -1,9 +1,9 @@
 """Curves from ringing amplitude A to backlash gap δ.
 
-Wherever a curve comes from, it is one kind of thing: a polynomial, a smooth correction to it, draws
-of what is uncertain about it by source, and the range over which it was made. Draws are shared by
-all snapshots of a joint: what is wrong with the curve is wrong the same way for each of them, and
-largely cancels in the change of δ.
+Every curve has the same parts: a polynomial, a smooth correction to it, draws of its uncertainty by
+source, and the range over which it was made. Draws are shared by all snapshots of a joint: what is
+wrong with the curve is wrong in the same way for each of them, and largely cancels in the change
+of δ.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KNOTS = 80
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """What a sweep says of the ringing's frequency and decay at each amplitude.
+    """What a sweep says about the ringing's frequency and decay at each amplitude.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Ringing:
         ln ω (rad/s) and ln τ (1/s) at the curve's knots, shape (g,).
     frequency_draws, decay_draws
         Departures from these for each draw of the curve's ``bench`` source, shape (m, g); one row
-        of zeros where the bench is taken for exact.
+        of zeros where the bench is assumed exact.
     scatter
         Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (g, 3, 3).
     """
@@ -69,7 +69,7 @@ class GapCurve:
     ringing
         Frequency and decay along the curve, where a sweep has them.
     warnings
-        What every user of this curve must be told.
+        What every user of this curve must know.
     reference_speed_rpm
         Mean motor speed of the bench it was made on, without sign; ``None`` if not known.
     """
@@ -93,7 +93,7 @@ class GapCurve:
             worst = int(np.argmin(np.diff(value)))
             raise CurveError(
                 "The gap curve does not grow with the amplitude over its range, so an amplitude "
-                "does not tell the gap.",
+                "does not determine the gap.",
                 file=self.name,
                 found=f"dδ/dA {(value[worst + 1] - value[worst]) / (grid[1] - grid[0]):.3g} "
                 f"rad/rpm at A = {grid[worst]:.3g} rpm",
@@ -140,7 +140,7 @@ class GapCurve:
     def draw(
         self, count: int, generator: np.random.Generator, sources: Collection[str] | None = None
     ) -> CurveDraws:
-        """``count`` curves that could be the true one, all snapshots to share them.
+        """``count`` curves that could be the true one, shared by all snapshots.
 
         Parameters
         ----------

@@ -98,7 +98,7 @@ def regress(
     amplitude_rpm, gap_rad
         Sweep points, shape (n,).
     relative_scatter
-        Standard deviation of ln δ that the start angle's scatter of A makes, shape (n,).
+        Standard deviation of ln δ from the scatter of A over start angles, shape (n,).
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """The amplitude that a measured recording would show, at every gap of a virtual bench.
 
-Each simulated recording goes through the estimator that the measured ones get (model, window,
-baseline, sampling), so that curve and measurement mean the same A. The search is warm-started
-along the gap; what is found is the same least-squares optimum.
+Each simulated recording goes through the estimator used for measured ones (model, window, baseline,
+sampling), so that curve and measurement mean the same A. The search is warm-started along the gap;
+it finds the same least-squares optimum.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def sweep_like(
 ) -> SweepRow:
     """A bench near the nominal one, first start angles only, warm-started from the nominal sweep.
 
-    At the nominal sweep's own start angles, whose scatter then cancels in the difference.
+    Uses the nominal sweep's start angles, so that their scatter cancels in the difference.
     """
     angles = nominal.start_angle_rad[:, :1]
     objectives = _objectives(bench, model, settings, angles, 1)
@@ -207,7 +207,7 @@ def _objectives(
 def _turned(
     model: DisturbanceModel, point: FloatArray, angle_rad: float, bench: Bench
 ) -> FloatArray:
-    """The point as it looks when the recording begins ``angle_rad`` further on."""
+    """The point as it looks when the recording starts ``angle_rad`` further on."""
     if START not in model.searched:
         return point
     turned = point.copy()

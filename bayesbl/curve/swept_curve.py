@@ -85,7 +85,7 @@ def swept_curve(
 
 
 def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
-    """Polynomials of other degrees beside the cubic, so that its fit is a result."""
+    """Polynomials of several degrees, so that a cubic is a result and no assumption."""
     mean = nominal.amplitude_rpm.mean(axis=1)
     knots = np.geomspace(mean[0], mean[-1], KNOTS)
     sd = start_angle_scatter(nominal.amplitude_rpm)
@@ -110,8 +110,8 @@ def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
 def start_angle_scatter(values: FloatArray) -> FloatArray:
     """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
 
-    Variances are averaged over five neighbouring gaps: a few start angles alone tell a standard
-    deviation badly.
+    Variances are averaged over five neighbouring gaps: a few start angles alone estimate a
+    standard deviation poorly.
     """
     if values.shape[1] < 2:
         return np.zeros(len(values))
@@ -139,7 +139,7 @@ def _require_growing(name: str, gap_rad: FloatArray, amplitude_rpm: FloatArray) 
     if falls.size:
         i = int(falls[0])
         raise CurveError(
-            "The amplitude does not grow with the gap, so it does not tell the gap.",
+            "The amplitude does not grow with the gap, so it does not determine the gap.",
             file=name,
             where=f"δ = {gap_rad[i]:.3g} to {gap_rad[i + 1]:.3g} rad",
             found=f"A = {amplitude_rpm[i]:.4g} to {amplitude_rpm[i + 1]:.4g} rpm",

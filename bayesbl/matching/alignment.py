@@ -1,4 +1,4 @@
-"""Where a recording begins and roughly how large the gap is, without a start from outside."""
+"""Where a recording starts and roughly how large the gap is, from the recording alone."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def fit_aligned(
     """The most probable point of all unknowns, from the recordings alone.
 
     The gap is scanned; for each the recordings, averaged over rotations, are shifted against the
-    simulation by correlation; the best few are fitted, the noise estimated anew from what the fit
-    leaves.
+    simulation by correlation; the best few are fitted, and the noise is estimated again from the
+    residuals.
     """
     noise = [estimate_channel_noise(seen.signals, seen.lag) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
@@ -51,7 +51,7 @@ def fit_aligned(
 
 
 def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
-    """Noise of each recording from rotation differences of what the fit leaves."""
+    """Noise of each recording from rotation differences of the fit's residuals."""
     model = fit.model
     return [
         estimate_channel_noise(seen.left_by(model.signals(fit.point, i)[0]), seen.lag)
@@ -64,14 +64,14 @@ def aligned_starts(
 ) -> list[FloatArray]:
     """Points to fit from, best first: gaps by scan, start angles by correlation.
 
-    Recordings with a gap of their own are scanned one by one, and begin together at the best of
+    Recordings with a gap of their own are scanned one by one, and start together at the best of
     each, the second best of each, …
 
     Parameters
     ----------
     grids
-        Coordinates to scan besides the gap, by place in a point; all combinations are tried.
-        Other unknowns begin at their prior's centre, or the middle of their range.
+        Coordinates to scan besides the gap, by index in a point; all combinations are tried.
+        Other unknowns start at their prior's centre, or the middle of their range.
     """
     names = [(u.name, u.recording) for u in model.unknowns]
     start = np.array([_middle(u) for u in model.unknowns])
@@ -110,7 +110,7 @@ def _combinations(
 
 
 def _best_apart(cost: FloatArray, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Places of the lowest costs, none beside another; repeated where there are too few."""
+    """Indices of the lowest costs, no two adjacent; repeated where there are too few."""
     chosen: list[int] = []
     for k in map(int, np.argsort(cost, kind="stable")):
         if all(_far(np.unravel_index(k, shape), np.unravel_index(c, shape)) for c in chosen):
@@ -129,7 +129,7 @@ def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
 
 
 def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:
-    """Whether two places of a grid are no neighbours."""
+    """Whether two places of a grid are not neighbours."""
     return any(abs(int(i) - int(j)) > 1 for i, j in zip(a, b, strict=True))
 
 
@@ -146,7 +146,7 @@ def _align(
 ) -> tuple[FloatArray, FloatArray]:
     """Best start angle at each point, shape (m,), and χ² left there, shape (m,).
 
-    Means are taken off: what shifts a whole channel says nothing of the phase.
+    Means are subtracted: an offset of a channel says nothing about the phase.
     """
     seen, noise = model.recordings[recording], model.noise[recording]
     folded = _folded(seen)

@@ -16,7 +16,7 @@ STEP_CHANGE = 4.0
 MOST_ROUNDS = 30
 CONVERGED = 0.01
 CONVERGED_SHARE = 1e-4
-"""Rounds end when one lowers χ² by less than this, or by this share of what noise leaves open."""
+"""Rounds end when one lowers χ² by less than this, or by this share of its excess over noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,9 @@ class SimulatedFit:
 
     @property
     def deviations(self) -> FloatArray:
-        """Centre less coordinate in prior standard deviations, of those with a normal prior.
+        """Centre minus coordinate in prior standard deviations, for normal priors.
 
-        Such a prior is a measurement beside the recordings, as of a start angle.
+        Such a prior is a measurement beside the recordings, of a start angle for instance.
         """
         found = zip(self.model.unknowns, self.point, strict=True)
         return np.array([(u.centre - x) / u.sd for u, x in found if math.isfinite(u.sd)])
@@ -89,9 +89,9 @@ def fit_simulated(
     start
         Shape (d,); moved into the ranges if outside.
     steps
-        For derivatives by the first unknowns, from a fit without the others.
+        Of the derivatives by the first unknowns, from a fit without the others.
     converged_share
-        Rounds end when one lowers χ² by less than this share of what noise leaves open.
+        Rounds end when one lowers χ² by less than this share of its excess over noise.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def fit_simulated(
 
 
 def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
-    """The same point with residuals and derivatives of another model, as after a new noise."""
+    """The same point with residuals and derivatives of another model, say with new noise."""
     residual = model.whitened(fit.point)[0]
     jacobian, _ = _jacobian(model, fit.point, residual, fit.steps)
     precision = np.diag(model.prior_precision())
@@ -196,7 +196,7 @@ def _bounded_step(
 
 
 def _first_steps(model: SimulatedSignals, point: FloatArray) -> FloatArray:
-    """Steps to begin with: a thousandth of each range, or of a radian, or of the value."""
+    """First steps: a thousandth of each range, or of a radian, or of the value."""
     width = model.high - model.low
     rough = np.maximum(1e-3 * np.abs(point), 1e-6)
     return np.where(np.isfinite(width), 1e-3 * width, rough)
@@ -205,7 +205,7 @@ def _first_steps(model: SimulatedSignals, point: FloatArray) -> FloatArray:
 def _jacobian(
     model: SimulatedSignals, point: FloatArray, residual: FloatArray, steps: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Central differences of the whitened signals, and steps that suit the next time.
+    """Central differences of the whitened signals, and better steps for the next time.
 
     Steps whose change is not of the order of the noise are tried again: the simulator's own error
     drowns a shorter one, curvature spoils a longer one.

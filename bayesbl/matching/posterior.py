@@ -160,7 +160,7 @@ def sample_direct(
 
 
 def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> FloatArray:
-    """Points drawn like the Laplace posterior; what leaves the priors' ranges is drawn inwards.
+    """Points drawn from the Laplace posterior; those outside the priors' ranges are pulled in.
 
     A point moves towards the optimum as a whole: along one coordinate alone it would leave the
     valley that the recordings allow.
@@ -189,7 +189,7 @@ def _walk(
     seed: np.random.SeedSequence,
     progress: Progress | None,
 ) -> _Walk:
-    """emcee until its chains are long enough and the gap's interval stands still."""
+    """emcee until its chains are long enough and the gap's interval is stable."""
     target = _LogDensity(model, surrogate)
     ensembles = [
         Ensemble(target, centre, covariance, (model.low, model.high), s)
@@ -229,7 +229,7 @@ def _covariance(points: FloatArray) -> FloatArray:
 def _judge(
     model: SimulatedSignals, walk: _Walk, draws: FloatArray, effective: float, failed: float
 ) -> Diagnostics:
-    """Sampling as anywhere; and what can go wrong only here, which withholds the answer."""
+    """The usual checks of sampling, and those special to this route, which withhold the answer."""
     r_hat, ess = rank_r_hat_and_ess({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
     found = judge(
         r_hat,
@@ -245,8 +245,8 @@ def _judge(
     if effective < FEWEST_EFFECTIVE:
         failures.append(
             f"Only {effective:.0f} of {draws.shape[0] * draws.shape[1]} draws carry the weight "
-            f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): the posterior is not of "
-            "the shape that the recordings' surrogate has. Narrow the bench's tolerances."
+            f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): the surrogate does "
+            "not have the shape of the posterior. Narrow the bench's tolerances."
         )
     if failed > LARGEST_FAILED_SHARE:
         failures.append(

@@ -1,7 +1,7 @@
 """Recordings beside their simulation: what the bench predicts as a function of what is unknown.
 
-The ground that the direct posterior of δ and the search for missing effects stand on. Unknowns are
-the gap, each recording's start angle, bench parameters within their tolerance and parameters of
+The direct posterior of δ and the search for missing effects both build on this. Unknowns are the
+gap, each recording's start angle, bench parameters within their tolerance and parameters of
 effects; a point is an array of their coordinates, ln δ for the gap and the value itself elsewhere.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
@@ -28,18 +28,11 @@ from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Record
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
-PHASE = "phase_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
-
-_WITH_MOTOR_ANGLE = (
-    Slot.motor_torque_ripple__torque_nm,
-    Slot.gear_transmission_error__angle_rad,
-    Slot.encoder_eccentricity__angle_rad,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +46,11 @@ class Observed:
     reference_speed_rpm
         Of the motor, negative for reverse.
     known
-        What else is known of this recording, named as :meth:`Bench.vector` takes it.
+        What else is known about this recording, named as in :meth:`Bench.vector`.
     excluded
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     motor_angle_rad
-        Shape (n,): what an absolute encoder of the motor shows; ``None`` where there is none.
+        Shape (n,): reading of an absolute encoder of the motor; ``None`` where there is none.
     """
 
     name: str
@@ -98,7 +91,7 @@ class Observed:
 def observed(
     recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
 ) -> Observed:
-    """What a recording offers to a comparison with the bench.
+    """The part of a recording that is compared with the bench.
 
     Parameters
     ----------
@@ -108,8 +101,8 @@ def observed(
     Raises
     ------
     RecordingError
-        If the samples are uneven, the speed is not the reference's, or less than two load
-        rotations are there.
+        If the samples are uneven, the speed is not the reference's, or there are fewer
+        than two load rotations.
     """
     speed = recording.motor_speed_rpm
     mean = float(speed.mean())
@@ -119,7 +112,7 @@ def observed(
         raise RecordingError(
             " ".join(
                 [
-                    "The recording was made at another speed than the bench runs at.",
+                    "The recording was made at another speed than the bench's.",
                     speed_in_another_unit(recording, reference) or "",
                 ]
             ).strip(),
@@ -196,7 +189,7 @@ class Unknown:
     def prior_sd(self) -> float:
         """Standard deviation of the prior, a flat one's included.
 
-        What has no range and no other prior is an angle, flat on a turn.
+        An unknown with neither range nor other prior is an angle, flat over a turn.
         """
         flat = (self.high - self.low) / math.sqrt(12.0)
         known = min(flat, self.sd)
@@ -224,14 +217,14 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
 def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
     """Effect parameters of the bench that carry a standard deviation, Gaussian; phases, flat.
 
-    The motor's angle at the first sample is another in every recording, and with it the phase.
+    The motor's angle at the first sample differs between recordings, and the phase with it.
     """
     found = []
     for effect in bench.effects:
         for item in effect_named(effect.name).parameters:
             name = f"{effect.name}__{item.name}"
             given = effect.parameters.get(item.name)
-            if item.name == PHASE:
+            if item.role == "phase":
                 found += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
@@ -249,7 +242,7 @@ class SimulatedSignals:
     workers
         Threads; the numbers do not depend on it.
     settings
-        What is known beside the bench, by name, as ``gap_rad``.
+        What is known besides the bench, by name, such as ``gap_rad``.
     recent
         Simulations that another comparison of the same recordings has made.
     """
@@ -286,7 +279,7 @@ class SimulatedSignals:
         return np.array([u.high for u in self.unknowns])
 
     def index(self, name: str, recording: str | None = None) -> int:
-        """Place of an unknown in a point."""
+        """Index of an unknown in a point."""
         keys = [(u.name, u.recording) for u in self.unknowns]
         return keys.index((name, recording))
 
@@ -295,7 +288,7 @@ class SimulatedSignals:
         return _continued(self.stretch(points, recording), self.recordings[recording].samples)
 
     def stretch(self, points: FloatArray, recording: int) -> FloatArray:
-        """As :meth:`signals`, but one rotation only where all are alike, (m, c, lag)."""
+        """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
         points = np.atleast_2d(points)
         settings = {
@@ -307,7 +300,7 @@ class SimulatedSignals:
         matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
-        # Points often differ in what belongs to other recordings only.
+        # Points often differ only in the unknowns of other recordings.
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
@@ -380,12 +373,12 @@ def _simulated(
 
 
 def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
-    """The benches (m, SLOTS), each turned until its encoder begins at this angle.
+    """The benches (m, SLOTS), each turned until its encoder starts at this angle.
 
-    A bench's own start angle of the motor is that of a relaxed shaft. The encoder shows twist, gap
-    and its own error besides: half a radian of the motor, and another on the other tooth flank.
+    A bench's own start angle of the motor is that of a relaxed shaft. The encoder also shows twist,
+    gap and its own error: half a radian of the motor, and something else on the other tooth flank.
     """
-    if not np.any(matrix[:, _WITH_MOTOR_ANGLE]):
+    if not turn_with_the_motor(matrix):
         return matrix
     matrix = matrix.copy()
     relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
@@ -398,7 +391,7 @@ def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> Float
 
 
 def _continued(begun: FloatArray, samples: int) -> FloatArray:
-    """What repeats, for so many samples: (m, c, k) to (m, c, samples)."""
+    """A stretch that repeats, continued to so many samples: (m, c, k) to (m, c, samples)."""
     if begun.shape[2] == samples:
         return begun
     return begun[:, :, np.arange(samples) % begun.shape[2]]
@@ -409,15 +402,4 @@ def _repeats(matrix: FloatArray, seen: Observed) -> bool:
     turns = rotation_period_s(matrix) * seen.sampling_hz
     if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
         return False
-    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
-        return False
-    on = [
-        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
-        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
-        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
-    ]
-    for amplitude, order in on:
-        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
-        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
-            return False
-    return True
+    return repeat_each_rotation(matrix)

@@ -1,7 +1,6 @@
-"""Simulations made lately, kept to be asked for again.
+"""Recent simulations, kept for reuse.
 
-Fits of many candidates begin at one point: what the bench as believed predicts around it would be
-simulated once for each of them.
+Fits of many candidates start at one point, and each would simulate the nominal bench around it.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ MOST_BYTES = 32_000_000
 
 
 class RecentSimulations:
-    """Signals by what they were simulated from; the oldest are forgotten."""
+    """Signals by their parameters; the oldest are forgotten."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._most_bytes = most_bytes

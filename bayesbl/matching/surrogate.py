@@ -1,4 +1,4 @@
-"""χ² between recordings and their simulation near a point, at the price of a small matrix.
+"""χ² between recordings and their simulation near a point, at the cost of a small matrix.
 
 The whitened signals are smooth there: a second-order polynomial of the unknowns describes them, and
 χ², the sum of their squares, is a quartic that never falls below zero. Each recording depends on
@@ -52,7 +52,7 @@ class Surrogate:
 
 
 def points_needed(model: SimulatedSignals) -> int:
-    """How many points :func:`regress` wants for its polynomials."""
+    """How many points :func:`regress` needs for its polynomials."""
     largest = max(len(_own(model, i)) for i in range(len(model.recordings)))
     return POINTS_PER_TERM * (1 + largest + largest * (largest + 1) // 2)
 
@@ -67,7 +67,7 @@ def regress(
     points
         Shape (m, d), m at least :func:`points_needed`.
     centre, covariance
-        Roughly theirs, shapes (d,) and (d, d): the scale on which the polynomials are
+        Roughly those of the points, shapes (d,) and (d, d): the scale on which the polynomials are
         well-conditioned.
 
     Returns

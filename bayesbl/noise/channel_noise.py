@@ -1,8 +1,8 @@
 """Noise of several channels together, from what does not repeat from one load rotation to the next.
 
-As :mod:`bayesbl.noise.rotation_noise` does it for the speed alone, but for speed and current at
-once: noise that goes through the controller is in both, and a likelihood that takes them for
-independent counts it twice.
+The counterpart of :mod:`bayesbl.noise.rotation_noise`, which treats the speed alone. Noise that
+passes through the controller is in speed and current, and a likelihood that takes them for
+independent would count it twice.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
 def _autoregression(d: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
     """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
 
-    All orders over the same samples, so that their likelihoods can be compared.
+    All orders use the same samples, so that their likelihoods can be compared.
     """
     channels, n = d.shape
     now = d[:, HIGHEST_ORDER:]

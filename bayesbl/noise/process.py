@@ -23,10 +23,10 @@ class NoiseModel:
     standard_deviation
         Of the noise itself (not of ε), in its channel's unit.
     coefficients
-        φ_1 … φ_p; empty for white noise. They belong to the sampling they are used at.
+        φ_1 … φ_p; empty for white noise. They hold for one sampling rate only.
     degrees_of_freedom
-        ε_t is Student-t with so many, above 2, scaled to its variance: outliers. Gaussian if
-        ``None``.
+        Of Student-t ε_t, above 2, scaled to the same variance: outliers. ``None`` for Gaussian
+        ε_t.
 
     Raises
     ------
@@ -42,7 +42,7 @@ class NoiseModel:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.standard_deviation) and self.standard_deviation >= 0.0):
             raise BenchError(
-                "A noise's standard deviation is zero or a number above it.",
+                "The standard deviation of noise must be zero or positive.",
                 found=self.standard_deviation,
             )
         if self.degrees_of_freedom is not None and not self.degrees_of_freedom > 2.0:
@@ -88,7 +88,7 @@ class NoiseModel:
     def _draw_with_outliers(
         self, size: int, rng: np.random.Generator, freedom: float, innovation: float
     ) -> FloatArray:
-        """As :meth:`draw`, run in from zero: its stationary law has no closed form."""
+        """Like :meth:`draw`, but run in from zero: the stationary law has no closed form."""
         roots = np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients))))
         slowest = float(np.max(np.abs(roots), initial=0.0))
         run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0

@@ -1,8 +1,8 @@
 """A speed that comes in steps: rounded, or differentiated from an encoder's counts.
 
-Where the other noise is well below a step, the rounding is the same in every rotation that begins
-at the same count. It then cancels between rotations as the misfit does, and what does not repeat
-does not show it; its size is known from the step.
+If the other noise is well below a step, the rounding is the same in every rotation that starts at
+the same count. Like the misfit it then cancels between rotations, so what does not repeat does not
+show it. Its size is known from the step.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ class SpeedSteps:
 
     @property
     def sd_rpm(self) -> float:
-        """Standard deviation of the rounding, even between the steps: of one, or of two's sum."""
+        """Standard deviation of the rounding, uniform within a step: of one, or of two together."""
         return self.size_rpm / math.sqrt(6.0 if self.differentiated else 12.0)
 
 
 def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
-    """The steps that a speed comes in, or ``None`` if it does not."""
+    """The steps of a quantised speed; ``None`` if it is not quantised."""
     values, count = np.unique(speed_rpm, return_counts=True)
     levels = values[count > 1]
     if levels.size < 2:

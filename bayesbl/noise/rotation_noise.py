@@ -2,11 +2,11 @@
 
 The disturbance model leaves a misfit that repeats every rotation and is almost perfectly
 autocorrelated. A noise model learned from the residuals themselves takes that misfit for noise.
-In the difference between the residual and the residual one rotation later it cancels, and what is
-left has the noise's autocorrelation and twice its variance.
+In the difference between the residual and the residual one rotation later the misfit cancels; the
+rest has the noise's autocorrelation and twice its variance.
 
-The scale is the root mean square whatever the noise's tails: with outliers the realised variance
-is also what decides how far a least-squares optimum was moved.
+The scale is the root mean square whatever the tails of the noise: with outliers, too, the realised
+variance decides how far a least-squares optimum was moved.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NoiseKind = Literal["auto", "white", "ar", "student_t"]
 HIGHEST_ORDER = 15
 FEWEST_DIFFERENCES = 200
 WRAPPED = 20
-"""Samples at the end of a shifted residual that its begin has leaked into."""
+"""Samples at the end of a shifted residual that its start has leaked into."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Noise:
         φ of x_t = Σ φ_k x_{t−k} + ε_t, shape (p,).
     bic
         Bayesian information criterion of the orders 0 … 15, less the smallest, shape (16,): the
-        evidence the order was chosen by.
+        evidence for the order.
     differences
         Number of rotation differences behind the estimate.
     chosen
@@ -53,10 +53,10 @@ class Noise:
     student_t_evidence
         Gain in log likelihood of Student-t over normal innovations, less ½ ln n.
     differentiated
-        x is the change from sample to sample of an autoregressive process, which φ is of.
+        x is the change from sample to sample of an autoregressive process, to which φ belongs.
     hidden_sd_rpm
         Standard deviation of the rounding of a quantised speed that repeats every rotation, and
-        is therefore no part of ``sd_rpm``.
+        is therefore not in ``sd_rpm``.
     """
 
     sd_rpm: float
@@ -83,7 +83,7 @@ class Noise:
 
     @property
     def rounding_repeats(self) -> bool:
-        """A good part of all noise is rounding that is alike in every rotation."""
+        """Whether much of the noise is rounding that is the same in every rotation."""
         return self.hidden_sd_rpm > 0.5 * self.sd_rpm
 
     def autocovariance(self, lags: int) -> FloatArray:
@@ -96,8 +96,8 @@ def rotation_difference(
 ) -> FloatArray:
     """Residual one load rotation later minus the residual, shape about (n − T_w/Δt,), rpm.
 
-    NaN where either is missing. A rotation is seldom a whole number of samples; the rest is a
-    shift in the frequency domain, which leaves the autocorrelation of the noise as it is.
+    NaN where either is missing. A rotation is seldom a whole number of samples; the fraction is a
+    shift in the frequency domain, which preserves the autocorrelation of the noise.
     """
     n, turn = residual_rpm.size, rotation_period_s / sampling_period_s
     lag = max(1, math.floor(turn))
@@ -125,7 +125,9 @@ def estimate_noise(
     order: int | None = None,
     steps: SpeedSteps | None = None,
 ) -> Noise:
-    """Noise order, coefficients and scale from what does not repeat (design.md section 5).
+    """Noise order, coefficients and scale from what does not repeat.
+
+    See docs/design.md, "Statistics".
 
     Parameters
     ----------
@@ -136,7 +138,7 @@ def estimate_noise(
         ``white`` is order 0; ``ar`` takes ``order``, or the best order above 0 where it is not
         given; ``student_t`` chooses the order, and innovations are Student-t.
     steps
-        Of a speed that is quantised.
+        Steps of a quantised speed.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def estimate_noise(
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
     variance = float(np.nansum(d**2)) / (2.0 * count)
-    # Rounding that repeats is missing in d; where d holds as much as all rounding makes, none does.
+    # Rounding that repeats is missing from d; if d has the variance of all rounding, none repeats.
     hidden = 0.0 if steps is None else max(0.0, steps.sd_rpm**2 - variance)
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated

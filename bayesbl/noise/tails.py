@@ -1,6 +1,6 @@
 """Outliers: are the noise's innovations normal, or Student-t with few degrees of freedom?
 
-Seen are differences of two innovations, one rotation apart. The difference of two Student-t
+Only differences of two innovations, one rotation apart, are seen. The difference of two Student-t
 variables is not Student-t itself, so its density is integrated.
 """
 
@@ -16,7 +16,7 @@ from scipy.special import gammaln
 from bayesbl.recording.types import FloatArray
 
 FREEDOMS = (2.1, 2.3, 2.6, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
-"""Degrees of freedom that are told apart."""
+"""Degrees of freedom considered."""
 
 _BINS = 2000
 _LARGEST = 1e6
@@ -32,7 +32,7 @@ class Tails:
     degrees_of_freedom
         The likeliest of :data:`FREEDOMS`.
     evidence
-        Gain in log likelihood over normal innovations, less ½ ln n for the parameter more:
+        Gain in log likelihood over normal innovations, less ½ ln n for the extra parameter:
         half the difference in BIC, positive where Student-t is the better description.
     """
 
@@ -43,7 +43,7 @@ class Tails:
 def tails(differences: FloatArray) -> Tails:
     """Weigh Student-t against normal noise by differences of two innovations each, shape (n,).
 
-    The likelihood is a composite one: an innovation may stand in two differences.
+    The likelihood is a composite one: an innovation may be in two differences.
     """
     n = differences.size
     size = np.abs(differences)
@@ -64,7 +64,7 @@ def tails(differences: FloatArray) -> Tails:
 
 
 def _log_likelihood(x: FloatArray, count: FloatArray, freedom: float) -> float:
-    """Of |differences| x, each ``count`` times, at its best scale."""
+    """Log likelihood of |differences| x, each ``count`` times, at the best scale."""
     log_z, log_density = _difference_density(freedom)
 
     def cost(log_scale: float) -> float:

@@ -9,7 +9,7 @@ from bayesbl.presentation.terminal import add_row, new_table, print_table, say
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bayesbl.bench.effects import Effect
+    from bayesbl.bench.effect_declaration import Effect
 
 
 def print_catalogue(effects: tuple[Effect, ...], console: Console) -> None:
@@ -26,6 +26,8 @@ def print_effect(effect: Effect, console: Console) -> None:
         "What": effect.sentence,
         "Equation": effect.equation,
         "Enters": effect.enters,
+        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
+        "Repeats each load rotation": _repeats(effect),
         "In the data": effect.data,
         "Reference": effect.reference,
     }
@@ -46,3 +48,17 @@ def print_effect(effect: Effect, console: Console) -> None:
     print_table(table, console)
     for item in effect.parameters:
         say(console, item.meaning, "dim", label=item.name)
+
+
+_REPEATS = {
+    "always": "yes",
+    "whole_orders": "with a whole number of cycles per load rotation",
+    "never": "no",
+}
+
+
+def _repeats(effect: Effect) -> str:
+    answers = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
+    if len(set(answers.values())) == 1:
+        return next(iter(answers.values()))
+    return ", ".join(f"{name}: {answer}" for name, answer in answers.items())

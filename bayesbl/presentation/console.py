@@ -87,7 +87,7 @@ def _print_snapshots(summary: Summary, console: Console) -> None:
 
 def print_summary(tree: xr.DataTree, console: Console) -> None:
     """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
-    from bayesbl.results.summary import summarise
+    from bayesbl.runs.summary import summarise
 
     summary = summarise(tree)
     print_result(summary, None, console)

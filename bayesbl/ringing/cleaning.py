@@ -1,4 +1,4 @@
-"""What makes one rotation unlike the next, apart from noise: found, taken out, and told.
+"""What makes one rotation unlike the next, apart from noise: found, removed and reported.
 
 Three faults, in the order they are looked for. Each finder compares rotations with one another, so
 that a misfit which repeats is never taken for a fault, and returns the recording as it would be
@@ -53,9 +53,9 @@ _BURST_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Mended:
-    """A recording without a fault, and what the reader should know of it.
+    """A recording without a fault, and what the reader should know about it.
 
-    The recording holds no channel but the speed.
+    The recording has the speed as its only channel.
     """
 
     recording: Recording
@@ -69,7 +69,7 @@ def without_bursts(
 
     A burst is a stretch of 0.05 s that holds more innovations beyond six robust standard deviations
     than their rate over the recording, high with Student-t noise, explains. Outliers below a
-    hundredth of A are none: with hardly any noise, impacts themselves are not quite alike.
+    hundredth of A do not count: with hardly any noise, impacts themselves are not quite alike.
     """
     if noise.differentiated:
         return None
@@ -83,8 +83,8 @@ def without_bursts(
     width = max(3, round(_BURST_S / period_s))
     outlier = np.abs(e) > limit
     count = np.convolve(outlier, np.ones(width), "same")
-    # Bursts would hide in their own rate: it is taken from all but the tenth of the stretches with
-    # most outliers, and doubled, which is more than leaving those out can take off.
+    # Bursts would hide in their own rate. So it is the rate of all but the worst tenth of the
+    # stretches, doubled, which more than makes up for leaving those out.
     stretches = np.sort(outlier[: e.size // width * width].reshape(-1, width).sum(axis=1))
     rate = 2.0 * float(stretches[: int(0.9 * len(stretches))].mean()) + 0.01
     many = max(3.0, float(poisson.isf(FALSE_ALARM / e.size, rate)))
@@ -92,7 +92,7 @@ def without_bursts(
     if not at.size:
         return None
     residual_rpm = bridged(residual_rpm)
-    # A difference tells only that one of two rotations is off: the one that is further from zero.
+    # A difference shows only that one of two rotations is off: take the one further from zero.
     bad = np.zeros(n, dtype=bool)
     for i in at + noise.order:
         middle = int(i)
@@ -110,14 +110,14 @@ def without_bursts(
     share = 100.0 * float(bad.mean())
     note = f"Bursts of outliers, {share:.2g} % of the recording, were replaced by other rotations."
     if not np.array_equal(replaced, bad):
-        note = f"Bursts of outliers, {share:.2g} % of the recording, limit the answer."
+        note = f"Bursts of outliers, {share:.2g} % of the recording, could not all be replaced."
     return Mended(replace(recording, channels={MOTOR_SPEED: speed}), note)
 
 
 def without_drift(
     recording: Recording, optimum: Optimum, residual_rpm: FloatArray, noise: Noise
 ) -> Mended | None:
-    """A drift of the speed, a parabola in time, taken out with what it does to the impacts' times.
+    """Remove a drift of the speed, a parabola in time, and what it does to the impacts' times.
 
     Its coefficients are sums over the differences between rotations, in which a misfit cancels. As
     the load comes round sooner when the motor is faster, the time axis is stretched too, unless the
@@ -144,14 +144,14 @@ def without_drift(
     follow = _impacts_follow(recording, optimum, residual_rpm - drift, ahead_s)
     level = recording.motor_speed_rpm - drift + drift.mean()
     note = f"The speed drifts by {np.ptp(drift):.2g} rpm over the recording"
-    note += "; this was taken out." if follow else ", the impacts do not; this was taken out."
+    note += "; this was removed." if follow else ", the impacts do not; this was removed."
     return Mended(_turned_evenly(recording, level, ahead_s if follow else 0.0 * ahead_s), note)
 
 
 def without_jitter(
     recording: Recording, optimum: Optimum, residual_rpm: FloatArray, noise: Noise
 ) -> Mended | None:
-    """Impacts that come early or late brought to where steady rotation has them.
+    """Move impacts that come early or late to where steady rotation has them.
 
     Each impact's delay is the residual's regression on the slope of the model there. Two rotations
     are too few to tell.
@@ -171,7 +171,7 @@ def without_jitter(
     on_residual = inside[:, whole] * later[:, None] / power[whole]
     delay_s = np.nan_to_num(residual_rpm) @ on_residual
     spread = on_residual.T @ _noisy(noise, on_residual)
-    # What the steady model is free to do: begin, period and separation.
+    # What the steady model is free to do: start, period and separation.
     steady = np.stack([np.ones(starts.size), starts, signs], axis=1)
     if starts.size < steady.shape[1] + 3:
         return None
@@ -196,7 +196,7 @@ def without_jitter(
         return None
     note = (
         f"Impacts come {1e3 * jitter_s:.2g} ms (sd) early or late, which would make A {loss:.2g} % "
-        "too small; they were brought back to even rotations."
+        "too small; they were moved back to even rotations."
     )
     return Mended(_turned_evenly(recording, recording.motor_speed_rpm, ahead_s), note)
 
@@ -207,7 +207,7 @@ FINDERS: tuple[Finder, ...] = (without_bursts, without_drift, without_jitter)
 
 
 def _turned_evenly(recording: Recording, speed_rpm: FloatArray, ahead_s: FloatArray) -> Recording:
-    """The recording over a time in which the load turns evenly; ``ahead_s`` says how far it is."""
+    """The recording over a time in which the load turns evenly; ``ahead_s`` is its lead."""
     time_s, excluded = recording.time_s, recording.excluded
     if np.any(ahead_s):
         # t + ahead(t) = u solved for t by substitution; ahead changes by parts in a thousand.
@@ -224,7 +224,7 @@ def _noisy(noise: Noise, columns: FloatArray) -> FloatArray:
 
 
 def _unevenness(delay_s: FloatArray, spread: FloatArray, steady: FloatArray) -> float:
-    """χ² of what ``steady``'s columns leave of the delays."""
+    """χ² of the delays after a fit of ``steady``'s columns."""
     left = np.linalg.svd(steady)[0][:, steady.shape[1] :]
     over = left.T @ delay_s
     return float(over @ np.linalg.solve(left.T @ spread @ left, over))
@@ -253,7 +253,7 @@ def _impacts(optimum: Optimum, recording: Recording) -> tuple[FloatArray, FloatA
 def _impacts_follow(
     recording: Recording, optimum: Optimum, residual_rpm: FloatArray, ahead_s: FloatArray
 ) -> bool:
-    """Whether more than half of what the load is ahead shows in the impacts."""
+    """Whether the impacts show more than half of the load's lead."""
     names = jacobian_columns(optimum.model)
     if START not in names:
         return True

@@ -23,7 +23,7 @@ from bayesbl.ringing.optimum import Optimum
 from bayesbl.ringing.symbols import ROTATION
 
 SAFE_SHARE = 0.2
-"""Least eigenvalue of H, as a share of that of JᵀJ, below which JᵀJ stands in for it."""
+"""Least eigenvalue of H, as a share of that of JᵀJ, below which JᵀJ replaces it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Covariance:
     sandwich
         V, shape (p, p).
     inverse_curvature
-        H⁻¹, shape (p, p), before any noise variance is put to it.
+        H⁻¹, shape (p, p), before any noise variance is applied.
     """
 
     names: tuple[str, ...]
@@ -71,7 +71,7 @@ def covariance(
 ) -> Covariance:
     """Sandwich covariance of an optimum under autoregressive noise.
 
-    Where the residual makes H indefinite, as with pulses close to the noise, JᵀJ stands in for it.
+    Where the residual makes H indefinite, as with pulses close to the noise, JᵀJ replaces it.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def covariance(
     """
     names = jacobian_columns(optimum.model)
     columns = jacobian(optimum.model, time_s, optimum.symbols, optimum.baseline_rpm)
-    # A sample left out keeps its place, so that lags count right, and weighs nothing.
+    # An excluded sample keeps its place, so that lags stay right, and has no weight.
     left_out = np.isnan(residual_rpm)
     columns[left_out] = 0.0
     norms = np.sqrt((columns**2).sum(axis=0))
@@ -96,7 +96,7 @@ def covariance(
         raise RecordingError(
             "The recording does not determine all free symbols of the disturbance model.",
             found="free: " + ", ".join(optimum.model.free),
-            expected="more rotations, or some symbol under [estimator.model] fixed",
+            expected="more rotations, or fewer free symbols under [estimator.model]",
         )
     known = np.where(left_out, 0.0, residual_rpm)
     bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
@@ -115,7 +115,7 @@ def covariance(
 
 
 def _of_repeating_rounding(columns: FloatArray, lag: int, noise: Noise) -> FloatArray:
-    """JᵀΣJ of rounding that is white, or the change of one that is, and the same every rotation."""
+    """JᵀΣJ of rounding that repeats every rotation: white, or the change of white rounding."""
     variance = noise.hidden_sd_rpm**2
     if noise.differentiated:
         columns = np.diff(np.pad(columns, ((1, 1), (0, 0))), axis=0)
@@ -135,7 +135,7 @@ def _inverse_curvature(gram: FloatArray, bent: FloatArray) -> FloatArray:
 
 
 def signal_to_noise(optimum: Optimum, spread: Covariance) -> float:
-    """A / √V_AA: how many standard deviations the amplitude stands above zero."""
+    """A / √V_AA: how many standard deviations the amplitude is above zero."""
     amplitude = optimum.symbols[spread.names[0]]
     return float(amplitude / math.sqrt(spread.sandwich[0, 0]))
 

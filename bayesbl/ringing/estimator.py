@@ -2,7 +2,7 @@
 
 What A means is decided by the model, what is fixed in it, the window, the baseline, the sampling
 and the nominal speed; that part has a fingerprint, which a gap curve stores. How the optimum is
-searched and what the noise is taken for decide nothing about its meaning and stay outside.
+searched and what the noise is assumed to be do not affect the meaning and are not part of it.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class PointEstimate:
     residual_rpm
         Recording minus optimum, shape (n,), rpm; NaN at samples left out.
     notes
-        What the reader should know of how the optimum was come by.
+        What the reader should know about how the optimum was found.
     start
         What the search started from, in a sentence; empty for the full search alone.
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
     mended
-        Whether ``recording`` is not the one given: bursts, drift or unevenness were taken out.
+        Whether ``recording`` is not the one given: bursts, drift or unevenness were removed.
     """
 
     recording: Recording
@@ -90,7 +90,7 @@ class PointEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A point estimate with its posterior, and what a second sampler says of that, if asked."""
+    """A point estimate with its posterior, and a second sampler's verdict on it, if asked for."""
 
     point: PointEstimate
     posterior: Posterior
@@ -135,7 +135,7 @@ class Estimator:
             "baseline_harmonics": self.model.baseline_harmonics,
             "fixed": dict(sorted(self.model.fixed.items())),
             "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),
-            # For the reader only: two digits round apart what is one speed.
+            # For the reader only: two digits may separate equal speeds.
             "nominal_speed_rpm": float(f"{nominal_speed_rpm(recording):.2g}"),
         }
         if ranges := self.model.lasting_ranges:
@@ -151,8 +151,8 @@ class Estimator:
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
 
-        Bursts of outliers, a drift of the speed and uneven rotations are taken out first where the
-        rotations show them; the notes tell.
+        Bursts of outliers, a drift of the speed and uneven rotations are removed first where the
+        rotations show them; the notes say so.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Estimator:
         recording = ready_for_fit(recording, gear_ratio)
         point = self._optimal(recording, seed, gear_ratio, earlier)
         if point.noise.rounding_repeats:
-            return point  # rotations whose rounding is alike are alike
+            return point  # rotations with the same rounding are the same
         notes: list[str] = []
         for find in FINDERS:
             mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
@@ -183,7 +183,7 @@ class Estimator:
         gear_ratio: float | None,
         earlier: EarlierOptimum | None,
     ) -> PointEstimate:
-        """The optimum of a recording as it is, from an earlier one where that still fits."""
+        """The optimum of a recording as it is, from an earlier one if that still fits."""
         objective = self._objective(recording)
         start = ""
         if earlier is not None:
@@ -201,7 +201,7 @@ class Estimator:
                 require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
             point = self.around(recording, objective, optimum)
         except RecordingError as error:
-            require_no_drift(recording)  # the search takes one for part of a long rotation
+            require_no_drift(recording)  # the search mistakes one for part of a long rotation
             raise in_file(recording, error) from None
         return replace(point, start=start)
 

@@ -3,7 +3,7 @@
 Damped-sinusoid templates are correlated with the speed; each correlation is folded over every
 candidate rotation period; a period, a phase where impacts of one sign pile up and one where those
 of the other sign do make a guess. What the load-angle baseline explains at a period counts as well:
-under strong noise it tells T_w better than the pulses do. Nothing about T_w needs to be known
+under strong noise it determines T_w better than the pulses do. Nothing about T_w needs to be known
 beforehand.
 """
 
@@ -40,7 +40,7 @@ LONGEST_ROTATION = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """The pulse window and the periods that a recording lets us consider, all in s."""
+    """The pulse window and the periods that a recording allows, all in s."""
 
     length_s: float
     shortest_rotation_s: float
@@ -93,7 +93,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
 
 
 def _even(objective: Objective) -> tuple[FloatArray, FloatArray]:
-    """Time and speed on an even grid; a guess does not need better than interpolation."""
+    """Time and speed on an even grid; interpolation is good enough for a guess."""
     if objective.is_even:
         return objective.time_s, objective.speed_rpm - objective.offset_rpm
     grid = objective.time_s[0] + objective.period_s * np.arange(objective.samples)
@@ -165,8 +165,8 @@ def _fold_all(  # type: ignore[no-untyped-def]
     """Best folds of a response over all periods: (gain, period, positive and negative phase).
 
     The gain is the drop in the sum of squares: (F₊ − F₋)² / number of pulses, for pulses of unit
-    norm at the two phases, and that of the baseline's harmonics. The phases keep ``guard`` seconds
-    apart so that one impact is not both.
+    norm at the two phases, and that of the baseline's harmonics. The phases are ``guard`` seconds
+    apart at least, so that one impact is not both.
     """
     n = response.size
     kept = 6
@@ -269,7 +269,7 @@ def _neighbours(
 
 
 def _distinct(objective: Objective, points: FloatArray, count: int) -> FloatArray:
-    """The first ``count`` points that are not one another's close neighbours in phase."""
+    """The first ``count`` points of which no two are close in phase."""
     names = objective.searched
     kept: list[FloatArray] = []
     for point in points:

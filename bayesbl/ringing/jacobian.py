@@ -30,7 +30,7 @@ def jacobian(
 ) -> FloatArray:
     """Gauss-Newton matrix J = ∂h/∂θ, analytic.
 
-    The position of the window's hard edge is not differentiated (but for a free window end):
+    The position of the window's hard edge is not differentiated (except for a free window end):
     the jump there belongs to the model, not to the data, and would count as information about
     t0, T and T_w that no recording holds.
 

@@ -19,7 +19,7 @@ class RepeatingMisfit:
     Attributes
     ----------
     phase_rad
-        Load phase from the begin of the recording, bin centres, shape (b,), in [0, 2π).
+        Load phase from the start of the recording, bin centres, shape (b,), in [0, 2π).
     mean_rpm, standard_error_rpm
         Average of the residual over rotations and its standard error from their scatter,
         shape (b,), rpm.
@@ -31,7 +31,7 @@ class RepeatingMisfit:
 
     @property
     def rms_rpm(self) -> float:
-        """RMS of what repeats, the noise that averaging leaves taken off, rpm."""
+        """RMS of what repeats, without the noise that survives averaging, rpm."""
         excess = float(np.mean(self.mean_rpm**2 - self.standard_error_rpm**2))
         return math.sqrt(max(excess, 0.0))
 

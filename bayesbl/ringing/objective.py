@@ -74,7 +74,7 @@ class Objective:
     shortest_rotation_s
         No rotation period below this is evaluated (the sum of squares is infinite there).
     excluded
-        Shape (n,): samples that count for nothing, whatever stands there; none by default.
+        Shape (n,): samples to ignore; none by default.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Objective:
         self._left_out = np.flatnonzero(~self.used)
         self.offset_rpm = float(self.speed_rpm[self.used].mean())
         self._y = self.speed_rpm - self.offset_rpm
-        # The kernel takes Σ y for zero, and one subtraction leaves the rounding of n large numbers.
+        # The kernel assumes Σ y = 0, and one subtraction leaves the rounding of n large numbers.
         self._y -= self._y[self.used].mean()
         self._y[self._left_out] = 0.0
         self._y_square = float(self._y @ self._y)
@@ -122,7 +122,7 @@ class Objective:
 
     @property
     def samples(self) -> int:
-        """Number of samples n, those excluded among them."""
+        """Number of samples n, including excluded ones."""
         return int(self.time_s.size)
 
     @property

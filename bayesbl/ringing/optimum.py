@@ -80,7 +80,7 @@ class Optimum:
     ----------
     symbols
         All nine symbols by name: A > 0, 0 < T < T_w, the first positive pulse within one
-        rotation of the recording's begin (as far as these are free).
+        rotation of the recording's start (as far as these are free).
     baseline_rpm
         cos and sin of each load-angle harmonic, shape (2k,), rpm.
     sum_of_squares
@@ -129,8 +129,8 @@ def find_optimum(
     Raises
     ------
     RecordingError
-        If no setting of the symbols explains anything: the speed holds no ringing, or less than
-        a window's length of samples.
+        If no values of the symbols explain anything: the speed has no ringing, or there are fewer
+        samples than in a window.
     """
     began = time.perf_counter()
     if method == "paper":
@@ -148,7 +148,7 @@ def settled(
     began: float,
     method: FoundBy,
 ) -> Optimum:
-    """The best end of a search, shape (m, d), in canonical form, the others as its rivals.
+    """The best end point (of (m, d)) of a search in canonical form, the others as its rivals.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
 
 
 def promoted(objective: Objective, optimum: Optimum, rival: Rival) -> Optimum:
-    """The optimum with a rival in its place, and itself among the rivals."""
+    """The optimum replaced by a rival, and itself added to the rivals."""
     point = np.array([[rival.symbols[name] for name in objective.searched]])
     solution = objective.solve(point)
     others = tuple(other for other in optimum.rivals if other is not rival)
@@ -402,8 +402,8 @@ def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:
 def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
     """The one of many equal solutions with A > 0, 0 < T < T_w and t0 in the first rotation.
 
-    Where t0 or T has a range, in the first T_w of that range instead; a form that leaves a range
-    is not taken.
+    If t0 or T has a range, the first T_w of that range counts instead; a form outside a range is
+    not used.
     """
     names = objective.searched
     fixed = objective.model.fixed
@@ -423,19 +423,19 @@ def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
 
 
 def _first_turn(objective: Objective, value: dict[str, float]) -> dict[str, float]:
-    """t0 and T, where they are searched, moved by whole rotations to the begin of their range."""
+    """t0 and T, where searched, moved by whole rotations to the start of their range."""
     begins = {START: objective.time_s[0] - value[WINDOW_START], SEPARATION: 0.0}
     begins |= _begins(objective.model)
     return _turned(value, {n: begins[n] for n in begins if n in objective.searched})
 
 
 def _begins(model: DisturbanceModel) -> dict[str, float]:
-    """The begin of the range of t0 and of T, s, where they were given one."""
+    """The start of the ranges of t0 and T, s, if they have one."""
     return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
 
 
 def _turned(value: dict[str, float], begins: dict[str, float]) -> dict[str, float]:
-    """Symbols moved by whole rotations into the one that starts at their begin, s."""
+    """Symbols moved by whole rotations into the one that starts at ``begins``, s."""
     rotation = value[ROTATION]
     return value | {n: begin + (value[n] - begin) % rotation for n, begin in begins.items()}
 
@@ -446,7 +446,7 @@ def _named(objective: Objective, point: FloatArray) -> dict[str, float]:
 
 
 def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> tuple[Rival, ...]:
-    """Ends of the search that are not the optimum again, nor one another."""
+    """Distinct ends of the search other than the optimum."""
     quarter = 0.25 * 2.0 * math.pi
     found: list[Rival] = []
     seen = [_named(objective, points[0])]

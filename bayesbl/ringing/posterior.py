@@ -1,9 +1,9 @@
 """The posterior of the disturbance model around its RMSE optimum, by emcee.
 
 The likelihood is exp(−SSE(θ) / 2κ): centred on the least-squares optimum, which is what the gap
-curve means by A, and as wide as the recording's own noise makes it (design.md section 5). Priors
-are flat in every symbol within its range. emcee walks over the symbols that enter nonlinearly;
-A, v_t and the baseline, linear, are integrated out exactly and drawn afterwards.
+curve means by A, and as wide as the recording's own noise makes it (docs/design.md, "Statistics").
+Priors are flat in every symbol within its range. emcee walks over the symbols that enter
+nonlinearly; A, v_t and the baseline are linear, integrated out exactly and drawn afterwards.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def sample_posterior(
     progress
         Called with (steps made, steps allowed) at every check.
     contenders
-        Other optima weighed against this one; the optimum's rivals by their likelihood where
-        ``None``.
+        Other optima to weigh against this one; if ``None``, the optimum's rivals by their
+        likelihood.
     memory
         Keeps every stretch of steps; what it recalls is not run again.
     """
@@ -172,7 +172,7 @@ def sample_posterior(
 def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Contender, ...]:
     """The optimum's rivals, weighed by the height of the posterior there.
 
-    The peaks are taken to be equally wide; a rival outside the ranges has no weight.
+    The peaks are assumed to be equally wide; a rival outside the ranges has no weight.
     """
     if not optimum.rivals:
         return ()
@@ -187,7 +187,7 @@ def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Conte
 def _other_answer(
     contenders: Sequence[Contender], optimum: Optimum, spread: Covariance
 ) -> Contender | None:
-    """The likeliest contender whose amplitude is another than the optimum's."""
+    """The likeliest contender whose amplitude differs from the optimum's."""
     sd = math.sqrt(spread.sandwich[0, 0])
     others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
     return max(others, key=lambda c: c.log_odds, default=None)
@@ -208,7 +208,7 @@ def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory
 
 
 def burn_in(tau: float, steps: int) -> int:
-    """Steps left out at the begin: five autocorrelation times, at most half of all."""
+    """Steps left out at the start: five autocorrelation times, at most half of all."""
     half = steps // 2
     return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
 
@@ -233,10 +233,10 @@ def complete(
     points: FloatArray,
     generator: np.random.Generator,
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
-    """Linear symbols drawn given the searched ones, then every width made the noise's own.
+    """Draw the linear symbols given the searched ones, then calibrate every width to the noise.
 
-    What that carries beyond a symbol's range, where the prior is zero, is put at the bound: where
-    the recording hardly tells a symbol, the linear map leads to decays that grow.
+    Draws that calibration carries beyond a symbol's range, where the prior is zero, are put at the
+    bound: for a symbol that the recording hardly determines, the map leads to decays that grow.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def complete(
 def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
     """By symbol, the share of draws within half a standard deviation of a bound of its range.
 
-    A posterior that ends before its bound has hardly any; one that is cut at its peak a quarter.
+    A posterior that ends before its bound has hardly any, one cut off at its peak a quarter.
     """
     low, high = bounds(objective)
     near = 0.5 * points.std(axis=(0, 1))

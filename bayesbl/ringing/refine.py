@@ -2,7 +2,7 @@
 
 A quadratic is fitted to the sum of squares on a cloud of points whose shape is the Gauss-Newton
 covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call evaluates a
-whole cloud, and the regression looks across the kinks that the window's edges leave.
+whole cloud, and the regression smooths over the kinks that the window's edges leave.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ SHRINK, GROW = 0.4, 1.6
 def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
     """Local optimum of the searched symbols near ``start``, both of shape (d,).
 
-    Symbols that would leave the range they were given are held at its end, and the others refined
-    once more.
+    Symbols that would leave their range are held at its end, and the others are refined again.
     """
     end = _descend(objective, start, seed)
     names, ranges = objective.searched, objective.model.ranges
@@ -48,7 +47,7 @@ def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray
 
 
 def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
-    """Local optimum near ``start``, both of shape (d,), whatever the ranges."""
+    """Local optimum near ``start``, both of shape (d,), ignoring ranges."""
     d = start.size
     generator = np.random.default_rng(seed)
     count = POINTS_PER_COEFFICIENT * (1 + d + d * (d + 1) // 2)

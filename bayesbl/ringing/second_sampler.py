@@ -1,7 +1,7 @@
 """A second, independent sampler on the same posterior: nested sampling by dynesty.
 
 emcee starts at the optimum and sees what its walkers reach. Nested sampling closes in from a wide
-box around the optimum, and from one around every rival optimum that may count; its evidence tells
+box around the optimum, and from one around every rival optimum that may matter; its evidence says
 how much of the posterior each holds. Where both agree, neither is likely to be wrong.
 """
 
@@ -89,7 +89,7 @@ def require_second_sampler() -> None:
             "The second sampler is not installed.",
             where="--check-sampler",
             found="no package dynesty",
-            expected="it beside bayesbl: pip install 'bayesbl[check]'",
+            expected="dynesty, from: pip install 'bayesbl[check]'",
         )
 
 

@@ -16,7 +16,7 @@ grow with the samples outside the pulse windows. Samples that a fit leaves out h
 so every sum with the speed is right already; what they add to the inner products among the columns
 [1, cos, sin, …, pulses] is subtracted, for those inside pulse windows one by one.
 
-Everything that numba compiles together stands in this one file: its cache looks only at the file of
+Everything that numba compiles together is in this one file: its cache looks only at the file of
 the outermost function, so a part kept elsewhere could go stale unnoticed.
 """
 
@@ -308,7 +308,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
         Of :func:`harmonic_table` and :func:`grid_length`.
     left_out, left_out_table
         Numbers of the samples to leave out, sorted, shape (l,), where ``y`` is zero; and
-        :func:`harmonic_table` of a signal that is one there and else zero, for twice the
+        :func:`harmonic_table` of a signal that is one there and zero elsewhere, for twice the
         harmonics. Neither is read where l is zero.
     sse, log_determinant
         Output, shape (m,): rpm², and log|XᵀX| of the columns solved for. Infinite sum of squares

@@ -66,7 +66,7 @@ class DisturbanceModel:
     baseline_harmonics
         Harmonics k of the load angle 2π t / T_w fitted beside the pulses; 0 is the paper's model.
     fixed
-        Symbol name to the value it is held at. The default holds the window of Table 2.
+        Symbol name to its fixed value. The default fixes the window of Table 2.
     ranges
         Symbol name to (low, high), inside which a free symbol is searched and sampled.
 
@@ -131,11 +131,11 @@ class DisturbanceModel:
 
     @property
     def lasting_ranges(self) -> dict[str, tuple[float, float]]:
-        """Ranges of the searched symbols but t0, which is another in every recording."""
+        """Ranges of the searched symbols except t0, which differs in every recording."""
         return {n: self.ranges[n] for n in self.searched if n in self.ranges and n != START}
 
     def holding(self, values: Mapping[str, float]) -> DisturbanceModel:
-        """The model with these symbols fixed as well, their ranges gone."""
+        """The model with these symbols fixed as well and without ranges."""
         ranges = {name: r for name, r in self.ranges.items() if name not in values}
         return replace(self, fixed={**self.fixed, **values}, ranges=ranges)
 

@@ -59,7 +59,7 @@ def sums_of_squares(
     coefficients: FloatArray,
     factors: FloatArray,
 ) -> None:
-    """As :func:`bayesbl.ringing.sums_of_squares.sums_of_squares`, with time stamps for a grid."""
+    """Like its namesake in :mod:`bayesbl.ringing.sums_of_squares`, on any time stamps."""
     n = y.size
     c = 2 + 2 * harmonics
     columns = np.ones((c, n))

@@ -1,9 +1,9 @@
 """The RMSE optimum from that of an earlier recording of the same joint.
 
-A joint that is watched keeps the shape of its ringing from one recording to the next, but a
-recording begins anywhere in a rotation. So the old waveform is folded over every start time, with
-the rotation period scaled by the speed and a little room in it and in the frequency; the best fold
-is refined, and its exchanged neighbours as the full search does it.
+The ringing of a joint keeps its shape from one recording to the next, but a recording may start
+anywhere in a rotation. So the old waveform is tried at every start time, with the rotation period
+scaled by the speed and some room in period and frequency. The best trial is refined, and so are its
+exchanged neighbours, as in the full search.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class EarlierOptimum:
     symbols
         All nine symbols by name.
     withheld
-        Whether its own answer was withheld: nothing to start from, then.
+        Whether its own answer was withheld; then it is no start.
     """
 
     told: str
@@ -61,19 +61,19 @@ class EarlierOptimum:
 
 
 class NoLongerFits(Exception):
-    """An earlier optimum is none to start from; says why, as part of a sentence."""
+    """An earlier optimum cannot be the start; says why, as part of a sentence."""
 
 
 def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
-    """The optimum near the old one, whatever the phase of the gear at the recording's begin.
+    """The optimum near the old one, whatever the phase of the gear at the recording's start.
 
     Raises
     ------
     NoLongerFits
-        If the earlier answer was withheld, the speed is another, or the optimum cannot be the old
-        one grown on: its RMSE is more than 1.5 times the old one, its frequency moved by more than
-        a fifth, or its decay by more than a factor of two. The full search takes half a second: in
-        doubt, it is made.
+        If the earlier answer was withheld, the speed differs, or the optimum cannot be the old one
+        at a later date: its RMSE is more than 1.5 times the old one, its frequency moved by more
+        than a fifth, or its decay by more than a factor of two. The full search takes half a
+        second: in doubt, it is run.
     """
     began = time.perf_counter()
     old = earlier.symbols

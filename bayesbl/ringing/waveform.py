@@ -1,6 +1,6 @@
 """The disturbance model as the paper writes it: eq. 3, 5 and 6 over an array of times.
 
-This is the reference that the fast kernel is held against, and the path for recordings whose
+This is the reference that the fast kernel is tested against, and the path for recordings whose
 samples are not evenly spaced.
 
 Two things differ from eq. 3, in three samples per pulse: its edges are resolved to the sampling.
@@ -78,8 +78,8 @@ def pulse_train(
 ) -> FloatArray:
     """Σ_i f(t − i·T_w) of eq. 6 with A = 1 and f(t) = g(t) − g(t + T).
 
-    All pulses that fall into the recording are there, however many rotations it holds and the
-    ones cut by its ends included.
+    All pulses that fall into the recording are included, also those cut by its ends, however many
+    rotations it holds.
 
     Parameters
     ----------

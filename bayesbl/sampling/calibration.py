@@ -14,13 +14,13 @@ import numpy as np
 from bayesbl.recording.types import FloatArray
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
-"""Interval probabilities at which coverage is told."""
+"""Interval probabilities at which coverage is reported."""
 
 BAND = 0.99
 """Share of exact posteriors whose coverage at a level lies in :func:`coverage_band`."""
 
 FALSE_ALARM = 0.01
-"""Share of exact posteriors of which :func:`uniformity` is below this."""
+"""Share of exact posteriors for which :func:`uniformity` is below this."""
 
 POINTS = 100
 """Parts of [0, 1] at whose ends ranks are counted."""
@@ -29,8 +29,8 @@ POINTS = 100
 def rank(truth: float, draws: FloatArray, generator: np.random.Generator) -> float:
     """The share of the posterior below the truth: uniform on (0, 1) if it is a draw like them.
 
-    Its place among the draws has as many values as there are places; ``generator`` picks a point
-    within the place, and a place among draws that are equal to the truth.
+    The place among the draws is discrete; ``generator`` picks a point within it, and a place among
+    draws that are equal to the truth.
     """
     below, equal = int(np.sum(draws < truth)), int(np.sum(draws == truth))
     return (below + (1 + equal) * generator.uniform()) / (draws.size + 1)
@@ -42,7 +42,7 @@ def coverage(ranks: FloatArray, level: float) -> float:
 
 
 def coverage_band(count: int, level: float, probability: float = BAND) -> tuple[float, float]:
-    """Range of :func:`coverage` over ``count`` truths that exact intervals leave rarely.
+    """Range of :func:`coverage` over ``count`` truths that exact intervals rarely leave.
 
     The tails beyond each end have at most (1 − probability)/2 of the binomial distribution.
     """
@@ -65,7 +65,7 @@ def uniformity(ranks: FloatArray) -> float:
     """p value of the hypothesis that ranks are uniform: below α in a share α of uniform samples.
 
     The statistic is the least of the two-sided binomial tail probabilities of the counts below
-    k/:data:`POINTS`, which weighs the tails as it does the middle; its distribution is computed
+    k/:data:`POINTS`, which weighs the tails like the middle; its distribution is computed
     (Säilynoja, Bürkner and Vehtari 2022, Stat Comput 32:32, with an exact sum in place of the
     simulation). It is discrete, so the share is at most α, and close to it for 100 ranks or more.
     """
@@ -117,7 +117,8 @@ def _share_within(count: int, tail: float) -> float:
     """Probability that all counts of ``count`` uniform ranks lie in :func:`_counts_within`.
 
     Counts between points are multinomial: independent Poisson counts, given that they add up to
-    ``count``. So their sums are walked from point to point, and those outside left out.
+    ``count``. So the distribution of their sum is carried from point to point, less what lies
+    outside.
     """
     from scipy.stats import poisson
 

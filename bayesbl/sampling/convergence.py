@@ -1,4 +1,4 @@
-"""Whether the sampling can be trusted, said in words."""
+"""Whether the sampling can be trusted, in words."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ FEWEST_EFFECTIVE = 400.0
 STEPS_PER_AUTOCORRELATION = 50.0
 WEAKEST_SIGNAL_TO_NOISE = 6.0
 AT_BOUND_SHARE, AT_BOUND_TOO_MUCH = 0.05, 0.2
-"""Share of draws beside a bound that is said, and that at which the answer is withheld.
+"""Share of draws near a bound that is reported, and share at which the answer is withheld.
 
-Half a standard deviation beside a bound hold 7 % of a normal posterior cut two standard deviations
-from its peak, 14 % of one cut at one, 24 % of one cut at its peak.
+Within half a standard deviation of a bound lie 7 % of a normal posterior that is cut off two
+standard deviations from its peak, 14 % if cut off at one, 24 % if cut off at the peak.
 """
 STUCK_ACCEPTANCE = 0.05
 OTHER_ANSWER_SHARE = 0.05
@@ -36,7 +36,7 @@ class Contender:
     Attributes
     ----------
     log_odds
-        ln of its probability over that of the optimum taken.
+        ln of its probability over that of the chosen optimum.
     """
 
     amplitude_rpm: float
@@ -44,7 +44,7 @@ class Contender:
 
     @property
     def share(self) -> float:
-        """Its probability beside the optimum alone."""
+        """Its probability if only it and the optimum existed."""
         return 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
 
 
@@ -63,7 +63,7 @@ class Diagnostics:
     acceptance
         Mean accepted share of proposals per ensemble, shape (e,).
     outcome
-        ``converged``; ``usable`` with the warnings given; ``withheld`` where δ must not be read.
+        ``converged``; ``usable`` with the warnings given; ``withheld`` where δ must not be used.
     reasons
         Why it is not simply converged, in sentences.
     """
@@ -147,8 +147,8 @@ def judge(
     slowest = int(np.argmin(acceptance))
     if acceptance[slowest] < STUCK_ACCEPTANCE:
         failures.append(
-            f"Ensemble {slowest + 1} of {len(acceptance)} is stuck: it took "
-            f"{acceptance[slowest]:.1%} of its proposals ({STUCK_ACCEPTANCE:.0%} at least are "
+            f"Ensemble {slowest + 1} of {len(acceptance)} is stuck: it accepted "
+            f"{acceptance[slowest]:.1%} of its proposals (at least {STUCK_ACCEPTANCE:.0%} is "
             "needed)."
         )
     if not math.isfinite(autocorrelation_steps):
@@ -157,7 +157,7 @@ def judge(
         text = (
             f"The chain is short: {steps} steps for an autocorrelation time of "
             f"{autocorrelation_steps:.0f} (more than {STEPS_PER_AUTOCORRELATION:.0f} times that "
-            "is wanted); raise [posterior] max_steps."
+            "is needed); raise [posterior] max_steps."
         )
         enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
         (doubts if enough else failures).append(text)
@@ -176,8 +176,8 @@ def judge(
         failures.append(
             f"The posterior has several modes: another optimum, A = "
             f"{other_answer.amplitude_rpm:.3g} rpm, explains the recording nearly as well "
-            f"(probability {other_answer.share:.0%} beside the one taken). Record more rotations, "
-            "or use a curve swept for this bench, which can tell them apart."
+            f"(probability {other_answer.share:.0%} against the chosen one). Record more "
+            "rotations, or use a curve swept for this bench, which can tell them apart."
         )
     outcome: Outcome = "withheld" if failures else "usable" if doubts else "converged"
     return Diagnostics(

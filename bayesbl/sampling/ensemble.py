@@ -12,7 +12,7 @@ from bayesbl.ringing.memory import Arrays
 
 FEWEST_WALKERS = 32
 START_SPREAD = 1.5
-"""Scatter of the walkers at the begin, in standard deviations of the local covariance."""
+"""Scatter of the walkers at the start, in standard deviations of the local covariance."""
 
 
 class Ensemble:

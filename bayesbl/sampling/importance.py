@@ -28,8 +28,8 @@ def resampled(
 
     Returns
     -------
-    Places of the candidates in their chain, shape (chain, count). Systematic resampling leaves
-    neighbours alike, and draws must pair at random: so they are shuffled.
+    Indices of the candidates in their chain, shape (chain, count). Systematic resampling puts equal
+    draws side by side, but draws must pair at random, so they are shuffled.
     """
     chains, candidates = log_weights.shape
     picked = np.empty((chains, count), np.int64)

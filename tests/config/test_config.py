@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from contextlib import suppress
 from datetime import date
 from operator import attrgetter
@@ -12,8 +10,10 @@ from pathlib import Path
 
 import pytest
 import tomli_w
+from fresh_process import loaded_by
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import BEFORE, CONFIGS
 from pydantic import ValidationError
 
 from bayesbl.config.loading import (
@@ -25,10 +25,8 @@ from bayesbl.config.loading import (
 from bayesbl.config.measurement import CompareConfig, FitConfig, SnapshotConfig
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, UserError
-from bayesbl.measurement.amplitude_route import estimator_of
+from bayesbl.measurement.task import estimator_of
 from bayesbl.recording.channels import ColumnSpec
-
-CONFIGS = Path(__file__).parents[2] / "configs"
 
 COMPARE = """schema = 1
 kind = "compare"
@@ -68,7 +66,7 @@ def test_the_shipped_configurations_load(name: str) -> None:
 
 def test_the_shipped_fit_writes_out_exactly_the_defaults(folder: Path) -> None:
     written = load_config(CONFIGS / "fit_example.toml")
-    bare = config_from_options("fit", [CONFIGS / "recordings" / "wear_before.csv"])
+    bare = config_from_options("fit", [BEFORE])
     assert isinstance(written, FitConfig)
     assert isinstance(bare, FitConfig)
     for section in ("estimator", "posterior", "interval", "curve"):
@@ -434,7 +432,7 @@ def test_dates_give_the_order_and_without_them_the_file_does(folder: Path) -> No
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("(?m)^date = .*$", "", "needs recordings that are dated"),
+        ("(?m)^date = .*$", "", "needs dated recordings"),
         ("date = 2026-03-01", "", "every one needs its date, or none"),
         ("limit_rad = 1.2e-3", "", "needs a limit"),
         ("2027-01-01", "2026-07-01", "not after the last recording"),
@@ -519,12 +517,8 @@ def test_recordings_with_the_same_file_name_are_numbered(folder: Path) -> None:
 
 
 def test_importing_the_configuration_loads_no_numerical_library() -> None:
-    code = (
-        "import sys, bayesbl.config.loading;"
-        "print([m for m in ('numpy', 'scipy', 'numba', 'xarray') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    numerical = {"numpy", "scipy", "numba", "xarray"}
+    assert not loaded_by("import bayesbl.config.loading") & numerical
 
 
 KEYS = st.sampled_from(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
@@ -18,14 +19,15 @@ from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError, CurveError, UserError
-from bayesbl.measurement.amplitude_route import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
+from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.variables import require_declared
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
@@ -33,11 +35,11 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
+from bayesbl.runs.declared_groups import declared_groups
 from bayesbl.runs.run import check
 from bayesbl.runs.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
-EXAMPLES = Path(__file__).parents[2] / "configs" / "recordings"
 TOLERANT = (
     "shaft_stiffness_nm_per_rad",
     "speed_gain_nm_s_per_rad",
@@ -48,9 +50,7 @@ TOLERANT = (
 
 @pytest.fixture(scope="session")
 def nominal() -> SweepRow:
-    return sweep_nominal(
-        reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1), workers=2
-    )
+    return sweep_nominal(reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="session")
@@ -129,7 +129,9 @@ def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: Gap
 
 def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve) -> None:
     truths = (6.8539e-4, 9.5394e-4)
-    points = [point(read_recording(EXAMPLES / f"wear_{name}.csv")) for name in ("before", "after")]
+    points = [
+        point(read_recording(RECORDINGS / f"wear_{name}.csv")) for name in ("before", "after")
+    ]
     rng = np.random.default_rng(1)
     ringing = [
         MeasuredRinging(
@@ -208,7 +210,7 @@ def test_pulses_exchanged_by_noise_are_told_by_how_the_bench_rings(curve: GapCur
             wrong = plain.optimum.symbols["amplitude_rpm"]
             assert abs(wrong - clean) > 2.5 * plain.spread.standard_deviations["amplitude_rpm"]
             assert chosen.optimum.rivals[0].symbols["amplitude_rpm"] == wrong
-            assert "in its place" in chosen.notes[-1]
+            assert "was used instead" in chosen.notes[-1]
     assert exchanged >= 1
 
 
@@ -468,3 +470,10 @@ def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:
     assert read_tree(tmp_path / "result.nc").attrs["kind"] == "fit"
     with pytest.raises(CurveError, match="holds no gap curve"):
         read_curve(tmp_path / "result.nc")
+
+
+def test_a_sweep_holds_all_that_its_groups_declare(
+    tolerant_sweep,  # type: ignore[no-untyped-def]
+) -> None:
+    tree = tolerant_sweep[2]
+    require_declared(tree, declared_groups(tree))

@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
+from quick import two_ensembles
 
 from bayesbl import cli
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
+from bayesbl.errors import ResultError
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.results.store import read_tree
+from bayesbl.results.variables import require_declared
+from bayesbl.runs.declared_groups import declared_groups
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
 FRICTION = """
 [[effects]]
@@ -55,6 +59,7 @@ def fit(folder) -> Path:
     """A fit with everything, figures included."""
     file = written(folder, load_bench(KNOWN), 8e-4, 1, "one")
     options = ["--route", "direct", "--bench", KNOWN, "--limit-rad", 1e-3]
+    options += ["--config", two_ensembles(folder, "fit")]
     assert run("fit", file, *options, "--out", folder / "fit") == 0
     return folder / "fit"
 
@@ -69,7 +74,7 @@ def compared(folder) -> Path:
         written(folder, true, 9e-4, 3, "after", current=False),
     ]
     options = ["--route", "direct", "--bench", TOLERANCES, "--out", folder / "compare"]
-    assert run("compare", *files, *options) == 0
+    assert run("compare", *files, *options, "--config", two_ensembles(folder, "compare")) == 0
     return folder / "compare"
 
 
@@ -97,6 +102,16 @@ def test_a_fit_shows_the_amplitude_route_beside_it(fit):
     assert beside["amplitude_rpm"] == found["amplitude_rpm"]
     width = beside["delta_rad"]["high"] - beside["delta_rad"]["low"]
     assert width > 3.0 * (found["delta_rad"]["high"] - found["delta_rad"]["low"])
+
+
+def test_all_that_the_groups_declare_is_stored_and_what_is_taken_out_is_named(fit, compared):
+    for folder in (fit, compared):
+        tree = read_tree(folder)
+        require_declared(tree, declared_groups(tree))
+    tree["optimum"] = tree["optimum"].to_dataset().drop_vars("covariance")
+    del tree["change"]
+    with pytest.raises(ResultError, match="optimum: no covariance; change: no such group"):
+        require_declared(tree, declared_groups(tree))
 
 
 def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):
@@ -144,11 +159,12 @@ def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
     assert low < 1e-4 < high
 
 
-def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
+def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures, capsys):
     effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
     file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
-    options = ["--route", "direct", "--bench", KNOWN, "--out", folder / "refused"]
-    assert run("fit", file, *options) == cli.WITHHELD
+    options = ["--route", "direct", "--config", two_ensembles(folder, "fit")]
+    refused = ["--bench", KNOWN, "--out", folder / "refused"]
+    assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")
     assert found["delta_rad"] is None
     assert "motor_current_a of friction" in found["reason"]
@@ -158,8 +174,8 @@ def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
 
     completed = folder / "completed.toml"
     completed.write_text(KNOWN.read_text() + FRICTION)
-    options = ["--route", "direct", "--bench", completed, "--out", folder / "answered"]
-    assert run("fit", file, *options) == 0
+    answered = ["--bench", completed, "--out", folder / "answered"]
+    assert run("fit", file, *options, *answered) == 0
     found = summary(folder / "answered")
     sd = found["posterior_sd"]["delta_rad"]
     # Fails by chance in 1 of 10 000.

@@ -30,7 +30,10 @@ from bayesbl.recording.types import FloatArray
 Progress = Callable[[int, int], None]
 
 INDISTINGUISHABLE = 5.0
-"""Best fits closer than this, in units of noise, are one set (design.md, issue of diagnose)."""
+"""Best fits closer than this, in units of noise, are one set.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 
 WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for."""

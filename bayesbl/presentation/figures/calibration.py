@@ -19,7 +19,6 @@ from bayesbl.presentation.figures.style import (
     new_figure,
     publication_style,
 )
-from bayesbl.results.calibration import WORDS
 from bayesbl.sampling.calibration import (
     FALSE_ALARM,
     LEVELS,
@@ -29,6 +28,7 @@ from bayesbl.sampling.calibration import (
     ecdf_band,
     uniformity,
 )
+from bayesbl.sampling.calibration_table import WORDS
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from bayesbl.presentation.figures.snapshots import Snapshot, credible_interval, interval_name
 from bayesbl.presentation.figures.style import NEUTRAL, WITHHELD, look
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import Interval
 
 _BINS = 40
 _STEPS = "each step in the colour of its later snapshot"
@@ -72,7 +73,7 @@ def _draw_steps(panel: Axes, change: xr.Dataset, withheld: Mapping[str, bool]) -
         )  # fmt: skip
 
 
-def told(tree: xr.DataTree, found: Mapping[str, float]) -> str:
+def told(tree: xr.DataTree, found: Interval) -> str:
     """``0.246 mrad (90 % interval 0.211 to 0.281)``."""
     places = max(0, 1 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))))
     low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))

@@ -25,6 +25,7 @@ from bayesbl.presentation.figures.style import (
     publication_style,
 )
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import Interval
 from bayesbl.ringing.symbols import AMPLITUDE
 
 _BINS = 40
@@ -120,10 +121,11 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
     )
 
 
-def _told(tree: xr.DataTree, snapshot: Snapshot, delta: dict[str, float]) -> str:
+def _told(tree: xr.DataTree, snapshot: Snapshot, delta: Interval) -> str:
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
-    mrad = {k: 1e3 * delta[k] for k in ("low", "median", "high")}
+    low, median, high = (1e3 * delta[k] for k in ("low", "median", "high"))
+    mrad: Interval = {**delta, "low": low, "median": median, "high": high}
     return f"{snapshot.name}: {told(tree, mrad)}"
 
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
+from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name, snapshots
@@ -26,7 +27,6 @@ from bayesbl.presentation.figures.style import (
     publication_style,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.wear import DAYS_PER_YEAR, GROUP, used_dates
 
 _LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 _RAREST = 0.005
@@ -39,7 +39,7 @@ _LONGEST_VIEW = 3.0
 @publication_style()
 def wear(tree: xr.DataTree) -> Figure:
     """δ of every dated snapshot with the line since the last repair; when the limit is reached."""
-    group = tree[GROUP].to_dataset()
+    group = tree[WEAR.name].to_dataset()
     figure = new_figure(DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group and not group.attrs["reason"]
     spec = grid(figure, 1, 2 if limited else 1, top=0.6)

@@ -28,7 +28,7 @@ from bayesbl.presentation.study import print_study, study_headline
 from bayesbl.presentation.words import Summary
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import read_tree, write_text
-from bayesbl.results.summary import summarise
+from bayesbl.runs.summary import summarise
 from bayesbl.units import number
 
 PAGE_FILE = "report.html"

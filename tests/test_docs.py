@@ -1,0 +1,85 @@
+"""Documentation keeps its promises: references to it resolve, and what it names is there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+DESIGN = ROOT / "docs" / "design.md"
+CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
+DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))
+PAGES = ("README.md", "CHANGELOG.md", *DOCS)
+
+
+def headings(text: str) -> set[str]:
+    return set(re.findall(r"^#+ (.+?)\s*$", text, re.M))
+
+
+def anchor(heading: str) -> str:
+    """The address of a heading on a page, as GitHub makes it."""
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
+
+
+def has_section(page: Path, section: str) -> bool:
+    """Whether a page has a heading with this address; an empty one is the page itself."""
+    return not section or section in map(anchor, headings(page.read_text(encoding="utf-8")))
+
+
+def references() -> Iterator[tuple[str, str | None]]:
+    """File and line of every mention of the design in code, and the section that it names."""
+    for folder in CODE_FOLDERS:
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            if file == Path(__file__).resolve():
+                continue
+            text = file.read_text(encoding="utf-8")
+            for mention in re.finditer(r"design\.md", text):
+                line = 1 + text.count("\n", 0, mention.start())
+                named = re.match(r'design\.md`{0,2},[\s#]+"([^"]+)"', text[mention.start() :])
+                whole = text[: mention.start()].endswith("docs/")
+                section = re.sub(r"[\s#]+", " ", named[1]) if named and whole else None
+                yield f"{file.relative_to(ROOT)}:{line}", section
+
+
+def test_code_refers_to_sections_of_the_design_that_are_there() -> None:
+    found = dict(references())
+    sections = headings(DESIGN.read_text(encoding="utf-8"))
+    assert found
+    assert {place: name for place, name in found.items() if name not in sections} == {}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_of_a_page_lead_somewhere(page: str) -> None:
+    file = ROOT / page
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", file.read_text(encoding="utf-8")):
+        path, _, section = target.partition("#")
+        there = file.parent / path if path else file
+        if "://" not in target and not (there.exists() and has_section(there, section)):
+            broken.append(target)
+    assert broken == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_files_that_a_page_names_are_there(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    folders, endings = "configs|experiments|paper_figures|tests", "toml|py|csv|json"
+    named = set(re.findall(rf"\b((?:{folders})/[\w/]+\.(?:{endings}))", text))
+    # What the README has the reader write.
+    own = {"configs/my_sweep.toml"}
+    assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
+
+
+def test_the_design_describes_every_room() -> None:
+    text = DESIGN.read_text(encoding="utf-8")
+    table = text.partition("| room | holds |")[2].partition("\n\n")[0]
+    described = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (.+?) \|", table, re.M))))
+    rooms = {
+        path.stem
+        for path in (ROOT / "bayesbl").iterdir()
+        if not path.name.startswith(("_", ".")) and path.suffix in ("", ".py")
+    }
+    assert described == rooms
