@@ -315,18 +315,6 @@ def result_over_inputs(place: Path) -> Sequence[str]:
     return ("run", "fit.toml", "--out", str(place), "--force")
 
 
-def result_over_the_curve(place: Path) -> Sequence[str]:
-    """The result that a run starts from would be replaced by its own."""
-    put_configuration(place, "fit")
-    (place / "result").mkdir()
-    (place / "result" / "summary.json").write_text("{}")
-    (place / "result" / "config.toml").write_text((place / "fit.toml").read_text())
-    text = CONFIGURATIONS["fit"].replace('"before.csv"', '"../before.csv"')
-    text = text.replace('output = "result"', 'output = "."')
-    (place / "result" / "config.toml").write_text(text)
-    return ("run", "result/config.toml", "--force")
-
-
 def recording_in_the_output(place: Path) -> Sequence[str]:
     """A recording lies under a name that results have, in a folder that is to be replaced."""
     put_configuration(place, "fit")
@@ -353,7 +341,6 @@ COLLISIONS: Sequence[Callable[[Path], Sequence[str]]] = (
     init_over_its_recording_by_a_detour,
     init_over_a_recording_not_its_own,
     result_over_inputs,
-    result_over_the_curve,
     recording_in_the_output,
 )
 """Each must end with status 2 and no file changed."""
@@ -372,7 +359,6 @@ STUDY_FILES: Mapping[str, str] = {
     "raises": "raise ValueError('no')",
     "asks to exit": "import sys; sys.exit(0)",
     "exits": "raise SystemExit('bye')",
-    "is interrupted": "raise KeyboardInterrupt",
     "raises what is no Exception": "class Odd(BaseException): pass\nraise Odd('odd')",
     "recurses": "def f(): f()\nf()",
     "does not parse": "def (",

@@ -45,6 +45,9 @@ NOBODY = 65534
 DONE, WRONG, WITHHELD, STOPPED = 0, 2, 3, -1
 """Exit statuses; ``STOPPED`` is a command that was let go on long enough."""
 
+KEPT = (".sweep-cache",)
+"""Hidden folders that are kept on purpose: simulations that other sweeps need again."""
+
 Finding = tuple[str, str]
 """One of :data:`KINDS`, and what happened."""
 Step = Sequence[str] | Callable[[], object]
@@ -364,7 +367,8 @@ def _harm(
         if after.get(name) != content and not _is_output(name, outputs):
             yield HARM, f"{name} was {'changed' if name in after else 'deleted'}"
     for name in after.keys() - before.keys():
-        if name.rpartition("/")[2].startswith(".") and not _is_output(name, outputs):
+        hidden = name.rpartition("/")[2].startswith(".") and not name.startswith(KEPT)
+        if hidden and not _is_output(name, outputs):
             yield OTHER, f"{name} is left behind"
 
 

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np  # noqa: E402
 
 from attack.engine import DONE, WITHHELD, WRONG, snapshot  # noqa: E402
-from attack.unfinished import numbers  # noqa: E402
+from attack.unfinished import forgotten, numbers  # noqa: E402
 from attack.workshop import REPOSITORY, put_configuration  # noqa: E402
 
 KINDS = ("fit", "compare", "direct", "sweep", "diagnose", "simulate", "study")
@@ -93,8 +93,7 @@ def killed(place: Path, kind: str, after_s: float, expected: Undisturbed) -> Ite
         yield "the second run ended with other numbers"
     after = snapshot(place)
     yield from (f"{name} was changed" for name, old in inputs.items() if after.get(name) != old)
-    left = [name for name in after if any(part.startswith(".") for part in name.split("/"))]
-    if left:
+    if left := forgotten(place):
         yield f"left behind: {', '.join(left[:3])}"
     if living(run.pid):
         yield "processes of the killed run live on"

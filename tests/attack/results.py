@@ -286,8 +286,8 @@ class Cases:
             statuses=(DONE, WRONG, WITHHELD),
         )
 
-    def changed(self, kind: str, change: Change) -> Prepare:
-        """A change inside the result.nc."""
+    def changed(self, kind: str, change: Change, *steps: Step) -> Prepare:
+        """A change inside the result.nc, read by these commands or by any."""
 
         def prepare(place: Path, rng: np.random.Generator) -> Trial:
             import h5py
@@ -298,7 +298,7 @@ class Cases:
                 with h5py.File(folder / "result.nc", "r+") as file:
                     change(file, rng)
 
-            return self.trial(kind, self.steps(kind, rng), damage)
+            return self.trial(kind, list(steps) or self.steps(kind, rng), damage)
 
         return prepare
 

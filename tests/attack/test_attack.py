@@ -24,28 +24,8 @@ CORE = {
 }
 """Cases of each group; what needs a process of its own has named tests."""
 
-FAILING = {
-    "results, damaged": "items 1, 7 and 8",
-    "unfinished work, damaged": "item 10",
-    "configurations": "item 9",
-    "commands": "items 11 and 12",
-    "files": "items 2, 5 and 13",
-    "recordings, damaged": "items 6 and 12",
-}
 
-
-@pytest.mark.parametrize(
-    "group",
-    [
-        pytest.param(
-            group,
-            marks=[pytest.mark.xfail(strict=True, reason=f"issue 16 {FAILING[group]}")]
-            if group in FAILING
-            else [],
-        )
-        for group in CORE
-    ],
-)
+@pytest.mark.parametrize("group", CORE)
 def test_nothing_damaged_or_odd_does_harm(
     group: str, originals: Originals, open_path: Path
 ) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from attack.damage import BYTES, Damage
 from attack.engine import (
     DONE,
+    KEPT,
     OTHER,
     SILENT,
     WITHHELD,
@@ -24,12 +25,15 @@ from attack.engine import (
     Finding,
     Group,
     Prepare,
+    Skipped,
     Trial,
     captured,
 )
 from attack.results import one
 from attack.workshop import Originals, put_configuration
 
+FOREIGN = ("notes.txt", "foreign-optimum.npz")
+"""Files that :func:`foreign_file` puts there, which nobody has to clear away."""
 KINDS = ("fit", "sweep", "study")
 """Kinds that are cheap to run again."""
 
@@ -62,6 +66,12 @@ def left(place: Path) -> list[Path]:
     )
 
 
+def forgotten(place: Path) -> list[str]:
+    """Hidden files that a finished run should have cleared away."""
+    names = (str(path.relative_to(place)) for path in left(place))
+    return [n for n in names if not n.startswith(KEPT) and not n.endswith(FOREIGN)]
+
+
 def numbers(folder: Path) -> Any:
     """What a finished run says, without what changes from run to run."""
     if (folder / "table.csv").exists():
@@ -69,7 +79,9 @@ def numbers(folder: Path) -> Any:
             return [
                 {k: v for k, v in row.items() if k != "commit"} for row in csv.DictReader(stream)
             ]
-    return json.loads((folder / "summary.json").read_text())
+    # Where it ran, and at which commit, is no part of the answer.
+    text = (folder / "summary.json").read_text().replace(str(folder.parent), "")
+    return {key: value for key, value in json.loads(text).items() if key != "commit"}
 
 
 def garbage_line(data: bytes, rng: np.random.Generator) -> bytes:
@@ -156,17 +168,16 @@ ACTS: Mapping[str, Act] = {
 def resumed(originals: Originals, kind: str, act: Act) -> Prepare:
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
         leave_unfinished(place, kind)
-        if left(place):
-            act(place, rng)
+        if not left(place):
+            raise Skipped(f"a {kind} that was killed left nothing behind")
+        act(place, rng)
         wanted = numbers(originals.folder / kind / "result")
 
         def judge(ended: Sequence[Ended]) -> Iterator[Finding]:
             if ended[0].status in (DONE, WITHHELD):
                 if numbers(place / "result") != wanted:
                     yield SILENT, "the run went on to other numbers"
-                for file in left(place):
-                    if file.name not in ("notes.txt", "foreign-optimum.npz"):
-                        yield OTHER, f"{file.relative_to(place)} is left behind"
+                yield from ((OTHER, f"{name} is left behind") for name in forgotten(place))
 
         outputs = ["result", "study_file_was_run", ".*"]
         return Trial([("run", f"{kind}.toml")], judge, outputs=outputs)
