@@ -1,4 +1,15 @@
-"""Attack the package: ``python tests/attack/run.py --help``."""
+"""Attack the package: ``python tests/attack/run.py --help``.
+
+A case damages one thing and gives one command or a few. It fails where that ends in a traceback,
+takes over 10 s of processor time, answers otherwise than for the undamaged file, changes an input,
+leaves a hidden file, or refuses without naming the file. Case number N is always the same for the
+same seed and code; ``--case N --keep FOLDER`` repeats it and keeps what it left.
+
+What is done to files stands in tables, a line each: ``damage.BYTES`` for any file,
+``recordings.SAME``, ``STRUCTURE`` and ``VALUES``, ``results.CHANGES``, ``unfinished.ACTS``,
+``configurations.EDITS`` and its sisters, ``commands.NAMES``, ``MISSING``, ``OUTPUTS``,
+``COLLISIONS`` and ``STUDY_FILES``, ``own_process.CASES``.
+"""
 
 from __future__ import annotations
 
