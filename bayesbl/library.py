@@ -131,7 +131,7 @@ def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Pat
         from bayesbl.runs.study_file import load_study
 
         return draw_study(load_study(study), tree, folder)
-    from bayesbl.presentation.figures import draw_all
+    from bayesbl.presentation.figures.draw import draw_all
 
     return draw_all(tree, folder)
 

@@ -29,8 +29,9 @@ from bayesbl.cli.options import (
 )
 from bayesbl.cli.running import run_config
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.recording import formats
 
-FORMATS = "CSV, TSV, NetCDF, MATLAB or Parquet"
+FORMATS = formats.names()
 
 
 def fit_command(

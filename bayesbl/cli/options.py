@@ -2,45 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
-
-def _whole_number(text: str) -> int:
-    """An option's value; what it may be is the configuration's to say."""
-    try:
-        return int(text)
-    except ValueError:
-        raise typer.BadParameter(f"Found: {text}. Expected: a whole number.") from None
+_Value = TypeVar("_Value")
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        point = ", with a decimal point and no comma" if "," in text else ""
-        raise typer.BadParameter(f"Found: {text}. Expected: a number{point}.") from None
+def _parser(read: Callable[[str], _Value], expected: str) -> Callable[[str], _Value]:
+    """An option's value by ``read``; its range is the configuration's to check."""
+
+    def parse(text: str) -> _Value:
+        try:
+            return read(text)
+        except ValueError:
+            raise typer.BadParameter(f"Found: {text}. Expected: {expected}.") from None
+
+    return parse
 
 
-def _gap(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(
-            f"Found: {text}. Expected: a number in rad, with a decimal point, e.g. 1.2e-3 for "
-            "1.2 mrad."
-        ) from None
-
-
-def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise typer.BadParameter(f"Found: {text}. Expected: a date, e.g. 2026-03-01.") from None
-
+_whole_number = _parser(int, "a whole number")
+_number = _parser(float, "a number, with a decimal point")
+_gap = _parser(float, "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad")
+_day = _parser(date.fromisoformat, "a date, e.g. 2026-03-01")
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
 ResultPath = Annotated[
@@ -48,7 +35,7 @@ ResultPath = Annotated[
 ]
 BaseConfig = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="Configuration that the options go over."),
+    typer.Option("--config", metavar="FILE", help="Configuration; options override it."),
 ]
 Out = Annotated[
     Path | None,
@@ -69,8 +56,7 @@ Workers = Annotated[
         "--workers",
         parser=_whole_number,
         metavar="N",
-        help="Most processes at a time, where there is work for them; the numbers do not "
-        "depend on it. [default: all cores]",
+        help="Largest number of processes; results do not depend on it. [default: all cores]",
     ),
 ]
 Scheduler = Annotated[
@@ -78,8 +64,7 @@ Scheduler = Annotated[
     typer.Option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786, in place of "
-        "processes.",
+        help="Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
@@ -101,7 +86,7 @@ Route = Annotated[
     typer.Option(
         "--route",
         metavar="amplitude|direct",
-        help="From the ringing's amplitude by a curve, or from the simulated bench. "
+        help="By the ringing's amplitude and a curve, or by simulations of the bench. "
         "[default: amplitude]",
     ),
 ]
@@ -110,13 +95,13 @@ StartFrom = Annotated[
     typer.Option(
         "--start-from",
         metavar="RESULT",
-        help="Earlier result of this joint, from whose optimum the search starts.",
+        help="Earlier result of this joint: the search starts from its optimum.",
     ),
 ]
 CheckSampler = Annotated[
     bool,
     typer.Option(
-        "--check-sampler", help="Sample again by a nested sampler, and tell where both differ."
+        "--check-sampler", help="Sample again with a nested sampler, and report differences."
     ),
 ]
 LimitRad = Annotated[
@@ -135,7 +120,7 @@ Before = Annotated[
         "--before",
         parser=_day,
         metavar="DATE",
-        help="Also tell how probably the gap passes its limit before this date.",
+        help="Also report the probability that the gap passes its limit before this date.",
     ),
 ]
 Dates = Annotated[
@@ -144,7 +129,7 @@ Dates = Annotated[
         "--date",
         parser=_day,
         metavar="DATE",
-        help="When a recording was taken; once for each, in their order.",
+        help="When a recording was taken; once per recording, in the same order.",
     ),
 ]
 GearRatio = Annotated[

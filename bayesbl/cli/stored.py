@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bayesbl.cli.options import Json, ResultPath
-from bayesbl.cli.running import print_json, tell_study
+from bayesbl.cli.running import print_json
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -50,16 +50,13 @@ def report_command(result: ResultPath) -> None:
 
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
-    from bayesbl.presentation.console import make_console, print_summary
+    from bayesbl.presentation.console import print_summary
+    from bayesbl.presentation.terminal import make_console
     from bayesbl.results.store import read_tree
 
     tree = read_tree(result)
     if json:
         print_json(result if result.is_dir() else result.parent)
-    elif tree.attrs["kind"] == "study":
-        from bayesbl.runs.study import summarise_study
-
-        tell_study(summarise_study(tree))
     else:
         print_summary(tree, make_console())
 
@@ -68,10 +65,10 @@ def cite_command(
     bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
 ) -> None:
     """Print what to cite, as text and as BibTeX."""
-    from bayesbl.presentation.citations import all_bibtex, told_citations
+    from bayesbl.presentation.citations import all_bibtex, cited
 
     if not bibtex:
-        for line in told_citations():
+        for line in cited():
             typer.echo(f"{line}\n")
     typer.echo(all_bibtex())
 

@@ -14,8 +14,9 @@ import xarray as xr
 
 from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
-from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
-from bayesbl.recording.netcdf import FORMAT
+from bayesbl.recording.channels import did_you_mean_file
+from bayesbl.recording.formats import formats
+from bayesbl.recording.formats.netcdf import RESULT_MARK
 from bayesbl.results.atomic import replacing
 
 FORMAT_VERSION = 1
@@ -35,7 +36,7 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     result.
     """
     marked = tree.copy()
-    marked.attrs = {**tree.attrs, FORMAT: FORMAT_VERSION}
+    marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
     with replacing(path) as temporary:
         marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
 
@@ -68,7 +69,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
             file=file,
             expected=f"the output folder of a run; `bayesbl run {quoted}` makes it",
         )
-    if file.suffix.lower() in SUFFIXES - {".nc"}:
+    if file.suffix.lower() in formats().keys() - {".nc"}:
         raise ResultError(
             "This is a recording, not a result.",
             file=file,
@@ -127,19 +128,19 @@ def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def _require_ours(tree: xr.DataTree, file: Path) -> None:
-    version = tree.attrs.get(FORMAT)
+    version = tree.attrs.get(RESULT_MARK)
     if not isinstance(version, int | np.integer):
         raise ResultError(
             "This file was not written by bayesbl.",
             file=file,
-            found=f"no attribute {FORMAT}",
+            found=f"no attribute {RESULT_MARK}",
             expected="a result.nc that bayesbl wrote",
         )
     if version > FORMAT_VERSION:
         raise ResultError(
             "This result was written by a later version of bayesbl.",
             file=file,
-            found=f"{FORMAT} {version}",
+            found=f"{RESULT_MARK} {version}",
             expected=f"at most {FORMAT_VERSION}",
         )
 

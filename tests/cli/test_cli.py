@@ -278,7 +278,7 @@ def test_an_output_folder_with_files_of_the_user_is_refused_before_the_run(tmp_p
 def test_the_examples_pass_their_check(name, capsys):
     assert cli.status(["check", str(CONFIGS / name)]) == 0
     printed = capsys.readouterr()
-    assert "Nothing stands against a run." in printed.out
+    assert "Ready to run." in printed.out
     assert printed.err == ""
 
 

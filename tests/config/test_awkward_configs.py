@@ -49,7 +49,7 @@ REFUSED = {
         "line 4, [[recordings]] 1 file",
         "no such file",
     ),
-    "a recording that is none": (FIT, "bench.toml", "not known as a recording"),
+    "a recording that is none": (FIT, "bench.toml", "cannot be read as recordings"),
     "a name with a slash": (FIT + 'name = "a/b"\n', "line 5", "cannot be a name"),
     "a date that is text": (FIT + 'date = "March"\n', "line 5", "a date"),
     "time mapped in kilometres": (

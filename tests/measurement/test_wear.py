@@ -26,10 +26,11 @@ from bayesbl.measurement.wear import (
     straightness,
     wear,
 )
-from bayesbl.presentation.figures import wear as wear_figure
 from bayesbl.presentation.figures.style import save
 from bayesbl.presentation.figures.wear import line_band, reached
-from bayesbl.presentation.wear import print_wear
+from bayesbl.presentation.figures.wear import wear as wear_figure
+from bayesbl.presentation.terminal import print_blocks
+from bayesbl.presentation.wear import blocks
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -375,7 +376,7 @@ def compared(
 
 def told(found, count):
     console = Console(file=io.StringIO(), width=80, highlight=False, markup=False)
-    print_wear({"wear": found, "snapshots": [None] * count}, console)
+    print_blocks(blocks({"wear": found, "snapshots": [None] * count}), console)
     return " ".join(console.file.getvalue().split())
 
 
@@ -440,7 +441,7 @@ def test_the_answer_is_told_with_what_few_snapshots_cannot_tell(tmp_path):
     text = told(two, 2)
     assert f"does not reach the limit of 1.2 mrad before {two['limit_not_before']}" in text
     assert "by 2026-01-01" in text
-    assert "Two snapshots cannot tell whether wear is steady" in text
+    assert "Two snapshots cannot show whether wear is steady" in text
     _, three = compared(tmp_path, START + RATE * np.arange(3), [0, 365, 731])
     assert "cannot tell irregular wear" in told(three, 3)
     assert "limit" not in told(three, 3)

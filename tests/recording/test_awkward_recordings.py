@@ -374,7 +374,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         ),
         "near 5 s",
         "rpm from 0 to 5 s",
-        "a recording for each speed",
+        "one recording per speed",
     ),
     "a machine that starts up": (
         lambda p: write_csv(
@@ -382,7 +382,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         ),
         "motor_speed_rpm from 0 to",
         "rpm for most of the recording",
-        "cut the file",
+        "split the file",
     ),
     "a speed that goes to and fro": (
         lambda p: write_csv(
@@ -390,7 +390,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         ),
         "motor_speed_rpm near",
         "rpm from 0 to",
-        "cut the file",
+        "split the file",
     ),
     "a speed that drifts": (
         lambda p: write_csv(
@@ -412,7 +412,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
                 motor_speed_rpm=0.1 * np.random.default_rng(1).standard_normal(SAMPLES),
             ),
         ),
-        "The motor stands still",
+        "The motor does not turn",
         "rpm in means over 0.25 s",
         "is the speed in rpm?",
     ),

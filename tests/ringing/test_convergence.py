@@ -10,7 +10,7 @@ import pytest
 from synthetic_ringing import NOISE, STRONG, ambiguous, clean
 
 from bayesbl import cli
-from bayesbl.presentation.figures import signal
+from bayesbl.presentation.figures.signal import signal
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance

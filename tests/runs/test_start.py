@@ -131,9 +131,9 @@ def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("first", "third", "told"),
     [
-        ("2000.5", "OVL", 'line 4, column "speed": Text stands in a column of numbers.'),
+        ("2000.5", "OVL", 'line 4, column "speed": There is text in a column of numbers.'),
         ("rpm", "2000.5", "Found: 's'. Expected: a number; a row of units is to be deleted"),
-        ("", "", 'column "speed": This column does not hold a series of numbers. Found: 1 finite'),
+        ("", "", 'column "speed": This column is not a series of numbers. Found: 1 finite'),
     ],
 )
 def test_a_recording_that_holds_no_numbers_gets_no_configuration(

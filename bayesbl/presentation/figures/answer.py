@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -16,7 +16,7 @@ _LONGEST_NAME = 18
 
 
 @publication_style()
-def answer(parts: Sequence[tuple[str, dict[str, Any]]], decimals: int = 2) -> Figure:
+def answer_figure(parts: Sequence[tuple[str, Mapping[str, Any]]], decimals: int = 2) -> Figure:
     """A line per snapshot, large enough to be read on a phone.
 
     Parameters

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     BAND,
     DOUBLE_COLUMN_IN,
@@ -21,7 +22,6 @@ from bayesbl.presentation.figures.style import (
     legend_above,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 
@@ -43,7 +43,9 @@ _SHORT: Mapping[str, str] = {
 }
 
 
-@publication_style()
+@stored_figure(
+    "The curve over benches within their tolerances.", 80, holding("bench_draws", "sweep")
+)
 def bench_draws(tree: xr.DataTree) -> Figure:
     """Departure of A from the nominal sweep, a line a draw; its slopes at three gaps."""
     parameters = tree["bench_draws"].sizes["parameter"]
@@ -108,8 +110,8 @@ def _draw_slopes(panel: Axes, tree: xr.DataTree) -> None:
     found = standardised_slopes(tree)
     if found is None:
         panel.set_axis_off()
-        told = f"too few draws for {len(names)} slopes"
-        panel.text(0.5, 0.5, told, ha="center", transform=panel.transAxes)
+        why = f"too few draws for {len(names)} slopes"
+        panel.text(0.5, 0.5, why, ha="center", transform=panel.transAxes)
         return
     slopes, errors = (100.0 * part for part in found)
     gap = values(tree, "sweep", "gap_rad")

@@ -9,16 +9,18 @@ from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.layout import one_panel_each
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     NEUTRAL,
     head_panels,
     legend_above,
     look,
-    publication_style,
 )
 
 
-@publication_style()
+@stored_figure(
+    "How the search found its optimum.", 130, holding("search_history"), for_specialists=True
+)
 def convergence(tree: xr.DataTree) -> Figure:
     """Best RMSE so far of each run, a panel a snapshot; rivals end above the dashed optimum."""
     parts = snapshots(tree)

@@ -11,12 +11,12 @@ from matplotlib.ticker import MaxNLocator
 
 from bayesbl.presentation.figures.scales import Scale, scale_of
 from bayesbl.presentation.figures.snapshots import Snapshot
+from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     NEUTRAL,
     WITHHELD,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 
@@ -25,7 +25,13 @@ _LEVELS = (0.9, 0.5)
 _LEFT_IN, _BOTTOM_IN, _EDGE_IN, _GAP_IN = 0.62, 0.62, 0.08, 0.06
 
 
-@publication_style()
+@stored_figure(
+    "The posterior of every free parameter, pair by pair.",
+    140,
+    holding("posterior/amplitude_rpm"),
+    parts=each_snapshot,
+    for_specialists=True,
+)
 def corner(snapshot: Snapshot) -> Figure:
     """Marginals on the diagonal, pairs below it; every free symbol and δ have a row."""
     names = snapshot.symbols

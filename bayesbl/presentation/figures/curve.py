@@ -14,6 +14,7 @@ from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MODEL,
@@ -21,7 +22,6 @@ from bayesbl.presentation.figures.style import (
     head_panels,
     legend_above,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 
@@ -41,7 +41,11 @@ _NAMES: Mapping[str, str] = {
 }
 
 
-@publication_style()
+@stored_figure(
+    "Gap against amplitude of the ringing: the sweep and the curve through it.",
+    50,
+    holding("gap_curve", "sweep"),
+)
 def curve(tree: xr.DataTree) -> Figure:
     """δ on A with eq. 4 beside it, and both panels of relative departure from the curve."""
     figure = new_figure(DOUBLE_COLUMN_IN, 3.7)

@@ -11,7 +11,9 @@ from numpy.polynomial import polynomial
 
 from bayesbl.curve.regression import relative_fit
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import shade
 from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -20,12 +22,13 @@ from bayesbl.presentation.figures.style import (
     legend_above,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 
 
-@publication_style()
+@stored_figure(
+    "How well polynomials of other degrees describe the sweep.", 70, holding("degrees", "sweep")
+)
 def degrees(tree: xr.DataTree) -> Figure:
     """Departure by degree, along the curve for the degrees around the one used, and evidence."""
     used = int(tree.attrs["degree"])
@@ -93,6 +96,6 @@ def _draw_evidence(panel: Axes, tree: xr.DataTree, used: int) -> None:
 
 
 def _mark(panel: Axes, degree: FloatArray, used: int) -> None:
-    panel.axvspan(used - 0.3, used + 0.3, color="#f5edc0", linewidth=0.0, zorder=0.0)
+    shade(panel, used - 0.3, used + 0.3)
     panel.xaxis.set_major_locator(FixedLocator([float(d) for d in degree]))
     panel.set_xlabel("Degree (shaded: used)")

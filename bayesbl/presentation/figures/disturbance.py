@@ -9,18 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import shade
 from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     head_panels,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 
-@publication_style()
+@stored_figure("The ringing as the gap grows.", 60, holding("examples", "sweep"))
 def disturbance(tree: xr.DataTree) -> Figure:
     """Noise-free speed at some gaps over one load rotation; both pulses from nearby."""
     names = ("time_s", "motor_speed_rpm", "gap_rad")
@@ -55,7 +56,7 @@ def disturbance(tree: xr.DataTree) -> Figure:
 
 
 def pulse_view(tree: xr.DataTree) -> tuple[float, float]:
-    """Begin relative to a pulse's first peak, and length, of a view that holds it; s.
+    """Start relative to a pulse's first peak, and length, of a view that holds it; s.
 
     Long enough for the ringing of the largest gap to fall to 5 %, and almost two periods before it.
     """
@@ -76,7 +77,7 @@ def _mark(whole: Axes, time: FloatArray, begin: float, length: float) -> None:
     for turn in (-period, 0.0, period):
         start, stop = max(begin + turn, time[0]), min(begin + turn + length, time[-1])
         if start < stop:
-            whole.axvspan(start, stop, color="#f5edc0", linewidth=0.0, zorder=0.0)
+            shade(whole, start, stop)
 
 
 def _draw_pulse(
@@ -87,7 +88,7 @@ def _draw_pulse(
     length: float,
     colour: tuple[float, float, float, float],
 ) -> None:
-    """A stretch of the rotation, which goes on from its end to its beginning."""
+    """A stretch of the rotation, which continues from its end to its start."""
     period = time[-1] - time[0]
     shifted = (time[:-1] - begin) % period
     order = np.argsort(shifted)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.layout import one_panel_each
+from bayesbl.presentation.figures.panels import density
 from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name
-from bayesbl.presentation.figures.style import MODEL, NEUTRAL, head_panels, publication_style
+from bayesbl.presentation.figures.stored_figure import stored_figure
+from bayesbl.presentation.figures.style import MODEL, NEUTRAL, head_panels
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
@@ -25,7 +26,7 @@ _BINS = 25
 _BELIEVED = "#d55e00"
 
 
-def can_be_drawn(tree: xr.DataTree) -> bool:
+def has_sizes(tree: xr.DataTree) -> bool:
     """Whether anything but phases and start angles was sampled."""
     if "posterior" not in tree.children or "diagnosis" not in tree.attrs:
         return False
@@ -33,14 +34,9 @@ def can_be_drawn(tree: xr.DataTree) -> bool:
     return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
 
 
-def figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    """File name and figure."""
-    yield "named", named_effects(tree)
-
-
-@publication_style()
+@stored_figure("The posterior of the gap and of what was named.", 100, has_sizes, name="named")
 def named_effects(tree: xr.DataTree) -> Figure:
-    """A panel for δ and one for each size that was named, with what was believed before.
+    """A panel for δ and one for each size that was named, with its value before.
 
     Phases and start angles, another in every recording, are left out.
     """
@@ -89,9 +85,7 @@ def _draw(
     factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
     draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
     found = credible_interval(tree, draws)
-    counts, edges = np.histogram(draws, _BINS, density=True)
-    panel.stairs(counts, edges, fill=True, color=MODEL, alpha=0.3)
-    panel.stairs(counts, edges, color=MODEL)
+    counts, edges = density(panel, draws, MODEL, bins=_BINS)
     for end in ("low", "median", "high"):
         panel.axvline(
             found[end], color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
@@ -105,16 +99,16 @@ def _draw(
     panel.set_ylabel("Density")
     panel.set_yticks([])
     panel.locator_params(axis="x", nbins=5)
-    units = "" if unit == "1" else f" {unit}"
-    values = f"{_digits(found['median'])}{units}"
+    ending = "" if unit == "1" else f" {unit}"
+    values = f"{_digits(found['median'])}{ending}"
     values += f" ({_digits(found['low'])} to {_digits(found['high'])})"
-    return values if believed is None else f"{values}, before {_digits(factor * believed)}{units}"
+    return values if believed is None else f"{values}, before {_digits(factor * believed)}{ending}"
 
 
 def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
     """A line, or an arrow to where it would be beyond the panel."""
     if edges[0] < value < edges[-1]:
-        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: the bench as believed")
+        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: as in the bench file")
         return
     left = value <= edges[0]
     panel.annotate(
@@ -128,8 +122,8 @@ def _quantity(name: str) -> str:
     """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
     if name == GAP:
         return "Gap δ"
-    text = ": ".join(map(in_words, name.split("__")))
-    return text[0].upper() + text[1:]
+    words = ": ".join(map(in_words, name.split("__")))
+    return words[0].upper() + words[1:]
 
 
 def _digits(value: float) -> str:

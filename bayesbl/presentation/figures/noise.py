@@ -12,6 +12,7 @@ from bayesbl.noise.autoregression import autocorrelation
 from bayesbl.noise.rotation_noise import rotation_difference
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -20,7 +21,6 @@ from bayesbl.presentation.figures.style import (
     legend_above,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import ROTATION
@@ -28,7 +28,12 @@ from bayesbl.ringing.symbols import ROTATION
 _FEWEST_LAGS, _MOST_LAGS = 20, 300
 
 
-@publication_style()
+@stored_figure(
+    "What does not repeat from one rotation to the next, and its noise model.",
+    120,
+    holding("noise/bic"),
+    for_specialists=True,
+)
 def noise(tree: xr.DataTree) -> Figure:
     """Per snapshot: BIC by autoregressive order, and the autocorrelation it leads to."""
     parts = snapshots(tree)

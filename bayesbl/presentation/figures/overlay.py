@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -16,14 +17,18 @@ from bayesbl.presentation.figures.style import (
     NEUTRAL,
     head_panels,
     new_figure,
-    publication_style,
 )
 
 _BLOCK_IN = 2.4
 _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
 
 
-@publication_style()
+@stored_figure(
+    "The measured signals with those of the simulated bench, and their difference.",
+    10,
+    holding("predictive/simulated_motor_speed_rpm"),
+    name="signal",
+)
 def overlay(tree: xr.DataTree) -> Figure:
     """One row of panels per snapshot: the middle rotation of each channel that was compared."""
     parts = snapshots(tree)

@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import shade
+from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -18,28 +20,26 @@ from bayesbl.presentation.figures.style import (
     head_panels,
     legend_above,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import CHANNELS
 
 BEFORE = "#d55e00"
 _HEIGHT_IN = 3.6
-_USES = {"used": "fitted on", "held_out": "held out"}
 
 
-def can_be_drawn(tree: xr.DataTree) -> bool:
-    """Whether the signals of a diagnosis are stored."""
-    return "signals" in tree.children
+def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
+    recordings = tree["signals"].to_dataset()["recording"].values
+    for name in dict.fromkeys(map(str, recordings)):
+        yield file_ending(name), (tree, name)
 
 
-def figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    """File name and figure of every recording."""
-    stored = tree["signals"].to_dataset()["recording"].values
-    for name in dict.fromkeys(map(str, stored)):
-        yield f"diagnosis_{name.replace(' ', '_')}", recorded_and_predicted(tree, name)
-
-
-@publication_style()
+@stored_figure(
+    "Measured signal, bench before and after naming, and the residuals.",
+    90,
+    holding("signals/measured"),
+    name="diagnosis",
+    parts=_each_recording,
+)
 def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
     """Overlay above, residuals below; the half that was held out is tinted."""
     signals = tree["signals"].to_dataset()
@@ -59,8 +59,9 @@ def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
     lower.set_xlabel("Time (s)")
     upper.tick_params(labelbottom=False)
     uses = {str(signals["use"].values[row]) for row in rows}
-    whole = " and ".join(_USES[use] for use in sorted(uses, reverse=True))
-    head_panels([upper, lower], [f"{recording} ({whole})", "measured less bench"])
+    words = {"used": "fitted on", "held_out": "held out"}
+    whole = " and ".join(words[use] for use in sorted(uses, reverse=True))
+    head_panels([upper, lower], [f"{recording} ({whole})", "measured minus bench"])
     legend_above(upper)
     return figure
 
@@ -83,4 +84,4 @@ def _draw(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bo
     lower.plot(time, measured - after, color=MODEL, linewidth=0.6)
     if str(piece["use"].values) == "held_out" and split:
         for axes in (upper, lower):
-            axes.axvspan(time[0], time[-1], color="#f5edc0", linewidth=0.0, zorder=0.0)
+            shade(axes, time[0], time[-1])

@@ -12,6 +12,8 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import rotation_axis
+from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
@@ -19,7 +21,6 @@ from bayesbl.presentation.figures.style import (
     head_panels,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import unit_of
@@ -29,7 +30,6 @@ _ROW_IN = 2.0
 _BINS = 250
 _EXCEEDED = 0.01
 """Probability that noise alone shows any bin beyond the limit drawn."""
-_TURN = 2.0 * np.pi
 _LABELLED = 3
 _RIGHT_HALF = 400.0
 """Load order beyond which a label has no room on its right."""
@@ -42,23 +42,23 @@ _NAMES = {
 }
 
 
-def can_be_drawn(tree: xr.DataTree) -> bool:
-    """Whether residuals in steady rotation are stored."""
-    return "residuals_before" in tree.children
-
-
-def figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    """File name and figure of every recording."""
+def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
     before, after = (tree[f"residuals_{stage}"].to_dataset() for stage in ("before", "after"))
     for name in map(str, before["recording"].values):
-        yield f"diagnosis_{name.replace(' ', '_')}", residuals_by_angle(before, name, after)
+        yield file_ending(name), (before, name, after)
 
 
-@publication_style()
+@stored_figure(
+    "Measured signals, bench before and after naming, and the residuals.",
+    90,
+    holding("residuals_before", "residuals_after"),
+    name="diagnosis",
+    parts=_each_recording,
+)
 def residuals_by_angle(
     before: xr.Dataset, recording: str, after: xr.Dataset | None = None
 ) -> Figure:
-    """A row for each channel: overlay, residual against load angle, its order spectrum.
+    """A row for each channel: overlay, residuals against load angle, their order spectrum.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def residuals_by_angle(
         spectrum = figure.add_subplot(spec[row, 2])
         _spectrum(spectrum, stages, channel)
         axes += [overlay, maps[0], spectrum]
-        residual = "residual" + (": before, after" if after is not None else "")
-        titles += [CHANNELS.get(channel, channel), residual, "its spectrum"]
+        residuals = "residuals" + (": before, after" if after is not None else "")
+        titles += [CHANNELS.get(channel, channel), residuals, "their spectrum"]
     head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure
@@ -105,7 +105,7 @@ def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linewidth=0.9,
         )
     panel.set_ylabel(f"{_capital(channel)} ({unit_of(channel)})")
-    _angle_axis(panel)
+    rotation_axis(panel, "Load angle (rad)")
 
 
 def _load_maps(
@@ -126,7 +126,7 @@ def _load_maps(
             angle, mean - error, mean + error, color=style.colour, alpha=0.3, linewidth=0.0
         )
         panel.plot(angle, mean, color=style.colour, linewidth=0.7)
-        _angle_axis(panel)
+        rotation_axis(panel, "Load angle (rad)")
         panel.label_outer()
         panels.append(panel)
     panels[0].set_ylabel(
@@ -208,12 +208,6 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
         )
 
 
-def _angle_axis(panel: Axes) -> None:
-    panel.set_xlim(0.0, _TURN)
-    panel.set_xticks(_TURN * np.arange(5) / 4.0, ["0", "π/2", "π", "3π/2", "2π"])
-    panel.set_xlabel("Load angle (rad)")
-
-
 def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
     panel = figure.axes[0]
     handles = [Line2D([], [], color=MEASURED, linewidth=1.6, label="recorded, mean of rotations")]
@@ -253,8 +247,8 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
 
 
 def _capital(channel: str) -> str:
-    said = CHANNELS.get(channel, channel)
-    return said[:1].upper() + said[1:]
+    name = CHANNELS.get(channel, channel)
+    return name[:1].upper() + name[1:]
 
 
 def _values(stage: xr.Dataset, name: str) -> FloatArray:

@@ -11,7 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures.panels import shade
 from bayesbl.presentation.figures.snapshots import Snapshot, interval_name, snapshots
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     BAND,
     DOUBLE_COLUMN_IN,
@@ -20,7 +22,6 @@ from bayesbl.presentation.figures.style import (
     NEUTRAL,
     head_panels,
     new_figure,
-    publication_style,
 )
 from bayesbl.presentation.figures.traces import envelope
 from bayesbl.recording.types import FloatArray
@@ -55,7 +56,9 @@ class _Signal:
         return _Signal(*(part[inside] for part in parts))
 
 
-@publication_style()
+@stored_figure(
+    "The measured motor speed with the fitted ringing.", 10, holding("predictive/model_rpm")
+)
 def signal(tree: xr.DataTree) -> Figure:
     """One block per snapshot: the whole recording, a positive and a negative pulse."""
     parts = snapshots(tree)
@@ -79,7 +82,7 @@ def signal(tree: xr.DataTree) -> Figure:
             bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
             _draw_part(top, bottom, data.within(begin, end))
             for axes in (upper, lower):
-                axes.axvspan(begin, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
+                shade(axes, begin, end)
             top.tick_params(labelbottom=False, labelleft=False)
             bottom.tick_params(labelleft=False)
             heads.append(top)
@@ -95,7 +98,7 @@ def signal(tree: xr.DataTree) -> Figure:
 
 
 def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
-    """Begin and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
+    """Start and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
     time = snapshot.values("observed_data", "time_s")
     symbol = {
         name: snapshot.number("optimum", name)

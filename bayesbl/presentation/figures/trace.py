@@ -11,20 +11,26 @@ from matplotlib.figure import Figure
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.scales import scale_of
 from bayesbl.presentation.figures.snapshots import GAP, Snapshot
+from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     NEUTRAL,
     head_panels,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 
 _BINS = 30
 
 
-@publication_style()
+@stored_figure(
+    "The sampler's ensembles, step by step.",
+    150,
+    holding("posterior/amplitude_rpm"),
+    parts=each_snapshot,
+    for_specialists=True,
+)
 def trace(snapshot: Snapshot) -> Figure:
     """Per symbol: draws of every chain in turn, so that none hides another, and their densities."""
     names = snapshot.symbols

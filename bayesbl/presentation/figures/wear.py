@@ -13,30 +13,28 @@ from matplotlib.figure import Figure
 from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
 from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name, snapshots
+from bayesbl.presentation.figures.panels import limit_line, reach
+from bayesbl.presentation.figures.snapshots import colour_of, gap_interval, interval_name, snapshots
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import (
     BAND,
     DOUBLE_COLUMN_IN,
-    LIMIT,
     MODEL,
     NEUTRAL,
-    WITHHELD,
     head_panels,
     look,
     new_figure,
-    publication_style,
 )
 from bayesbl.recording.types import FloatArray
 
-_LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 _RAREST = 0.005
-"""A probability nearer than this to 0 or 1 is told as less than 1 % or more than 99 %."""
+"""A probability nearer than this to 0 or 1 is given as less than 1 % or more than 99 %."""
 
 _LONGEST_VIEW = 3.0
 """How far ahead is shown at most, in times since the first snapshot in use."""
 
 
-@publication_style()
+@stored_figure("The gap against the date, and when it reaches its limit.", 40, holding(WEAR.name))
 def wear(tree: xr.DataTree) -> Figure:
     """δ of every dated snapshot with the line since the last repair; when the limit is reached."""
     group = tree[WEAR.name].to_dataset()
@@ -87,7 +85,7 @@ def _days(days: list[Date]) -> FloatArray:
 
 
 def _years_ahead(group: xr.Dataset) -> float:
-    """Up to where 95 % of the draws have reached the limit, or as far as the line bears."""
+    """Up to where 95 % of the draws have reached the limit, or as far as the line may be drawn."""
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span
@@ -101,10 +99,10 @@ def _years_ahead(group: xr.Dataset) -> float:
 
 
 def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
-    told = "rate_rad_per_year" in group and not group.attrs["reason"]
+    has_rate = "rate_rad_per_year" in group and not group.attrs["reason"]
     days = _days(used_dates(group))
     level = float(tree.attrs["interval_level"])
-    if told:
+    if has_rate:
         years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
         shown = days[-1] + DAYS_PER_YEAR * years
         low, middle, high = 1e3 * line_band(group, years, level)
@@ -116,12 +114,12 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
     style = look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
-        found = credible_interval(tree, 1e3 * part.values("posterior", GAP))
-        colour = WITHHELD if part.withheld else (style.colour if used[index] else NEUTRAL)
+        found = gap_interval(tree, part)
+        colour = colour_of(part, 1) if used[index] or part.withheld else NEUTRAL
         panel.errorbar(
             [day],
             [found["median"]],
-            yerr=[[found["median"] - found["low"]], [found["high"] - found["median"]]],
+            yerr=reach(found),
             color=colour,
             marker=style.marker,
             markerfacecolor=colour if used[index] and not part.withheld else "white",
@@ -131,7 +129,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
             zorder=3.0,
         )
         above = False  # on the side of the point where the line is not
-        if told and used[index]:
+        if has_rate and used[index]:
             at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
             above = bool(found["low"] > 1e3 * line_band(group, at, level)[1, 0])
         panel.annotate(
@@ -144,15 +142,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     if np.any(used == 0.0):
         first = every[np.flatnonzero(used)[0]]
         panel.axvline(first, color=NEUTRAL, linewidth=0.6, linestyle=":", label="after the repair")
-    if "limit_rad" in tree.attrs:
-        limit = 1e3 * float(tree.attrs["limit_rad"])
-        panel.axhline(
-            limit,
-            color=LIMIT,
-            linewidth=0.9,
-            linestyle=_LIMIT_DASHES,
-            label=f"limit {limit:g} mrad",
-        )
+    limit_line(panel, tree)
     panel.margins(y=0.12)
     panel.set_ylabel("Gap δ (mrad)")
 

@@ -1,7 +1,7 @@
 """A CSV file as a table of numbers: quick where it is clean, exact about the place where not.
 
 numpy's parser reads the body in one go. Only if it stumbles is the body read again cell by cell,
-to mend what can be mended (empty rows, quoted numbers) and to name line and column of what cannot.
+to read what can be read (empty rows, quoted numbers) and to name line and column of what cannot.
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.formats import Format
 
-from bayesbl.errors import RecordingError
-from bayesbl.recording.timestamps import EXPECTED_DATE, NotADate, is_date, seconds_of_dates
-from bayesbl.recording.types import FloatArray
+if TYPE_CHECKING:
+    from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = ("\t", ";", ",")
 _BYTE_ORDER_MARKS = (
@@ -44,7 +45,7 @@ class CsvTable:
     separator
         Tab, semicolon or comma.
     lines, line_numbers
-        The lines that are not blank, and where they stand in the file, counted from 1.
+        The lines that are not blank, and their numbers in the file, counted from 1.
     """
 
     file: str
@@ -54,7 +55,7 @@ class CsvTable:
     line_numbers: Sequence[int]
 
     def place(self, row: int, column: int) -> str:
-        """Where a cell stands, in words."""
+        """Where a cell is, in words."""
         return f'line {self.line_numbers[row]}, column "{self.columns[column]}"'
 
     def unit(self, column: int) -> None:
@@ -68,10 +69,12 @@ class CsvTable:
         RecordingError
             At the first cell that is no date in a column of dates.
         """
+        from bayesbl.recording.timestamps import is_date, seconds_of_dates
+
         if not is_date(self._cells(0)[column]):
             return None
         texts = [self._cells(row)[column] for row in range(len(self.lines))]
-        return dated(texts, self.file, lambda row: self.place(row, column))
+        return seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """The values of some columns, shape (rows, len(columns)); empty cells are NaN.
@@ -81,6 +84,8 @@ class CsvTable:
         RecordingError
             At the first cell that is no number or the first line with too few or many cells.
         """
+        import numpy as np
+
         body = "\n".join(self.lines)
         if self._is_clean(body):
             text = body if self.separator == "," else body.replace(",", ".")
@@ -108,6 +113,8 @@ class CsvTable:
         )
 
     def _numbers_cell_by_cell(self, columns: Sequence[int]) -> FloatArray:
+        import numpy as np
+
         rows = [self._cells(row) for row in range(len(self.lines))]
         used = [[cells[column] for column in columns] for cells in rows]
         self._refuse_thousands(used, columns)
@@ -157,9 +164,9 @@ class CsvTable:
         if not _is_number(text):
             expected = "a number"
             if row == 0 and not any(map(_is_number, self._cells(0))):
-                expected += "; a row of units is to be deleted, the units put under [columns]"
+                expected += "; delete a row of units, and state the units under [columns]"
             raise RecordingError(
-                "Text stands in a column of numbers.",
+                "There is text in a column of numbers.",
                 file=self.file,
                 where=self.place(row, column),
                 found=repr(shortened(cell)),
@@ -203,31 +210,6 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
         lines=[lines[i] for i in kept],
         line_numbers=[i + 1 for i in kept],
     )
-
-
-def dated(texts: Sequence[str], file: str, place: Callable[[int], str]) -> FloatArray:
-    """Seconds since the first date, shape (n,); empty texts are NaN.
-
-    Raises
-    ------
-    RecordingError
-        At the first text that is no date like the first one; ``place`` says where a row stands.
-    """
-    try:
-        return seconds_of_dates(texts)
-    except NotADate as error:
-        raise RecordingError(
-            "This is not a date like those before it.",
-            file=file,
-            where=place(error.row),
-            found=repr(shortened(texts[error.row])),
-            expected=EXPECTED_DATE,
-        ) from None
-
-
-def shortened(text: str, length: int = 40) -> str:
-    """The text, cut to a length that fits into a message."""
-    return text if len(text) <= length else text[: length - 1] + "…"
 
 
 def _decode(file: Path, data: bytes) -> str:
@@ -291,3 +273,6 @@ def _is_number(text: str) -> bool:
         return False
     # float() reads "1_000" as a number; no instrument writes that.
     return "_" not in text
+
+
+FORMAT = Format("CSV, TSV", (".csv", ".tsv", ".txt"), read_csv)

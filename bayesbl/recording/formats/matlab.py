@@ -13,12 +13,13 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.array_table import AnyArray, ArrayTable, missing_library, readable
+from bayesbl.recording.formats import Format
+
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import AnyArray, ArrayTable
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_PLACES = (0, 512)
@@ -41,6 +42,8 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no MATLAB file, holds no vector, or is v7.3 and h5py is not installed.
     """
+    from bayesbl.recording.array_table import ArrayTable, readable
+
     with readable(file, "MATLAB", _HINT):
         if any(data[place : place + len(_HDF5)] == _HDF5 for place in _HDF5_PLACES):
             variables = _hdf5_variables(file, data)
@@ -141,6 +144,8 @@ def _parts(data: bytes, children: list[tuple[int, int]], order: str) -> int:
 
 def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
     """Structures as dictionaries, arrays of numbers and text as they are, all else left out."""
+    import numpy as np
+
     plain: dict[str, Any] = {}
     for name, value in values.items():
         if not isinstance(value, np.ndarray) or type(value).__name__ == "MatlabOpaque":
@@ -159,11 +164,16 @@ def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
     return plain
 
 
-def _is_text(cell: object) -> bool:
-    return isinstance(cell, np.ndarray) and cell.dtype.kind == "U" and cell.size <= 1
+def _is_text(cell: Any) -> bool:
+    """Whether a cell holds one text or none."""
+    return getattr(cell, "dtype", None) is not None and cell.dtype.kind == "U" and cell.size <= 1
 
 
 def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
+    import numpy as np
+
+    from bayesbl.recording.array_table import missing_library
+
     try:
         import h5py
     except ImportError:
@@ -189,3 +199,6 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
 
     with h5py.File(io.BytesIO(data), "r") as stored:
         return variables(stored, 0)
+
+
+FORMAT = Format("MATLAB", (".mat",), read_matlab)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.array_table import ArrayTable, readable
+from bayesbl.recording.formats import Format
 
-FORMAT = "bayesbl_format"
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import ArrayTable
+
+RESULT_MARK = "bayesbl_format"
 """Root attribute that marks a NetCDF file as a result of ours; its value counts the layouts."""
 
 
@@ -22,11 +24,14 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
         If it is no NetCDF file, or one of our own results.
     """
     import netCDF4
+    import numpy as np
     import xarray as xr
+
+    from bayesbl.recording.array_table import ArrayTable, readable
 
     with readable(file, "NetCDF"):
         stored = netCDF4.Dataset("recording", memory=data)
-        if FORMAT in stored.ncattrs():
+        if RESULT_MARK in stored.ncattrs():
             raise RecordingError(
                 "This is a result of bayesbl, not a recording.",
                 file=file,
@@ -42,3 +47,6 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
                 if "units" in variable.attrs
             }
     return ArrayTable(str(file), arrays, units)
+
+
+FORMAT = Format("NetCDF", (".nc",), read_netcdf)

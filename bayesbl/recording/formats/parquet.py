@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bayesbl.recording.array_table import ArrayTable, missing_library, readable
+from bayesbl.recording.formats import Format
+
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import ArrayTable
 
 
 def read_parquet(file: Path, data: bytes) -> ArrayTable:
@@ -17,6 +21,8 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no Parquet file, or pyarrow is not installed.
     """
+    from bayesbl.recording.array_table import ArrayTable, missing_library, readable
+
     try:
         import pyarrow
         import pyarrow.parquet
@@ -29,3 +35,6 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
             for name, column in zip(table.column_names, table.columns, strict=True)
         }
     return ArrayTable(str(file), arrays)
+
+
+FORMAT = Format("Parquet", (".parquet",), read_parquet)
