@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bayesbl.recording.readers import read_recording
     from bayesbl.recording.types import Recording
     from bayesbl.results.store import read_tree as read_result
-    from bayesbl.results.summary import summarise
+    from bayesbl.runs.summary import summarise
 
 __version__ = "0.1.0"
 
@@ -67,7 +67,7 @@ _HOMES = {
     "read_recording": "bayesbl.recording.readers",
     "read_result": "bayesbl.results.store:read_tree",
     "run": "bayesbl.library",
-    "summarise": "bayesbl.results.summary",
+    "summarise": "bayesbl.runs.summary",
     "write_page": "bayesbl.library",
 }
 """Public name to the module that holds it, and behind a colon its name there if it differs."""

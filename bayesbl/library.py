@@ -73,7 +73,7 @@ def compare(
     return _measure("compare", [first, *later], config, options, dates)
 
 
-def run(config: str | Path | RunConfig, *, force: bool = False) -> dict[str, Any]:
+def run(config: str | Path | RunConfig, *, force: bool = False) -> Mapping[str, Any]:
     """Run a configuration of any kind but ``simulate`` and write its output folder with figures.
 
     Returns
@@ -126,7 +126,7 @@ def _measure(
 ) -> xr.DataTree:
     from bayesbl.config.loading import OPTIONS, config_from_options
     from bayesbl.errors import ConfigError
-    from bayesbl.measurement.amplitude_route import measure
+    from bayesbl.measurement.routes import measure
     from bayesbl.recording.channels import did_you_mean
 
     for name in options:

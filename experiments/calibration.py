@@ -44,9 +44,9 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY
@@ -188,7 +188,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Coverage at each level, whether it is in its band, uniformity of the ranks, and widths."""
-    from bayesbl.results.calibration import calibration_line
+    from bayesbl.sampling.calibration_table import calibration_line
 
     from_prior = row.bench is None or isinstance(row.gap_rad, tuple)
     line: dict[str, float | str] = {}

@@ -28,8 +28,8 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, gap_unknown, observed, start_angle_unknown
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.posterior import SamplerSettings
 

@@ -25,9 +25,9 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.symbols import (
     AMPLITUDE,

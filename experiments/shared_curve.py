@@ -24,8 +24,8 @@ from bayesbl.config.fields import as_tuple
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator
 
 WAYS = ("shared", "apart")

@@ -40,9 +40,9 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
 from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.curve_file import read_curve
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.sampling.calibration import coverage_band

@@ -21,10 +21,10 @@ from common import ROOT, PaperFigure, Stored, arrays, main
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures.calibration import draw_calibration
-from bayesbl.results.calibration import WORDS
 from bayesbl.results.store import read_tree
 from bayesbl.runs.study import stored_rows
 from bayesbl.sampling.calibration import FALSE_ALARM, LEVELS, POINTS
+from bayesbl.sampling.calibration_table import WORDS
 
 STUDIES = ("calibration_main", "calibration")
 RANKS = "calibration_ranks"

@@ -19,7 +19,7 @@ from bayesbl.presentation.figures.style import (
     look,
     new_figure,
 )
-from bayesbl.results.summary import summarise
+from bayesbl.runs.summary import summarise
 from bayesbl.units import unit_of
 
 RECORDING = "forward"

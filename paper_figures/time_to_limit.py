@@ -10,7 +10,7 @@ from common import PaperFigure, Stored, main, picked
 from bayesbl.presentation.figures.snapshots import GAP
 from bayesbl.presentation.figures.wear import wear
 from bayesbl.presentation.wear import sentences
-from bayesbl.results.summary import summarise
+from bayesbl.runs.summary import summarise
 
 
 def data(stored: Stored) -> xr.DataTree:

@@ -10,13 +10,12 @@ from common import PaperFigure, Stored, arrays, main, numbers
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.snapshots import GAP, snapshots
 from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, head_panels, look, new_figure
 from bayesbl.presentation.words import source_in_words
-from bayesbl.results.curve_file import curve_from_dataset
-from bayesbl.results.summary import SOURCE_PREFIX
 
 CURVES = {
     "wear": "eq. 4 as printed",

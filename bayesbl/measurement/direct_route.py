@@ -1,26 +1,20 @@
-"""``fit`` and ``compare`` by the direct route: recordings and their bench in, gaps and change out.
+"""Straight from recordings to the gap: their bench is simulated until it matches them.
 
 All snapshots of a joint are fitted at once. They share the bench, so what is not known of it
-largely cancels in the change.
+largely cancels in the change. The amplitude route's answer is stored beside.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.loading import dump_config
-from bayesbl.config.measurement import CompareConfig, SnapshotConfig
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, ConfigError, UserError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
@@ -35,36 +29,25 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.measurement.amplitude_route import (
-    Seeds,
-    StageProgress,
-    curve_of,
-    estimator_of,
-    overall,
-    read_recordings,
-    require_plausible_limit,
-    require_same_estimator,
-    same_files,
-    unsuited,
-)
-from bayesbl.measurement.change import MeasuredRinging, changes, gaps
-from bayesbl.measurement.maintenance import wear_of
+from bayesbl.measurement.change import Gap
+from bayesbl.measurement.compatibility import require_same_estimator, unsuited
+from bayesbl.measurement.direct_groups import GROUPS, ByAmplitude, direct_groups
+from bayesbl.measurement.direct_summary import summarise_direct
+from bayesbl.measurement.fits import FitJob, gaps_of_fits
+from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.task import StageProgress, Task, curve_of, estimator_of
+from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, Recording
-from bayesbl.results.direct_tree import AmplitudeRoute, direct_groups
-from bayesbl.results.provenance import file_sha256, provenance
-from bayesbl.results.tree import change_group, curve_group, stack_snapshots
-from bayesbl.ringing.estimator import Estimator, Fit
+from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.posterior import SamplerSettings
-from bayesbl.ringing.symbols import AMPLITUDE
-from bayesbl.sampling.convergence import Diagnostics
 
 FALSE_ALARM = 0.01
 """Of the predictive check, over all channels and bands of a run."""
 
 
 @dataclass(frozen=True, slots=True)
-class DirectMeasurement:
+class DirectMatch:
     """A joint posterior with the predictive check of its optimum."""
 
     posterior: DirectPosterior
@@ -89,38 +72,104 @@ class DirectMeasurement:
         ]
 
 
-def measure_direct(config: SnapshotConfig, progress: StageProgress | None = None) -> xr.DataTree:
-    """Run a fit or a comparison by the direct route, and the amplitude route beside it.
+class DirectMeasurer:
+    """The direct route with its bench, and the estimator and curve of the amplitude beside it."""
 
-    Returns
-    -------
-    The whole result (see :mod:`bayesbl.results.direct_tree`); nothing is written.
+    def __init__(self, config: SnapshotConfig) -> None:
+        self.config = config
+        self.bench = bench_of(config)
+        self.estimator = estimator_of(config)
+        self.curve = curve_of(config)
 
-    Raises
-    ------
-    UserError
-        If the bench or a recording cannot be read or used, or the curve does not belong to the
-        estimator.
-    """
-    bench = bench_of(config)
-    estimator, curve = estimator_of(config), curve_of(config)
-    require_plausible_limit(config.joint.limit_rad, config.estimator.gap_rad)
-    recordings = read_recordings(config)
-    seen = [observed_of(config, bench, recording) for recording in recordings]
-    for recording in recordings:
-        require_same_estimator(curve, estimator, recording)
-    seeds = Seeds.spawn(config.run.seed, len(recordings))
-    found = fit_directly(
-        bench,
-        seen,
-        config.estimator.gap_rad,
-        estimator.sampler,
-        np.random.SeedSequence(config.run.seed).spawn(4)[3],
-        config.run.workers,
-        progress,
-    )
-    beside = _amplitude_route(config, estimator, curve, recordings, seeds, progress)
-    return _tree(config, bench, curve, recordings, found, beside, seeds)
+    @property
+    def gap_range_rad(self) -> tuple[float, float]:
+        """Gaps inside the prior."""
+        return self.config.estimator.gap_rad
+
+    def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
+        """The bench."""
+        file, form = self.config.estimator.bench, self.bench.gap_form
+        yield "bench", lambda: f"{file}, gap form {form}"
+
+    def notes(self) -> Iterator[str]:
+        """Nothing that only a run can find out."""
+        return iter(())
+
+    def require_usable(self, recording: Recording) -> None:
+        """The bench can be compared with it, and the curve means the same amplitude as its fit."""
+        observed_of(self.config, self.bench, recording)
+        require_same_estimator(self.curve, self.estimator, recording)
+
+    def require_together(self, recordings: Sequence[Recording]) -> str | None:
+        """Recordings may be of any speeds: each is simulated at its own."""
+        return None
+
+    def measure(self, task: Task) -> Measurement:
+        """Match the bench with all recordings at once, and read the amplitudes beside."""
+        found = fit_directly(
+            self.bench,
+            [observed_of(self.config, self.bench, recording) for recording in task.recordings],
+            self.config.estimator.gap_rad,
+            self.estimator.sampler,
+            task.seeds.direct,
+            self.config.run.workers,
+            task.progress,
+        )
+        beside = self._by_amplitude(task)
+        return Measurement(
+            "direct",
+            [
+                self._snapshot(recording, index, found, beside[index])
+                for index, recording in enumerate(task.recordings)
+            ],
+            self.curve,
+            attributes={"bench": self.bench.fingerprint()},
+        )
+
+    def _snapshot(
+        self, recording: Recording, index: int, found: DirectMatch, beside: ByAmplitude
+    ) -> Snapshot:
+        posterior = found.posterior
+        check = [entry for entry in found.check if entry.recording == recording.name]
+        return Snapshot(
+            recording.name,
+            posterior.values(GAP, recording.name),
+            direct_verdict(found, posterior.fit.model.recordings[index], recording.notes),
+            direct_groups(posterior, recording, index, check, beside),
+            {"amplitude_route": beside.reason},
+        )
+
+    def _by_amplitude(self, task: Task) -> list[ByAmplitude]:
+        """By the amplitude of the ringing; where it gives no answer, the reason in its place."""
+        fits: list[Fit | UserError] = []
+        progress = task.progress
+        for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
+            gear_ratio = self.config.joint.gear_ratio
+            job = FitJob(self.estimator, self.curve, recording, seed, gear_ratio)
+            try:
+                fits.append(job.run(None if progress is None else partial(_beside, progress)))
+            except UserError as refusal:
+                fits.append(refusal)
+        found = iter(gaps_of_fits(task, self.curve, [f for f in fits if isinstance(f, Fit)]))
+        return [
+            self._answer(recording, fit, next(found))
+            if isinstance(fit, Fit)
+            else ByAmplitude(None, None, str(fit))
+            for recording, fit in zip(task.recordings, fits, strict=True)
+        ]
+
+    def _answer(self, recording: Recording, fit: Fit, gap: Gap) -> ByAmplitude:
+        reason = gap.reason
+        against = unsuited(recording, fit, self.curve, self.config)
+        if against:
+            reason = " ".join(against)
+        elif fit.posterior.diagnostics.outcome == "withheld":
+            reason = " ".join(fit.posterior.diagnostics.reasons)
+        return ByAmplitude(fit, gap, reason)
+
+
+def _beside(progress: StageProgress, recording: str, made: int, allowed: int) -> None:
+    progress(f"{recording} by amplitude", made, allowed)
 
 
 def bench_of(config: SnapshotConfig) -> Bench:
@@ -185,7 +234,7 @@ def fit_directly(
     progress: StageProgress | None = None,
     *,
     corrected: bool = True,
-) -> DirectMeasurement:
+) -> DirectMatch:
     """Optimum, predictive check and posterior of all recordings together.
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
@@ -193,66 +242,17 @@ def fit_directly(
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad)
     fit = fit_aligned(bench, recordings, unknowns, workers)
     name = " and ".join(r.name for r in recordings)
-    told = None if progress is None else partial(progress, name)
-    posterior = sample_direct(fit, sampler, seed, told, corrected=corrected)
-    return DirectMeasurement(posterior, tuple(disagreements(fit)))
+    report = None if progress is None else partial(progress, name)
+    posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
+    return DirectMatch(posterior, tuple(disagreements(fit)))
 
 
-def _amplitude_route(
-    config: SnapshotConfig,
-    estimator: Estimator,
-    curve: GapCurve,
-    recordings: Sequence[Recording],
-    seeds: Seeds,
-    progress: StageProgress | None,
-) -> list[AmplitudeRoute]:
-    """The same as by ``route = "amplitude"``; where it cannot answer, the reason in its place."""
-    fits: list[Fit | None] = []
-    refusals: list[str | None] = []
-    for recording, seed in zip(recordings, seeds.recordings, strict=True):
-        told = None if progress is None else partial(progress, f"{recording.name} by amplitude")
-        choose = partial(likeliest_branch, curve, estimator)
-        try:
-            fits.append(estimator.fit(recording, seed, config.joint.gear_ratio, told, choose))
-            refusals.append(None)
-        except UserError as error:
-            fits.append(None)
-            refusals.append(str(error))
-    ringing = [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits if f]
-    found = iter(
-        gaps(
-            curve,
-            ringing,
-            seeds.gap,
-            allow_extrapolation=config.curve.allow_extrapolation,
-            level=config.interval.level,
-        )
-        if ringing
-        else []
-    )
-    routes = []
-    for recording, fit, refusal in zip(recordings, fits, refusals, strict=True):
-        gap = next(found) if fit else None
-        reason = refusal
-        against = unsuited(recording, fit, curve, config) if fit else []
-        if against:
-            reason = " ".join(against)
-        elif fit is not None and fit.posterior.diagnostics.outcome == "withheld":
-            reason = " ".join(fit.posterior.diagnostics.reasons)
-        elif gap is not None and gap.reason:
-            reason = gap.reason
-        routes.append(AmplitudeRoute(fit, gap, reason))
-    return routes
-
-
-def direct_verdict(
-    found: DirectMeasurement, recording: Observed, notes: Sequence[str] = ()
-) -> dict[str, Any]:
+def direct_verdict(found: DirectMatch, recording: Observed, notes: Sequence[str] = ()) -> Verdict:
     """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
     ``notes``: what was done to the recording.
     """
-    diagnostics: Diagnostics = found.posterior.diagnostics
+    diagnostics = found.posterior.diagnostics
     outcome, reasons = diagnostics.outcome, list(diagnostics.reasons)
     repeating = found.repeating(recording.name)
     if repeating:
@@ -264,8 +264,7 @@ def direct_verdict(
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
         )
-    reasons += notes
-    return {"outcome": outcome, "reasons": reasons, "reason": reason}
+    return Verdict(outcome, (*reasons, *notes), reason)
 
 
 def _disagreement_in_words(entries: Sequence[Disagreement]) -> str:
@@ -281,63 +280,4 @@ def _disagreement_in_words(entries: Sequence[Disagreement]) -> str:
     )
 
 
-def _tree(
-    config: SnapshotConfig,
-    bench: Bench,
-    curve: GapCurve,
-    recordings: Sequence[Recording],
-    found: DirectMeasurement,
-    beside: Sequence[AmplitudeRoute],
-    seeds: Seeds,
-) -> xr.DataTree:
-    level = config.interval.level
-    posterior = found.posterior
-    names = [r.name for r in recordings]
-    groups = {
-        recording.name: direct_groups(
-            posterior,
-            recording,
-            i,
-            [entry for entry in found.check if entry.recording == recording.name],
-            beside[i],
-        )
-        for i, recording in enumerate(recordings)
-    }
-    verdicts = {
-        seen.name: direct_verdict(found, seen, recording.notes)
-        for seen, recording in zip(posterior.fit.model.recordings, recordings, strict=True)
-    }
-    reasons = {name: route.reason for name, route in zip(names, beside, strict=True)}
-    if isinstance(config, CompareConfig):
-        whole = stack_snapshots(groups)
-        drawn = {name: posterior.values(GAP, name) for name in names}
-        whole["change"] = change_group(*changes(drawn))
-        wear = wear_of(config, list(drawn.values()), verdicts, seeds.wear)
-        if wear is not None:
-            whole["wear"] = wear
-    else:
-        whole = groups[names[0]]
-        verdicts, reasons = {"fit": verdicts[names[0]]}, {"fit": reasons[names[0]]}
-    whole["diagnostics"].attrs["verdicts"] = json.dumps(verdicts, ensure_ascii=False)
-    whole["amplitude_route"].attrs["reasons"] = json.dumps(reasons, ensure_ascii=False)
-    whole["curve"] = curve_group(curve, level, seeds.curve)
-    tree = xr.DataTree.from_dict(whole)
-    inputs = {r.source.file: r.source.sha256 for r in recordings if r.source}
-    file = config.estimator.bench
-    if file is not None:
-        inputs[str(file)] = file_sha256(file)
-    tree.attrs = {
-        "kind": config.kind,
-        "route": "direct",
-        "bench": bench.fingerprint(),
-        "recordings": names,
-        "interval_level": level,
-        "interval_kind": config.interval.kind,
-        "outcome": overall([v["outcome"] for v in verdicts.values()]),
-        "reason": " ".join(dict.fromkeys(v["reason"] for v in verdicts.values() if v["reason"])),
-        "warnings": same_files(recordings),
-        **provenance(dump_config(config), config.run.seed, inputs),
-    }
-    if config.joint.limit_rad is not None:
-        tree.attrs["limit_rad"] = config.joint.limit_rad
-    return tree
+ROUTE = Route("direct", GROUPS, DirectMeasurer, summarise_direct)

@@ -1,24 +1,24 @@
-"""The fits of all recordings of a run, one after the other or over processes."""
+"""The fits of the ringing in all recordings of a run, and the gaps that the curve makes of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.measurement.change import Gap, MeasuredRinging, gaps
+from bayesbl.measurement.task import StageProgress, Task
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Estimator, Fit
-from bayesbl.ringing.memory import Memory
+from bayesbl.ringing.memory import Forgetful, Memory
+from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.runs.processes import processes
-
-StageProgress = Callable[[str, int, int], None]
-"""Called with (recording, steps made, steps allowed)."""
 
 FEWEST_PER_PROCESS = 2
 """Fits for which a process is started: it takes as long to start as one fit takes."""
@@ -33,9 +33,9 @@ class FitJob:
     recording: Recording
     seed: np.random.SeedSequence
     gear_ratio: float | None
-    earlier: EarlierOptimum | None
-    memory: Memory
-    check: bool
+    earlier: EarlierOptimum | None = None
+    memory: Memory = field(default_factory=Forgetful)
+    check: bool = False
 
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording."""
@@ -76,3 +76,16 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
 def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimum | None:
     """The optimum to start from: that of the same name, else the last one."""
     return optima.get(name) or next(reversed([*optima.values()]), None)
+
+
+def gaps_of_fits(task: Task, curve: GapCurve, fits: Sequence[Fit]) -> list[Gap]:
+    """The gap of every fit, all through the same draws of the curve."""
+    if not fits:
+        return []
+    return gaps(
+        curve,
+        [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits],
+        task.seeds.gap,
+        allow_extrapolation=task.config.curve.allow_extrapolation,
+        level=task.config.interval.level,
+    )

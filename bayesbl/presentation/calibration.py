@@ -13,8 +13,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from bayesbl.results.calibration import WORDS
 from bayesbl.sampling.calibration import FALSE_ALARM, LEVELS, coverage_band
+from bayesbl.sampling.calibration_table import WORDS
 
 
 def quantities(line: Mapping[str, object]) -> list[str]:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from bayesbl.measurement.amplitude_route import StageProgress
+    from bayesbl.measurement.task import StageProgress
 
 
 @contextmanager

@@ -118,6 +118,6 @@ def summary_of(tree: xr.DataTree) -> Summary:
         from bayesbl.runs.study import summarise_study
 
         return summarise_study(tree)
-    from bayesbl.results.summary import summarise
+    from bayesbl.runs.summary import summarise
 
     return summarise(tree)

@@ -13,7 +13,7 @@ from typing import Any
 from bayesbl.units import number
 
 Summary = Mapping[str, Any]
-"""``summary.json`` as :func:`bayesbl.results.summary.summarise` makes it, or a part of it."""
+"""``summary.json`` as :func:`bayesbl.runs.summary.summarise` makes it, or a part of it."""
 
 RAREST = 1e-3
 """Probabilities closer than this to 0 or 1 are beyond what some thousand draws can show."""

@@ -26,8 +26,8 @@ from bayesbl.diagnosis.closed_loop.naming import NamedEffect
 from bayesbl.diagnosis.report import Estimate
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP
+from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
 from bayesbl.results.diagnosis import GAP_WORDS, interval_of
-from bayesbl.results.direct_tree import result_name, unit_and_meaning
 from bayesbl.results.intervals import IntervalKind, interval
 from bayesbl.results.located import located_dataset, plain
 from bayesbl.results.tree import dataset
@@ -92,7 +92,7 @@ class _Intervals:
             return interval_of(estimate, self.level)
         unknown = self.posterior.fit.model.unknowns[place]
         draws = unknown.value(self.posterior.draws[..., place])
-        return interval(draws, self.level, self.kind)
+        return dict(interval(draws, self.level, self.kind))
 
     def of_gap(self, estimate: Estimate | None, place: int | None) -> dict[str, Any] | None:
         """Of δ, whose logarithm is estimated."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -11,8 +11,18 @@ from bayesbl.recording.types import FloatArray
 IntervalKind = Literal["equal_tailed", "hdi"]
 
 
-def interval(draws: FloatArray, level: float, kind: IntervalKind) -> dict[str, Any]:
-    """Median and credible interval of draws, any shape, as the result contract writes it.
+class Interval(TypedDict):
+    """Median and bounds, and what share of the probability they hold."""
+
+    median: float
+    low: float
+    high: float
+    level: float
+    kind: IntervalKind
+
+
+def interval(draws: FloatArray, level: float, kind: IntervalKind) -> Interval:
+    """Median and credible interval of draws, any shape.
 
     ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest that holds
     ``level``.

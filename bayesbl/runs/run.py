@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -30,14 +30,13 @@ from bayesbl.results.folder import (
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.bench.bench import Bench
-    from bayesbl.measurement.amplitude_route import StageProgress
+    from bayesbl.measurement.task import StageProgress
     from bayesbl.recording.types import Recording
 
 Draw = Callable[["xr.DataTree", Path], object]
 """Draws the figures of a result into a folder; passed in, as figures are made from results."""
 
-Summary = dict[str, Any]
+Summary = Mapping[str, Any]
 
 
 def load_run(path: str | Path, *, kind: str | None = None, **options: object) -> RunConfig:
@@ -106,10 +105,6 @@ def run(
         from bayesbl.runs.diagnose import run_diagnose
 
         tree = run_diagnose(config, progress)
-    elif isinstance(config, SnapshotConfig) and config.estimator.route == "direct":
-        from bayesbl.measurement.direct_route import measure_direct
-
-        tree = measure_direct(config, progress)
     elif isinstance(config, SnapshotConfig):
         return _measure(config, draw, force, progress, say)
     else:
@@ -125,7 +120,8 @@ def _measure(
     say: Callable[[str], None],
 ) -> Summary:
     """Measure, going on where an unfinished run of the same problem was left."""
-    from bayesbl.measurement.amplitude_route import measure, problem_of_run
+    from bayesbl.measurement.routes import measure
+    from bayesbl.measurement.task import problem_of_run
     from bayesbl.results.checkpoint import Checkpoint
 
     problem = problem_of_run(config)
@@ -168,7 +164,7 @@ def write_result(
         Called when the folder stands.
     """
     from bayesbl.results.store import write_json, write_text, write_tree
-    from bayesbl.results.summary import summarise
+    from bayesbl.runs.summary import summarise
 
     summary = summarise(tree)
     with new_result(config.run.output, force=force) as folder:
@@ -200,12 +196,15 @@ class Plan:
     warnings: list[str] = field(default_factory=list)
     problems: list[UserError] = field(default_factory=list)
 
-    def add(self, label: str, text: Callable[[], str]) -> None:
-        """A line, or the problem that making it met."""
+    def add(self, label: str, text: Callable[[], str | None]) -> None:
+        """A line, or the problem that making it met; no line for ``None``."""
         try:
-            self.lines.append((label, text()))
+            line = text()
         except UserError as problem:
             self.problems.append(problem)
+        else:
+            if line is not None:
+                self.lines.append((label, line))
 
 
 def check(path: str | Path) -> Plan:
@@ -279,42 +278,17 @@ def _gaps(config: SweepConfig) -> str:
     return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
 
 
-def _earlier(path: Path) -> str:
-    from bayesbl.results.earlier import read_earlier
-
-    return f"{', '.join(read_earlier(path))} in {path}"
-
-
-def _second_sampler() -> str:
-    from bayesbl.ringing.second_sampler import require_second_sampler
-
-    require_second_sampler()
-    return "dynesty"
-
-
-def _one_speed(recordings: Sequence[Recording]) -> str:
-    from bayesbl.measurement.speeds import require_one_speed_of_all
-    from bayesbl.ringing.estimator import nominal_speed_rpm
-
-    require_one_speed_of_all(recordings)
-    return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
-
-
 def _limit(limit_rad: float, range_rad: tuple[float, float]) -> str:
-    from bayesbl.measurement.amplitude_route import require_plausible_limit
+    from bayesbl.measurement.compatibility import require_plausible_limit
 
     require_plausible_limit(limit_rad, range_rad)
     return f"{1e3 * limit_rad:g} mrad"
 
 
 def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
-    from bayesbl.measurement.amplitude_route import (
-        curve_of,
-        estimator_of,
-        recording_of,
-        require_same_estimator,
-        same_files,
-    )
+    from bayesbl.measurement.compatibility import same_files
+    from bayesbl.measurement.routes import route_of
+    from bayesbl.measurement.task import curve_of, estimator_of, recording_of
 
     estimator, curve = estimator_of(config), curve_of(config)
     plan.lines += [
@@ -322,39 +296,22 @@ def _check_snapshots(plan: Plan, config: SnapshotConfig) -> None:
         ("estimator", f"search {estimator.search}, noise {estimator.noise_kind}"),
         ("interval", f"{100.0 * config.interval.level:g} %, {config.interval.kind}"),
     ]
-
-    if config.estimator.search.start_from is not None:
-        plan.add("start from", partial(_earlier, config.estimator.search.start_from))
-    if config.posterior.check_sampler:
-        plan.add("second sampler", _second_sampler)
+    measurer = route_of(config.estimator.route).prepare(config)
+    for label, text in measurer.describe():
+        plan.add(label, text)
 
     def checked(entry: SnapshotRecording) -> str:
         recording = recording_of(entry, config)
-        require_same_estimator(curve, estimator, recording)
-        if bench is not None:
-            observed_of(config, bench, recording)
+        measurer.require_usable(recording)
         rate = 1.0 / recording.sampling_period_s
         sound.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
         return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
 
-    bench: Bench | None = None
     sound: list[Recording] = []
-    if config.estimator.route == "direct":
-        from bayesbl.measurement.direct_route import bench_of, observed_of
-
-        bench = bench_of(config)
-        plan.lines.append(("bench", f"{config.estimator.bench}, gap form {bench.gap_form}"))
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
-    plan.warnings += same_files(sound)
-    if bench is None and config.joint.gear_ratio is None:
-        plan.warnings.append(
-            "Without [joint] gear_ratio the load's rotations are counted only by the run, which "
-            "refuses a recording of fewer than two."
-        )
-    if bench is None and len(sound) > 1:
-        plan.add("speed", partial(_one_speed, sound))
+    plan.warnings += [*same_files(sound), *measurer.notes()]
+    plan.add("speed", partial(measurer.require_together, sound))
     if config.joint.limit_rad is not None:
-        measurable = config.estimator.gap_rad if bench is not None else curve.gap_range_rad
-        plan.add("limit", partial(_limit, config.joint.limit_rad, measurable))
+        plan.add("limit", partial(_limit, config.joint.limit_rad, measurer.gap_range_rad))

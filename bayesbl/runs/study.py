@@ -36,7 +36,7 @@ from bayesbl.runs.cases import Case, CaseStore, Job, run_cases
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.amplitude_route import StageProgress
+    from bayesbl.measurement.task import StageProgress
 
 TABLE_FILE = "table.csv"
 

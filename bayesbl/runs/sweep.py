@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
@@ -19,12 +18,11 @@ from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sweep import SweepConfig
 from bayesbl.curve.bench_draws import SweptDraws
-from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
-from bayesbl.curve.swept_curve import degree_reports, departures, swept_curve
+from bayesbl.curve.swept_curve import departures, swept_curve
 from bayesbl.errors import BenchError, ConfigError
-from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.curve_file import GROUP, curve_to_dataset
+from bayesbl.measurement.stored_curve import GAP_CURVE, curve_group, curve_to_dataset
+from bayesbl.recording.types import Recording
 from bayesbl.results.provenance import (
     code_sha256,
     dependency_versions,
@@ -32,15 +30,20 @@ from bayesbl.results.provenance import (
     provenance,
 )
 from bayesbl.results.store import replacing
-from bayesbl.results.tree import curve_group, dataset
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
-from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
+from bayesbl.ringing.symbols import DisturbanceModel
 from bayesbl.runs.processes import processes
+from bayesbl.runs.sweep_groups import (
+    BENCH_DRAWS,
+    degree_group,
+    draw_group,
+    example_group,
+    sweep_group,
+)
 
 Progress = Callable[[str, int, int], None]
 
 CACHE = ".sweep-cache"
-EXAMPLE_GAPS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,15 +155,15 @@ def run_sweep(
     curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
     tree = xr.DataTree.from_dict(
         {
-            "sweep": _sweep_group(nominal, problem.model),
-            "degrees": _degree_group(nominal),
-            "examples": _example_group(bench, problem.settings),
+            "sweep": sweep_group(nominal, problem.model),
+            "degrees": degree_group(nominal),
+            "examples": example_group(bench, problem.settings),
             "curve": curve_group(curve, config.interval.level, band_seed),
-            GROUP: curve_to_dataset(curve),
+            GAP_CURVE.name: curve_to_dataset(curve),
         }
     )
     if swept is not None:
-        tree["bench_draws"] = xr.DataTree(_draw_group(swept))
+        tree[BENCH_DRAWS.name] = xr.DataTree(draw_group(swept))
     tree.attrs = {
         "kind": "sweep",
         "outcome": "converged",
@@ -276,93 +279,3 @@ def _read_row(path: Path) -> SweepRow | None:
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
-
-
-def _sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
-    dims = ("gap", "start")
-    return dataset(
-        {
-            "gap_rad": (("gap",), nominal.gap_rad, "rad", "backlash gap simulated"),
-            "start_angle_rad": (dims, nominal.start_angle_rad, "rad", "load angle at the begin"),
-            "amplitude_rpm": (
-                dims,
-                nominal.amplitude_rpm,
-                "rpm",
-                "amplitude of the impact ringing",
-            ),
-            FREQUENCY: (
-                dims,
-                nominal.symbol(FREQUENCY, model.fixed),
-                "rad/s",
-                "angular frequency of the ringing",
-            ),
-            DECAY: (dims, nominal.symbol(DECAY, model.fixed), "1/s", "decay rate of the ringing"),
-            "rmse_rpm": (dims, nominal.rmse_rpm, "rpm", "misfit of the waveform"),
-            "amplitude_over_published": (
-                ("gap",),
-                nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad),
-                "1",
-                "amplitude over that of the paper's eq. 4",
-            ),
-        }
-    )
-
-
-def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
-    """Inverse of eq. 4, by interpolation on a fine grid, rpm."""
-    curve = published_curve(draws=1)
-    low, high = curve.amplitude_range_rpm
-    grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
-    return np.asarray(np.interp(gap_rad, curve.gap(grid), grid))
-
-
-def _degree_group(nominal: SweepRow) -> xr.Dataset:
-    reports = degree_reports(nominal)
-    columns = {
-        "rms_departure": "RMS relative departure of δ from the polynomial",
-        "largest_departure": "largest relative departure of δ from the polynomial",
-        "log_evidence": "restricted log likelihood with a smooth lack of fit beside it",
-    }
-    return dataset(
-        {
-            name: (("degree",), np.array([getattr(r, name) for r in reports]), "1", long_name)
-            for name, long_name in columns.items()
-        },
-        {"degree": [r.degree for r in reports]},
-    )
-
-
-def _example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
-    """Noise-free speed over one rotation at a few gaps, for the figures."""
-    gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
-    speeds = bench.simulate_many(
-        gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=0.5 * math.pi
-    )
-    time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
-    return dataset(
-        {
-            "gap_rad": (("example",), gaps, "rad", "backlash gap simulated"),
-            "time_s": (("sample",), time_s, "s", "time"),
-            "motor_speed_rpm": (("example", "sample"), speeds, "rpm", "motor speed, noise-free"),
-        }
-    )
-
-
-def _draw_group(swept: SweptDraws) -> xr.Dataset:
-    return dataset(
-        {
-            "shift": (
-                ("draw", "parameter"),
-                swept.shifts,
-                "1",
-                "departure of the parameter in units of its tolerance",
-            ),
-            "departure": (
-                ("draw", "gap", "quantity"),
-                swept.departures,
-                "1",
-                "departure of ln A, ln ω and ln τ from the nominal sweep",
-            ),
-        },
-        {"parameter": list(swept.names), "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"]},
-    )

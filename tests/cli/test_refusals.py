@@ -20,11 +20,12 @@ from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.signals import observed
-from bayesbl.measurement.amplitude_route import require_plausible_limit, same_files, verdict
+from bayesbl.measurement.amplitude_route import verdict
+from bayesbl.measurement.compatibility import require_plausible_limit, same_files
+from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset
 from bayesbl.recording.channels import MOTOR_SPEED
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
 from bayesbl.recording.readers import read_recording
-from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset
 from bayesbl.results.store import write_tree
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -201,9 +202,9 @@ def test_a_withheld_answer_asks_for_the_unit_before_all_else():
     )
     beyond = SimpleNamespace(notes=(), reason="Use a curve that reaches farther.")
     found = verdict(fit, beyond, question="Is the unit right?")
-    assert found["reason"].startswith("Is the unit right?")
+    assert found.reason.startswith("Is the unit right?")
     inside = SimpleNamespace(notes=(), reason=None)
-    assert verdict(fit, inside, question="Is the unit right?")["reasons"] == []
+    assert verdict(fit, inside, question="Is the unit right?").reasons == ()
 
 
 def test_a_curve_keeps_its_speed_in_its_file():

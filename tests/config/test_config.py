@@ -25,7 +25,7 @@ from bayesbl.config.loading import (
 from bayesbl.config.measurement import CompareConfig, FitConfig, SnapshotConfig
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, UserError
-from bayesbl.measurement.amplitude_route import estimator_of
+from bayesbl.measurement.task import estimator_of
 from bayesbl.recording.channels import ColumnSpec
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -18,14 +18,15 @@ from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError, CurveError, UserError
-from bayesbl.measurement.amplitude_route import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
+from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.curve_file import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.variables import require_declared
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
@@ -33,6 +34,7 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
+from bayesbl.runs.declared_groups import declared_groups
 from bayesbl.runs.run import check
 from bayesbl.runs.sweep import run_sweep
 
@@ -468,3 +470,10 @@ def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:
     assert read_tree(tmp_path / "result.nc").attrs["kind"] == "fit"
     with pytest.raises(CurveError, match="holds no gap curve"):
         read_curve(tmp_path / "result.nc")
+
+
+def test_a_sweep_holds_all_that_its_groups_declare(
+    tolerant_sweep,  # type: ignore[no-untyped-def]
+) -> None:
+    tree = tolerant_sweep[2]
+    require_declared(tree, declared_groups(tree))

@@ -18,7 +18,6 @@ from bayesbl.errors import ConfigError
 from bayesbl.presentation.calibration import main
 from bayesbl.presentation.figures.calibration import draw_calibration
 from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.results.calibration import calibration_line
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.runs.study import prepare, run_study, stored_rows
 from bayesbl.runs.sweep import run_sweep
@@ -32,6 +31,7 @@ from bayesbl.sampling.calibration import (
     rank,
     uniformity,
 )
+from bayesbl.sampling.calibration_table import calibration_line
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,8 +11,11 @@ import pytest
 from bayesbl import cli
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
+from bayesbl.errors import ResultError
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.results.store import read_tree
+from bayesbl.results.variables import require_declared
+from bayesbl.runs.declared_groups import declared_groups
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
@@ -97,6 +100,16 @@ def test_a_fit_shows_the_amplitude_route_beside_it(fit):
     assert beside["amplitude_rpm"] == found["amplitude_rpm"]
     width = beside["delta_rad"]["high"] - beside["delta_rad"]["low"]
     assert width > 3.0 * (found["delta_rad"]["high"] - found["delta_rad"]["low"])
+
+
+def test_all_that_the_groups_declare_is_stored_and_what_is_taken_out_is_named(fit, compared):
+    for folder in (fit, compared):
+        tree = read_tree(folder)
+        require_declared(tree, declared_groups(tree))
+    tree["optimum"] = tree["optimum"].to_dataset().drop_vars("covariance")
+    del tree["change"]
+    with pytest.raises(ResultError, match="optimum: no covariance; change: no such group"):
+        require_declared(tree, declared_groups(tree))
 
 
 def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):

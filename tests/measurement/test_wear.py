@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from dataclasses import asdict
 from datetime import date, timedelta
 
 import numpy as np
@@ -14,7 +15,9 @@ from rich.console import Console
 from scipy import stats
 
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.measurement.maintenance import wear_of
+from bayesbl.measurement.dated_wear import date_after, summarise_wear, wear_of, years_between
+from bayesbl.measurement.measurement import Snapshot
+from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import (
     LONGEST_YEARS,
     _lines,
@@ -28,7 +31,6 @@ from bayesbl.presentation.figures.wear import line_band, reached
 from bayesbl.presentation.figures.wear import wear as wear_figure
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.wear import blocks
-from bayesbl.results.wear import date_after, summarise_wear, years_between
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -341,16 +343,31 @@ def compared(
         }
     )
     draws = drawn(gaps, sd, np.random.default_rng(number))
-    verdicts = {n: {"reason": "Withheld." if n in withheld else None} for n in names}
-    group = wear_of(config, list(draws), verdicts, seed(number))
+    verdicts = {
+        n: Verdict("withheld", ("Withheld.",), "Withheld.")
+        if n in withheld
+        else Verdict("converged", (), None)
+        for n in names
+    }
+    measured = [
+        Snapshot(name, delta_rad, verdicts[name], {})
+        for name, delta_rad in zip(names, draws, strict=True)
+    ]
+    group = wear_of(config, measured, seed(number))
     assert group is not None
     posterior = xr.Dataset(
         {"delta_rad": (("snapshot", "chain", "draw"), draws)}, {"snapshot": names}
     )
     tree = xr.DataTree.from_dict(
-        {"posterior": posterior, "diagnostics": xr.Dataset(), "wear": group}
+        {
+            "posterior": posterior,
+            "diagnostics": xr.Dataset(),
+            "curve": xr.Dataset(attrs={"name": "published"}),
+            "wear": group,
+        }
     )
-    tree["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
+    stored = {name: asdict(verdict) for name, verdict in verdicts.items()}
+    tree["diagnostics"].attrs = {"verdicts": json.dumps(stored)}
     tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
     if limit is not None:
         tree.attrs["limit_rad"] = limit

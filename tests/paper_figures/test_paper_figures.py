@@ -20,7 +20,7 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.presentation.figures.calibration import draw_calibration
 from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import publication_style
-from bayesbl.results.calibration import calibration_line
+from bayesbl.sampling.calibration_table import calibration_line
 
 SCRIPTS = ROOT / "paper_figures"
 TABLES = ROOT / "experiments/results"

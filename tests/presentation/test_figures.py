@@ -15,7 +15,8 @@ from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
-from bayesbl.measurement.amplitude_route import measure
+from bayesbl.measurement.routes import measure
+from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.bench_draws import bench_draws, standardised_slopes
 from bayesbl.presentation.figures.convergence import convergence
@@ -35,10 +36,11 @@ from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import look, publication_style, save
 from bayesbl.presentation.figures.trace import trace
 from bayesbl.presentation.figures.traces import envelope
-from bayesbl.results.curve_file import curve_from_dataset
 from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.variables import require_declared
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
+from bayesbl.runs.declared_groups import declared_groups
 from bayesbl.runs.sweep import run_sweep
 
 FIXED = ("window_start_s", "window_end_s")
@@ -138,6 +140,10 @@ def labelled(axes, label):
 
 
 # What is drawn is what is stored
+
+
+def test_all_that_the_groups_declare_is_stored(tree):
+    require_declared(tree, declared_groups(tree))
 
 
 def test_every_free_symbol_and_the_gap_have_a_row_in_the_corner(tree):

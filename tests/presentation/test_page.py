@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 from bayesbl import cli
+from bayesbl.measurement.dated_wear import wear_group, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
@@ -21,8 +22,7 @@ from bayesbl.presentation.page.build import page
 from bayesbl.presentation.subjects import subject_of
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.results.summary import summarise
-from bayesbl.results.wear import wear_group, years_between
+from bayesbl.runs.summary import summarise
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""

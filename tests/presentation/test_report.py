@@ -20,8 +20,8 @@ from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.measurement.amplitude_route import measure
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.routes import measure
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
@@ -353,7 +353,7 @@ def test_inspect_of_a_withheld_fit_gives_no_gap(stored):
 
 
 def _summary(tree):
-    from bayesbl.results.summary import summarise
+    from bayesbl.runs.summary import summarise
 
     return summarise(tree)
 

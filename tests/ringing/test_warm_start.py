@@ -14,9 +14,9 @@ import xarray as xr
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.errors import ConfigError, ResultError
+from bayesbl.measurement.earlier import read_earlier
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.results.earlier import read_earlier
 from bayesbl.results.store import write_tree
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.objective import Objective

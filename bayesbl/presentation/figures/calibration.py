@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures import layout, style
-from bayesbl.results.calibration import WORDS
 from bayesbl.sampling.calibration import (
     FALSE_ALARM,
     LEVELS,
@@ -20,6 +19,7 @@ from bayesbl.sampling.calibration import (
     ecdf_band,
     uniformity,
 )
+from bayesbl.sampling.calibration_table import WORDS
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,13 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.curve.gap_curve import published_curve
+from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.stored import values
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.curve_file import curve_from_dataset
-from bayesbl.results.summary import SOURCE_PREFIX
 
 _PAPER = "#d55e00"
 _WIDE_SOURCES = ("bench",)

@@ -12,6 +12,7 @@ from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
     credible_interval,
+    gap_colour,
     gap_in_words,
     interval_in_words,
     snapshots,
@@ -34,7 +35,7 @@ def direct_gap(tree: xr.DataTree) -> Figure:
     figure, axes = layout.one_panel_each(len(parts), shared=False)
     curve = curve_name(tree["curve"].attrs["name"])
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
-        _draw(panel, tree, snapshot, snapshot.colour(index), curve)
+        _draw(panel, tree, snapshot, gap_colour(snapshot, index), curve)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     return figure
 

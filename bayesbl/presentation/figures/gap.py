@@ -16,6 +16,7 @@ from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
     credible_interval,
+    gap_colour,
     gap_in_words,
     gap_interval,
     snapshots,
@@ -113,7 +114,7 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
 
 def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
     """The look of a snapshot's point; hollow and grey where δ must not be read."""
-    colour = snapshot.colour(index)
+    colour = gap_colour(snapshot, index)
     face = "white" if snapshot.withheld else colour
     marker = style.look(index).marker
     return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
@@ -124,7 +125,7 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
     outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
     panels.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
     draws = 1e3 * snapshot.values("posterior", GAP)
-    panels.density(side, draws, snapshot.colour(index), orientation="horizontal", **outline)
+    panels.density(side, draws, gap_colour(snapshot, index), orientation="horizontal", **outline)
     if snapshot.withheld:
         side.annotate(
             "withheld",

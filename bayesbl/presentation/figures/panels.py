@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -11,6 +10,7 @@ from matplotlib.axes import Axes
 
 from bayesbl.presentation.figures.style import LIMIT
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import Interval
 
 TURN = 2.0 * np.pi
 """A rotation of the load in rad."""
@@ -37,10 +37,11 @@ def density(
     return heights, edges
 
 
-def reach(interval: Mapping[str, float], scale: float = 1.0) -> list[list[float]]:
+def reach(interval: Interval, scale: float = 1.0) -> list[list[float]]:
     """How far an interval reaches below and above its median, as error bars ask for it."""
-    low, middle, high = (scale * interval[key] for key in ("low", "median", "high"))
-    return [[middle - low], [high - middle]]
+    below = interval["median"] - interval["low"]
+    above = interval["high"] - interval["median"]
+    return [[scale * below], [scale * above]]
 
 
 def limit_line(panel: Axes, tree: xr.DataTree) -> None:

@@ -10,12 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
+from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
 from bayesbl.presentation.figures import layout, panels, style
-from bayesbl.presentation.figures.snapshots import gap_interval, interval_name, snapshots
+from bayesbl.presentation.figures.snapshots import (
+    gap_colour,
+    gap_interval,
+    interval_name,
+    snapshots,
+)
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.wear import DAYS_PER_YEAR, GROUP, used_dates
 
 _RAREST = 0.005
 """A probability nearer than this to 0 or 1 is given as less than 1 % or more than 99 %."""
@@ -24,10 +29,10 @@ _LONGEST_VIEW = 3.0
 """How far ahead is shown at most, in times since the first snapshot in use."""
 
 
-@stored_figure("The gap against the date, and when it reaches its limit.", 40, holding(GROUP))
+@stored_figure("The gap against the date, and when it reaches its limit.", 40, holding(WEAR.name))
 def wear(tree: xr.DataTree) -> Figure:
     """δ of every dated snapshot with the line since the last repair; when the limit is reached."""
-    group = tree[GROUP].to_dataset()
+    group = tree[WEAR.name].to_dataset()
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group and not group.attrs["reason"]
     spec = layout.grid(figure, 1, 2 if limited else 1, top=0.6)
@@ -110,7 +115,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     own = style.look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
         found = gap_interval(tree, part)
-        colour = part.colour(1) if used[index] or part.withheld else style.NEUTRAL
+        colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
         panel.errorbar(
             [day],
             [found["median"]],

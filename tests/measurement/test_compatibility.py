@@ -13,7 +13,7 @@ from recording_files import write_csv
 from bayesbl.cli import status
 from bayesbl.config.bench import reference_bench
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.measurement.speeds import SPEED_POWER
+from bayesbl.measurement.compatibility import SPEED_POWER
 from bayesbl.recording.types import MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator
 

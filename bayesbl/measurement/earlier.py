@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from bayesbl.errors import ResultError
-from bayesbl.results.store import read_tree, texts
+from bayesbl.measurement.stored_snapshot import stored_snapshots
+from bayesbl.results.store import read_tree
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.warm_start import EarlierOptimum
 
@@ -30,19 +30,12 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
             found=f'kind = "{kind}"',
             expected="the result of bayesbl fit or bayesbl compare",
         )
-    optimum = tree["optimum"].to_dataset()
-    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
-    if kind == "compare":
-        parts = {str(n): optimum.sel(snapshot=n) for n in optimum["snapshot"].values}
-    else:
-        (name,) = texts(tree.attrs["recordings"])
-        parts, verdicts = {name: optimum}, {name: verdicts["fit"]}
     return {
-        name: EarlierOptimum(
-            f'the optimum of "{name}" in {path}',
-            {symbol: float(part[symbol]) for symbol in SYMBOLS},
-            float(part["rmse_rpm"]),
-            withheld=verdicts[name]["outcome"] == "withheld",
+        stored.name: EarlierOptimum(
+            f'the optimum of "{stored.name}" in {path}',
+            {symbol: stored.number("optimum", symbol) for symbol in SYMBOLS},
+            stored.number("optimum", "rmse_rpm"),
+            withheld=stored.verdict.outcome == "withheld",
         )
-        for name, part in parts.items()
+        for stored in stored_snapshots(tree)
     }

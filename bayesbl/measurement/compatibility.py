@@ -1,0 +1,175 @@
+"""Whether recordings, estimator, gap curve, gear ratio and limit belong together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.errors import ConfigError, CurveError, RecordingError
+from bayesbl.recording.types import Recording
+from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
+from bayesbl.ringing.symbols import ROTATION
+
+SNAPSHOTS_APART = 0.02
+"""Largest relative difference in speed between snapshots.
+
+The published bench reads δ off by the power :data:`SPEED_POWER` of a wrong speed, so this moves a
+change of δ by 1 % of δ at most.
+"""
+
+CURVE_APART = 0.05
+"""The same between a recording and a curve that is not of its bench, and is off by as much anyway.
+"""
+
+SPEED_POWER = 0.4
+"""d ln δ/d ln v at a given amplitude, of the reference bench: 0.28 at 0.2 mrad, 0.57 at 3.5."""
+
+ROTATION_APART = 0.03
+"""Largest relative difference between the rotation found and that by speed and gear ratio."""
+
+SPEED_TOLERANCE = 0.01
+"""Largest relative difference in speed between a recording and the curve that δ is read from.
+
+On the reference bench ∂ln δ/∂ln v at a given A is 0.28 to 0.57 for gaps of 2e-4 to 3.5e-3 rad, so
+this moves δ by 0.6 % at most: no more than the lack of fit that a curve may have, and a quarter of
+the 2 % that an amplitude tells δ to.
+"""
+
+SPEED = "nominal_speed_rpm"
+"""Entry of a fingerprint that is compared within the tolerance, not digit by digit."""
+
+LIMIT_BEYOND = 10.0
+"""A limit that lies beyond the gaps that can be measured by more than this factor is a mistake."""
+
+
+def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float]) -> None:
+    """The limit is not far from all gaps that can be measured: most likely another unit."""
+    low, high = range_rad
+    if limit_rad is None or low / LIMIT_BEYOND <= limit_rad <= LIMIT_BEYOND * high:
+        return
+    raise ConfigError(
+        "The limit is far from every gap that can be measured here.",
+        where="limit_rad",
+        found=f"{limit_rad:g} rad = {1e3 * limit_rad:.4g} mrad",
+        expected=f"a limit near {1e3 * low:.3g} to {1e3 * high:.3g} mrad, given in rad "
+        "(1.2e-3 = 1.2 mrad)",
+    )
+
+
+def same_files(recordings: Sequence[Recording]) -> list[str]:
+    """A sentence for every group of recordings whose files are alike byte for byte."""
+    names: dict[str, list[str]] = {}
+    for recording in recordings:
+        if recording.source is not None:
+            names.setdefault(recording.source.sha256, []).append(recording.name)
+    return [
+        f"{', '.join(alike[:-1])} and {alike[-1]} are one and the same recording: their files are "
+        "alike to the last byte, so no change between them means anything. Was a file copied by "
+        "mistake?"
+        for alike in names.values()
+        if len(alike) > 1
+    ]
+
+
+def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Recording) -> None:
+    """The curve means the same A as the fit; raises :class:`CurveError` with the difference."""
+    if curve.fingerprint is None:
+        return
+    mine, theirs = json.loads(estimator.fingerprint(recording)), json.loads(curve.fingerprint)
+    # A fingerprint has two digits of the speed; the curve's file has all of them beside it.
+    mine[SPEED] = nominal_speed_rpm(recording)
+    theirs[SPEED] = curve.reference_speed_rpm or theirs[SPEED]
+    different = {k for k in {*mine, *theirs} if mine.get(k) != theirs.get(k)}
+    if abs(mine[SPEED] / theirs[SPEED] - 1.0) <= SPEED_TOLERANCE:
+        different.discard(SPEED)
+    if different:
+        names = sorted(different)
+        problem = (
+            "This gap curve was swept at another speed, where the same gap rings differently."
+            if names == [SPEED]
+            else "This gap curve was made with another estimator, so it means another amplitude."
+        )
+        raise CurveError(
+            problem,
+            file=curve.name,
+            where=", ".join(names),
+            found="; ".join(f"{_entry(k, theirs)} in the curve" for k in names),
+            expected="; ".join(f"{_entry(k, mine)} as in {recording.name}" for k in names),
+        )
+
+
+def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
+    """All snapshots are of one speed, in either direction.
+
+    Raises
+    ------
+    RecordingError
+        If not: the same gap rings differently at another speed, and that would pass for wear.
+    """
+    first = recordings[0]
+    for other in recordings[1:]:
+        speeds = nominal_speed_rpm(first), nominal_speed_rpm(other)
+        if max(speeds) > (1.0 + SNAPSHOTS_APART) * min(speeds):
+            raise RecordingError(
+                "The snapshots were recorded at different speeds, and the same gap rings "
+                "differently at another speed: that would pass for wear.",
+                file=other.source.file if other.source else other.name,
+                where="motor_speed_rpm",
+                found=f"{speeds[1]:.5g} rpm on average, but {speeds[0]:.5g} rpm in {first.name}",
+                expected=f"speeds within {100.0 * SNAPSHOTS_APART:g} %, in one unit; record at the "
+                'same speed, or give a bench and take route = "direct"',
+            )
+
+
+def other_speed(recording: Recording, curve: GapCurve) -> str | None:
+    """Why a curve of another speed gives no gap; ``None`` where it is of this speed."""
+    if curve.reference_speed_rpm is None:
+        return None
+    speed = nominal_speed_rpm(recording)
+    ratio = speed / curve.reference_speed_rpm
+    if abs(ratio - 1.0) <= CURVE_APART:
+        return None
+    off = 100.0 * abs(ratio**SPEED_POWER - 1.0)
+    side = "small" if ratio < 1.0 else "large"
+    return (
+        f"The gap curve is of {curve.reference_speed_rpm:g} rpm, the recording of {speed:.4g} rpm, "
+        f"where the same gap rings differently: δ would be some {off:.0f} % too {side}. Record at "
+        f"{curve.reference_speed_rpm:g} rpm, sweep a bench at this speed, or ask for extrapolation "
+        "by [curve] allow_extrapolation = true."
+    )
+
+
+def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> str | None:
+    """Why the rotation that was found is not the load's; ``None`` where it may be."""
+    if gear_ratio is None:
+        return None
+    found_s = fit.point.optimum.symbols[ROTATION]
+    speed = nominal_speed_rpm(recording)
+    expected_s = 60.0 * gear_ratio / speed
+    if abs(found_s / expected_s - 1.0) <= ROTATION_APART:
+        return None
+    fitting = found_s * speed / 60.0
+    return (
+        f"The speed repeats every {found_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
+        f"load turns once in {expected_s:.4g} s at {speed:.4g} rpm. Is the gear ratio right (the "
+        f"recording would fit one of {fitting:.4g}), and the unit of the speed?"
+    )
+
+
+def unsuited(recording: Recording, fit: Fit, curve: GapCurve, config: SnapshotConfig) -> list[str]:
+    """Reasons why recording, curve and gear ratio do not belong together."""
+    reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
+    if not config.curve.allow_extrapolation:
+        reasons.append(other_speed(recording, curve))
+    return [reason for reason in reasons if reason]
+
+
+def _entry(key: str, meaning: Mapping[str, Any]) -> str:
+    """An entry of a fingerprint in words."""
+    if key not in meaning:
+        return f"no {key}"
+    value = meaning[key]
+    return f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"

@@ -1,0 +1,92 @@
+"""``summary.json`` of a snapshot that was measured by the direct route."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.measurement.stored_snapshot import StoredSnapshot
+from bayesbl.measurement.summary_types import (
+    ByAmplitudeSummary,
+    NoiseSummary,
+    PredictiveCheckEntry,
+    SnapshotSummary,
+)
+from bayesbl.results.intervals import Interval, interval
+
+DELTA, AMPLITUDE = "delta_rad", "amplitude_rpm"
+
+
+def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
+    """The contract's keys, and beside them the bound, the predictive check and the other route."""
+    posterior, optimum = stored.groups["posterior"], stored.groups["optimum"]
+    beside = _beside(stored)
+    names = [str(n) for n in optimum["parameter"].values]
+    return {
+        "route": "direct",
+        "delta_rad": stored.delta_rad,
+        "amplitude_rpm": beside["amplitude_rpm"],
+        "parameters": {n: stored.interval("posterior", n) for n in names if n != DELTA},
+        "optimum": {n: float(optimum[n]) for n in names},
+        "cramer_rao_sd": dict(zip(names, optimum["cramer_rao_sd"].values.tolist(), strict=True)),
+        "posterior_sd": {n: float(posterior[n].std()) for n in names},
+        "noise": _noise(stored.groups["noise"]),
+        "predictive_check": _check(stored.groups["predictive_check"]),
+        "amplitude_route": beside,
+        "rotations": stored.number("diagnostics", "rotations"),
+        "excluded_samples": stored.excluded_samples,
+        "budget": stored.budget,
+        "diagnostics": {
+            **stored.diagnostics,
+            "effective_after_simulation": stored.number("diagnostics", "effective"),
+            "simulated_draws": int(stored.number("diagnostics", "simulated")),
+            "surrogate_refits": int(stored.number("diagnostics", "refits")),
+        },
+        "reason": stored.reason,
+    }
+
+
+def _beside(stored: StoredSnapshot) -> ByAmplitudeSummary:
+    group, reason = stored.groups["amplitude_route"], stored.group_reasons["amplitude_route"]
+
+    def described(name: str) -> Interval | None:
+        draws = group[name].values
+        draws = draws[np.isfinite(draws)]
+        return interval(draws, stored.level, stored.interval_kind) if draws.size else None
+
+    return {
+        "curve": stored.curve,
+        "delta_rad": None if reason else described(DELTA),
+        "amplitude_rpm": described(AMPLITUDE),
+        "reason": reason,
+    }
+
+
+def _noise(group: xr.Dataset) -> NoiseSummary:
+    order = int(group["order"])
+    present = np.isfinite(group["sd"].values)
+    sd = group["sd"].values[present].tolist()
+    coefficients = group["coefficients"].values[:order][:, present][:, :, present]
+    return {
+        "kind": "ar" if order else "white",
+        "order": order,
+        "sd_rpm": sd[0],
+        "sd_a": sd[1] if len(sd) > 1 else None,
+        "coefficients": coefficients.tolist(),
+        "degrees_of_freedom": None,
+    }
+
+
+def _check(group: xr.Dataset) -> list[PredictiveCheckEntry]:
+    """One entry per channel and band of load orders."""
+    return [
+        {
+            "channel": str(channel),
+            "highest_order": int(order),
+            "ratio": float(group["ratio"].values[i, j]),
+            "probability": float(group["probability"].values[i, j]),
+        }
+        for i, channel in enumerate(group["channel"].values)
+        for j, order in enumerate(group["highest_order"].values)
+        if np.isfinite(group["ratio"].values[i, j])
+    ]

@@ -1,0 +1,83 @@
+"""Routes of measurement by name, and the one way to run them.
+
+A route is a module with a :class:`bayesbl.measurement.measurement.Route` called ``ROUTE``, and its
+row in :data:`ROUTES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+
+import xarray as xr
+
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.measurement.compatibility import require_plausible_limit
+from bayesbl.measurement.dated_wear import WEAR
+from bayesbl.measurement.measurement import Route
+from bayesbl.measurement.shared_groups import CHANGE
+from bayesbl.measurement.stored_curve import CURVE
+from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
+from bayesbl.measurement.tree import measurement_tree
+from bayesbl.results.checkpoint import Checkpoint
+from bayesbl.results.variables import Group
+
+ROUTES = {
+    "amplitude": "bayesbl.measurement.amplitude_route",
+    "direct": "bayesbl.measurement.direct_route",
+}
+"""Name to the module, which is imported only where it is used."""
+
+
+def route_of(name: str) -> Route:
+    """The route of this name."""
+    found: Route = import_module(ROUTES[name]).ROUTE
+    return found
+
+
+def route_of_result(tree: xr.DataTree) -> Route:
+    """The route that a stored result was made by; version 0.1 named the direct one only."""
+    return route_of(tree.attrs.get("route", "amplitude"))
+
+
+def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a stored fit or comparison."""
+    compared = (CHANGE, WEAR) if tree.attrs["kind"] == "compare" else ()
+    return (*route_of_result(tree).groups, CURVE, *compared)
+
+
+def measure(
+    config: SnapshotConfig,
+    progress: StageProgress | None = None,
+    checkpoint: Checkpoint | None = None,
+    say: Callable[[str], None] = lambda sentence: None,
+) -> xr.DataTree:
+    """Run a fit or a comparison as configured.
+
+    Parameters
+    ----------
+    checkpoint
+        Keeps what is finished, and gives back what an earlier run had finished.
+    say
+        Called with a sentence on what each search started from, if from an earlier optimum.
+
+    Returns
+    -------
+    The whole result; nothing is written but the checkpoint.
+
+    Raises
+    ------
+    UserError
+        If a recording, the bench or the curve cannot be read or used, the curve does not belong
+        to the estimator, there is nothing to start from in the earlier result, or the second
+        sampler is not installed.
+    """
+    measurer = route_of(config.estimator.route).prepare(config)
+    require_plausible_limit(config.joint.limit_rad, measurer.gap_range_rad)
+    recordings = tuple(recording_of(entry, config) for entry in config.recordings)
+    measurer.require_together(recordings)
+    for recording in recordings:
+        measurer.require_usable(recording)
+    seeds = Seeds.spawn(config.run.seed, len(recordings))
+    task = Task(config, recordings, seeds, progress, checkpoint, say)
+    return measurement_tree(measurer.measure(task), task)

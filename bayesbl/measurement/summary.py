@@ -1,0 +1,76 @@
+"""``summary.json`` of a fit and of a comparison, from the stored result alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.measurement.dated_wear import summarise_wear
+from bayesbl.measurement.routes import route_of_result
+from bayesbl.measurement.stored_snapshot import StoredSnapshot, stored_snapshots
+from bayesbl.measurement.summary_types import (
+    ComparisonSummary,
+    FitSummary,
+    SnapshotSummary,
+    StepSummary,
+)
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import interval
+from bayesbl.results.summary_types import head
+
+
+def summarise_fit(tree: xr.DataTree) -> FitSummary:
+    """δ is ``None`` where it is withheld; ``reason`` says why."""
+    (stored,) = stored_snapshots(tree)
+    return {
+        "kind": "fit",
+        **head(tree),
+        "curve": stored.curve,
+        **_snapshot(tree, stored),
+    }
+
+
+def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
+    """Changes are ``None`` where one of their gaps is withheld."""
+    stored = stored_snapshots(tree)
+    change = tree["change"].to_dataset()
+    names = [snapshot.name for snapshot in stored]
+    total = _step(change["change_rad"].values, stored[0], stored[-1])
+    return {
+        "kind": "compare",
+        **head(tree),
+        "curve": stored[0].curve,
+        "snapshots": [
+            {
+                "name": s.name,
+                "probability_above_limit": None,
+                **_snapshot(tree, s),
+            }
+            for s in stored
+        ],
+        "change_rad": total["change_rad"],
+        "changes": [
+            _step(change["step_change_rad"].values[i], stored[i], stored[i + 1])
+            for i in range(len(names) - 1)
+        ],
+        "probability_increase": total["probability_increase"],
+        "wear": summarise_wear(tree, names),
+    }
+
+
+def _snapshot(tree: xr.DataTree, stored: StoredSnapshot) -> SnapshotSummary:
+    result = route_of_result(tree).summarise(stored)
+    if stored.limit_rad is not None:
+        result["limit_rad"] = stored.limit_rad
+        result["probability_above_limit"] = stored.probability_above_limit
+    return result
+
+
+def _step(draws: FloatArray, first: StoredSnapshot, last: StoredSnapshot) -> StepSummary:
+    given = not (first.withheld or last.withheld)
+    return {
+        "from": first.name,
+        "to": last.name,
+        "change_rad": interval(draws, first.level, first.interval_kind) if given else None,
+        "probability_increase": float(np.mean(draws > 0.0)) if given else None,
+    }

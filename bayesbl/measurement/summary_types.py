@@ -1,0 +1,187 @@
+"""Keys of ``summary.json`` of a fit and of a comparison, with their types."""
+
+from __future__ import annotations
+
+from typing import Literal, NotRequired, TypedDict
+
+from bayesbl.results.intervals import Interval
+from bayesbl.results.summary_types import Head
+from bayesbl.sampling.convergence import Outcome
+
+
+class NoiseSummary(TypedDict):
+    """Noise of a recording; ``sd_a`` is that of the current, where it was used."""
+
+    kind: str
+    order: int
+    sd_rpm: float
+    coefficients: list[float]
+    degrees_of_freedom: float | None
+    student_t_evidence: NotRequired[float | None]
+    differentiated: NotRequired[bool]
+    repeating_rounding_sd_rpm: NotRequired[float]
+    sd_a: NotRequired[float | None]
+
+
+class DiagnosticsSummary(TypedDict):
+    """How the sampling ended; the optional keys are of draws that were simulated in full."""
+
+    r_hat: float
+    ess_bulk: float
+    effective_after_simulation: NotRequired[float]
+    simulated_draws: NotRequired[int]
+    surrogate_refits: NotRequired[int]
+    outcome: Outcome
+    reasons: list[str]
+
+
+class SymbolCheck(TypedDict):
+    """A second sampler beside emcee for one symbol."""
+
+    difference_sd: float
+    width_ratio: float
+
+
+class SamplerCheckSummary(TypedDict):
+    """A second sampler beside emcee."""
+
+    agrees: bool
+    symbols: dict[str, SymbolCheck]
+
+
+class PredictiveCheckEntry(TypedDict):
+    """What repeats every rotation over what noise explains, in one band of load orders."""
+
+    channel: str
+    highest_order: int
+    ratio: float
+    probability: float
+
+
+class ByAmplitudeSummary(TypedDict):
+    """The amplitude route's answer, beside another route's."""
+
+    curve: str
+    delta_rad: Interval | None
+    amplitude_rpm: Interval | None
+    reason: str | None
+
+
+class _FromRinging(TypedDict, total=False):
+    """Of the fit of the ringing's waveform."""
+
+    misfit_rms_rpm: float
+    start: str
+    sampler_check: SamplerCheckSummary
+
+
+class _FromSimulation(TypedDict, total=False):
+    """Of the simulated bench."""
+
+    route: str
+    cramer_rao_sd: dict[str, float]
+    posterior_sd: dict[str, float]
+    predictive_check: list[PredictiveCheckEntry]
+    amplitude_route: ByAmplitudeSummary
+
+
+class SnapshotSummary(_FromRinging, _FromSimulation):
+    """One snapshot; every route gives the keys here, and some of its own."""
+
+    delta_rad: Interval | None
+    amplitude_rpm: Interval | None
+    parameters: dict[str, Interval]
+    optimum: dict[str, float]
+    noise: NoiseSummary
+    rotations: float
+    excluded_samples: int
+    budget: dict[str, float]
+    diagnostics: DiagnosticsSummary
+    reason: str | None
+    limit_rad: NotRequired[float]
+    probability_above_limit: NotRequired[float | None]
+
+
+class NamedSnapshotSummary(SnapshotSummary):
+    """A snapshot of a comparison."""
+
+    name: str
+
+
+class FitSummary(Head, SnapshotSummary):
+    """``summary.json`` of a fit."""
+
+    kind: Literal["fit"]
+    curve: str
+
+
+StepSummary = TypedDict(
+    "StepSummary",
+    {
+        "from": str,
+        "to": str,
+        "change_rad": Interval | None,
+        "probability_increase": float | None,
+    },
+)
+"""Change between neighbouring snapshots."""
+
+
+class LineSummary(TypedDict):
+    """Whether the gaps lie on a straight line in time, and which is farthest off."""
+
+    is_straight: bool
+    probability: float
+    snapshot: str
+    excess_rad: float
+    standard_deviations: float
+
+
+class DateInterval(TypedDict):
+    """An interval of dates; ``None`` where one is too far ahead to be computed."""
+
+    median: str | None
+    low: str | None
+    high: str | None
+    level: float
+    kind: str
+
+
+class WearSummary(TypedDict):
+    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
+
+    ``snapshots`` are those since the last repair. ``rate_rad_per_year`` has healing ruled out,
+    ``probability_wear`` that the gap grows has not. ``scatter_rad_per_root_year`` is irregular
+    wear, ``None`` under four snapshots; ``line`` is ``None`` under three. ``years_to_limit`` count
+    from the last snapshot; before ``limit_not_before`` the limit is not reached, one-sided.
+    ``reason`` says why all of these are ``None``.
+    """
+
+    snapshots: list[str]
+    first_date: str
+    last_date: str
+    level: float
+    rate_rad_per_year: Interval | None
+    rate_at_most_rad_per_year: float | None
+    probability_wear: float | None
+    scatter_rad_per_root_year: Interval | None
+    line: LineSummary | None
+    limit_rad: float | None
+    years_to_limit: Interval | None
+    limit_date: DateInterval | None
+    limit_not_before: str | None
+    decide_before: str | None
+    probability_limit_before: float | None
+    reason: str | None
+
+
+class ComparisonSummary(Head):
+    """``summary.json`` of a comparison."""
+
+    kind: Literal["compare"]
+    curve: str
+    snapshots: list[NamedSnapshotSummary]
+    change_rad: Interval | None
+    changes: list[StepSummary]
+    probability_increase: float | None
+    wear: WearSummary | None

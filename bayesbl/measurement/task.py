@@ -1,0 +1,120 @@
+"""What a configuration gives every route: recordings, estimator, curve and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayesbl.config.fields import PUBLISHED
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
+from bayesbl.curve.gap_curve import GapCurve, published_curve
+from bayesbl.measurement.stored_curve import read_curve
+from bayesbl.recording.checks import ready_for_fit, require_reference_speed
+from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import Recording
+from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
+from bayesbl.results.provenance import file_sha256
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.ringing.symbols import DisturbanceModel
+
+StageProgress = Callable[[str, int, int], None]
+"""Called with (recording, steps made, steps allowed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seeds:
+    """One seed sequence per stage, all spawned from the run's."""
+
+    curve: np.random.SeedSequence
+    gap: np.random.SeedSequence
+    recordings: tuple[np.random.SeedSequence, ...]
+    direct: np.random.SeedSequence
+    wear: np.random.SeedSequence
+
+    @classmethod
+    def spawn(cls, seed: int, recordings: int) -> Seeds:
+        """The same seeds whatever the number of workers."""
+        curve, gap, fits, direct, wear = np.random.SeedSequence(seed).spawn(5)
+        return cls(curve, gap, tuple(fits.spawn(recordings)), direct, wear)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Recordings to be measured, and who is to hear of it.
+
+    Attributes
+    ----------
+    checkpoint
+        Keeps what is finished, and gives back what an earlier run had finished.
+    say
+        Called with a sentence on what each search started from, if from an earlier optimum.
+    """
+
+    config: SnapshotConfig
+    recordings: tuple[Recording, ...]
+    seeds: Seeds
+    progress: StageProgress | None = None
+    checkpoint: Checkpoint | None = None
+    say: Callable[[str], None] = lambda sentence: None
+
+    @property
+    def names(self) -> list[str]:
+        """Of the recordings, in their order."""
+        return [recording.name for recording in self.recordings]
+
+
+def inputs_of(config: SnapshotConfig) -> dict[str, str]:
+    """Every file that the numbers come from, with the SHA-256 of its bytes."""
+    files: list[Path | str | None] = [entry.file for entry in config.recordings]
+    files += [config.curve.source, config.estimator.search.start_from, config.estimator.bench]
+    return {str(file): file_sha256(file) for file in files if file not in (None, PUBLISHED)}
+
+
+def problem_of_run(config: SnapshotConfig) -> Problem:
+    """What decides the numbers of a run: configuration, inputs, versions."""
+    settings = config.model_dump(
+        mode="json", by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
+    )
+    return problem_of(settings, inputs_of(config))
+
+
+def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
+    """The recording of an entry, ready for a fit.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, or lacks what a fit needs.
+    """
+    recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
+    if entry.reference_speed_rpm is not None:
+        require_reference_speed(recording, entry.reference_speed_rpm)
+    return ready_for_fit(recording, config.joint.gear_ratio)
+
+
+def estimator_of(config: SnapshotConfig) -> Estimator:
+    """The estimator that a configuration describes."""
+    section = config.estimator
+    return Estimator(
+        model=DisturbanceModel(
+            section.model.baseline_harmonics, section.model.fixed, section.model.ranges
+        ),
+        search=section.search.method,
+        noise_kind=section.noise.kind,
+        noise_order=section.noise.order,
+        sampler=SamplerSettings(
+            config.posterior.ensembles, config.posterior.max_steps, config.interval.level
+        ),
+    )
+
+
+def curve_of(config: SnapshotConfig) -> GapCurve:
+    """The gap curve that a configuration names."""
+    if config.curve.source == PUBLISHED:
+        return published_curve()
+    return read_curve(config.curve.source)

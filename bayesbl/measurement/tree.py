@@ -1,0 +1,64 @@
+"""A measurement as the tree of ``result.nc``, whatever its route."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+
+import xarray as xr
+
+from bayesbl.config.loading import dump_config
+from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.change import changes
+from bayesbl.measurement.compatibility import same_files
+from bayesbl.measurement.dated_wear import wear_of
+from bayesbl.measurement.measurement import Measurement
+from bayesbl.measurement.shared_groups import change_group
+from bayesbl.measurement.stored_curve import curve_group
+from bayesbl.measurement.stored_snapshot import ALONE
+from bayesbl.measurement.task import Task, inputs_of
+from bayesbl.results.provenance import provenance
+from bayesbl.results.stacking import stack_snapshots
+
+
+def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
+    """The whole result of a fit or a comparison, with its origin."""
+    config, snapshots = task.config, measured.snapshots
+    level = config.interval.level
+    keys = [snapshot.name for snapshot in snapshots]
+    if isinstance(config, CompareConfig):
+        groups = stack_snapshots({s.name: s.groups for s in snapshots})
+        groups["change"] = change_group(*changes({s.name: s.delta_rad for s in snapshots}))
+        wear = wear_of(config, snapshots, task.seeds.wear)
+        if wear is not None:
+            groups["wear"] = wear
+    else:
+        groups = dict(snapshots[0].groups)
+        keys = [ALONE]
+    verdicts = {key: asdict(s.verdict) for key, s in zip(keys, snapshots, strict=True)}
+    groups["diagnostics"].attrs["verdicts"] = _json(verdicts)
+    for group in snapshots[0].group_reasons:
+        reasons = {key: s.group_reasons[group] for key, s in zip(keys, snapshots, strict=True)}
+        groups[group].attrs["reasons"] = _json(reasons)
+    groups["curve"] = curve_group(measured.curve, level, task.seeds.curve)
+    tree = xr.DataTree.from_dict(groups)
+    tree.attrs = {
+        "kind": config.kind,
+        "route": measured.route,
+        "recordings": task.names,
+        "interval_level": level,
+        "interval_kind": config.interval.kind,
+        "outcome": measured.outcome,
+        "reason": measured.reason,
+        "warnings": [*same_files(task.recordings), *measured.warnings],
+        **measured.attributes,
+        **provenance(dump_config(config), config.run.seed, inputs_of(config)),
+    }
+    if config.joint.limit_rad is not None:
+        tree.attrs["limit_rad"] = config.joint.limit_rad
+    return tree
+
+
+def _json(by_snapshot: Mapping[str, object]) -> str:
+    return json.dumps(by_snapshot, ensure_ascii=False)

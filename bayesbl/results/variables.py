@@ -1,0 +1,240 @@
+"""Variables of ``result.nc``, each declared once: the one writer, reader and check of all groups.
+
+A :class:`Group` is declared where its science lives, as a table of name, dimensions, unit and
+meaning. Whoever fills it gives plain arrays by name to :func:`dataset`. Variables whose names
+depend on what was measured (symbols, channels) come from a function of the name,
+:attr:`Group.named`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayesbl.errors import ResultError
+
+STACKED = "snapshot"
+"""Dimension in front of those declared where several snapshots are stored in one group."""
+
+_KINDS = {"number": "fiub", "text": "UO"}
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """Declaration of a stored variable or coordinate.
+
+    Attributes
+    ----------
+    unit
+        As text, ``"1"`` for a pure number, empty for texts.
+    meaning
+        Its long name.
+    optional
+        Whether a group may be stored without it.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    unit: str
+    meaning: str
+    kind: Literal["number", "text"] = "number"
+    optional: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Declaration of a group.
+
+    Attributes
+    ----------
+    variables
+        Those whose names are known beforehand.
+    coordinates
+        Labels of its dimensions.
+    named
+        Declares a variable by its name where the names depend on what was measured; ``None`` for
+        a name that does not belong here.
+    optional
+        Whether a result may be stored without it.
+    """
+
+    name: str
+    variables: tuple[Variable, ...] = ()
+    coordinates: tuple[Variable, ...] = ()
+    named: Callable[[str], Variable | None] | None = None
+    optional: bool = False
+
+    def variable(self, name: str) -> Variable:
+        """The declaration of a variable or coordinate; raises :class:`KeyError` without one."""
+        for declared in (*self.variables, *self.coordinates):
+            if declared.name == name:
+                return declared
+        found = None if self.named is None or name == STACKED else self.named(name)
+        if found is None:
+            raise KeyError(f"group {self.name} declares no variable {name}")
+        return found
+
+
+def table(text: str) -> tuple[Variable, ...]:
+    """Declarations as the lines of a table.
+
+    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar; a ``?``
+    behind the name makes it optional, and the unit ``text`` is that of texts. Lines that are
+    indented farther than the first one go on with the line above.
+    """
+    rows: list[str] = []
+    margin = None
+    for line in filter(str.strip, text.splitlines()):
+        indent = len(line) - len(line.lstrip())
+        margin = indent if margin is None else margin
+        if indent > margin:
+            rows[-1] += f" {line.strip()}"
+        else:
+            rows.append(line.strip())
+    return tuple(_declared(*(cell.strip() for cell in row.split("|"))) for row in rows)
+
+
+def _declared(head: str, unit: str, meaning: str) -> Variable:
+    name, _, dims = head.partition(" (")
+    return Variable(
+        name.removesuffix("?"),
+        tuple(dims.removesuffix(")").split(", ")) if dims else (),
+        "" if unit == "text" else unit,
+        meaning,
+        "text" if unit == "text" else "number",
+        optional=name.endswith("?"),
+    )
+
+
+def labels(name: str, meaning: str) -> Variable:
+    """A coordinate of texts along its own dimension."""
+    return Variable(name, (name,), "", meaning, "text")
+
+
+def attributes(group: Group, source: object) -> dict[str, object]:
+    """Values for :func:`dataset` from an object's attributes that have the names declared."""
+    names = [declared.name for declared in (*group.variables, *group.coordinates)]
+    return {name: getattr(source, name) for name in names if hasattr(source, name)}
+
+
+def dataset(
+    group: Group,
+    values: Mapping[str, object],
+    coordinates: Mapping[str, object] | None = None,
+) -> xr.Dataset:
+    """Plain arrays as a group, dimensions, units and long names as declared.
+
+    Parameters
+    ----------
+    values, coordinates
+        Array, number or text by name; ``None`` leaves an optional one out.
+
+    Raises
+    ------
+    KeyError
+        For a name that is not declared, or one that is declared and not given.
+    ValueError
+        If an array has another number of dimensions than its declaration.
+    """
+    every = {**values, **(coordinates or {})}
+    stored = {n: _stored(group, n, value) for n, value in every.items() if value is not None}
+    for declared in (*group.variables, *group.coordinates):
+        if not (declared.optional or declared.name in stored):
+            raise KeyError(f"group {group.name} is given no {declared.name}")
+    labelled = {declared.name for declared in group.coordinates}
+    return xr.Dataset(
+        {name: variable for name, variable in stored.items() if name not in labelled},
+        {name: variable for name, variable in stored.items() if name in labelled},
+    )
+
+
+def arrays(group: Group, stored: xr.Dataset) -> dict[str, NDArray[Any]]:
+    """What :func:`dataset` was given, variables and coordinates by name.
+
+    Raises
+    ------
+    ResultError
+        If anything declared is missing, or has other dimensions or another kind.
+    """
+    problems = [f"{group.name}: {problem}" for problem in _problems(group, stored)]
+    if problems:
+        raise _incomplete(problems, None)
+    return {str(name): variable.values for name, variable in stored.variables.items()}
+
+
+def require_declared(
+    tree: xr.DataTree, groups: Iterable[Group], file: str | Path | None = None
+) -> None:
+    """A stored result holds everything that its groups declare; what it holds beside is ignored.
+
+    Raises
+    ------
+    ResultError
+        With all that is missing or has other dimensions or another kind, in one message.
+    """
+    problems = [
+        f"{group.name}: {problem}"
+        for group in groups
+        for problem in (
+            _problems(group, tree[group.name].to_dataset())
+            if group.name in tree.children
+            else _absent(group)
+        )
+    ]
+    if problems:
+        raise _incomplete(problems, file)
+
+
+def _stored(group: Group, name: str, value: object) -> xr.Variable:
+    declared, array = group.variable(name), np.asarray(value)
+    if declared.kind == "text":
+        array = array.astype(np.str_)
+    elif array.ndim == 0:
+        array = array.astype(np.float64)
+    if array.ndim != len(declared.dims):
+        raise ValueError(
+            f"{group.name}/{declared.name} has the shape {array.shape}, not {declared.dims}"
+        )
+    return xr.Variable(
+        declared.dims, array, {"units": declared.unit, "long_name": declared.meaning}
+    )
+
+
+def _absent(group: Group) -> Iterator[str]:
+    if not group.optional:
+        yield "no such group"
+
+
+def _problems(group: Group, stored: xr.Dataset) -> Iterator[str]:
+    for declared in (*group.variables, *group.coordinates):
+        if declared.name not in stored.variables and not declared.optional:
+            yield f"no {declared.name}"
+    for name, variable in stored.variables.items():
+        try:
+            declared = group.variable(str(name))
+        except KeyError:
+            continue
+        dims = tuple(dim for dim in variable.dims if dim != STACKED)
+        if dims != declared.dims:
+            yield f"{name} over {_listed(dims)}, expected {_listed(declared.dims)}"
+        elif variable.dtype.kind not in _KINDS[declared.kind]:
+            yield f"{name} is not a {declared.kind}"
+
+
+def _listed(dims: tuple[object, ...]) -> str:
+    return f"({', '.join(map(str, dims))})"
+
+
+def _incomplete(problems: list[str], file: str | Path | None) -> ResultError:
+    return ResultError(
+        "The result is incomplete, or was changed after it was written.",
+        file=file,
+        found="; ".join(problems),
+        expected="a result.nc as bayesbl wrote it",
+    )

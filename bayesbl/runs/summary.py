@@ -1,0 +1,32 @@
+"""``summary.json``: what a stored result of any kind says, from the result alone."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.runs.sweep_summary import SweepSummary
+
+    Summary = FitSummary | ComparisonSummary | SweepSummary
+
+_SUMMARISE = {
+    "fit": ("bayesbl.measurement.summary", "summarise_fit"),
+    "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
+    "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
+    "diagnose": ("bayesbl.results.diagnosis", "summarise_diagnosis"),
+}
+"""Kind to module and function, imported only where it is used."""
+
+
+def summarise(tree: xr.DataTree) -> Summary:
+    """The summary of a fit, of compared snapshots, of a sweep or of a diagnosis.
+
+    δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
+    """
+    module, function = _SUMMARISE[tree.attrs["kind"]]
+    summary: Summary = getattr(import_module(module), function)(tree)
+    return summary
