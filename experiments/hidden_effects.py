@@ -32,10 +32,10 @@ sys.path.append(str(Path(__file__).parent))
 
 from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 
-from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.candidates import BENCH_PARAMETERS, candidates
+from bayesbl.diagnosis.closed_loop.candidates import candidates
 from bayesbl.diagnosis.closed_loop.diagnosis import (
     ForwardDiagnosis,
     ForwardSettings,
@@ -54,8 +54,8 @@ KNOWN_ANGLE_SD_RAD = 1e-3
 LEVEL_SD = 1.6449
 """Half-width of a 90 % interval in standard deviations."""
 
-EFFECT_NAMES = tuple(effect.name for effect in EFFECTS)
-NAMES = (*EFFECT_NAMES, *BENCH_PARAMETERS)
+EFFECT_NAMES = tuple(TYPICAL)
+NAMES = (*EFFECT_NAMES, *CORRECTABLE_PARAMETERS)
 """Place of a name is its bit in ``set_1`` and so on."""
 VERDICTS = ("nothing_missing", "named", "parameter_error", "unexplained")
 MOST_NAMED = 3
@@ -303,7 +303,8 @@ def write_confusion(groups: Mapping[str, xr.Dataset], file: Path) -> None:
 @cache
 def _believed() -> dict[str, float]:
     bench = reference_bench()
-    return {info.name: bench.value(info.name) for info in ALL_PARAMETERS}
+    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
+    return {name: value for name, (value, default) in every.items() if value != default}
 
 
 def _strong(name: str, strength: float) -> dict[str, float]:
@@ -311,12 +312,9 @@ def _strong(name: str, strength: float) -> dict[str, float]:
     if name == "backlash":
         # The gap itself, where the bench is believed to have none.
         return {"gap_rad": 0.0, "backlash__gap_rad": strength * TYPICAL[name]["gap_rad"]}
-    shape = {
-        p.name for effect in EFFECTS if effect.name == name for p in effect.parameters
-        if p.shape_only
-    }  # fmt: skip
+    amplitudes = {item.name for item in effect_named(name).amplitudes}
     return {
-        f"{name}__{key}": value if key in shape else strength * value
+        f"{name}__{key}": strength * value if key in amplitudes else value
         for key, value in TYPICAL[name].items()
     }
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
@@ -28,18 +28,11 @@ from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Record
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
-PHASE = "phase_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
-
-_WITH_MOTOR_ANGLE = (
-    Slot.motor_torque_ripple__torque_nm,
-    Slot.gear_transmission_error__angle_rad,
-    Slot.encoder_eccentricity__angle_rad,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +224,7 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
         for item in effect_named(effect.name).parameters:
             name = f"{effect.name}__{item.name}"
             given = effect.parameters.get(item.name)
-            if item.name == PHASE:
+            if item.role == "phase":
                 found += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
@@ -385,7 +378,7 @@ def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> Float
     A bench's own start angle of the motor is that of a relaxed shaft. The encoder also shows twist,
     gap and its own error: half a radian of the motor, and something else on the other tooth flank.
     """
-    if not np.any(matrix[:, _WITH_MOTOR_ANGLE]):
+    if not turn_with_the_motor(matrix):
         return matrix
     matrix = matrix.copy()
     relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
@@ -409,15 +402,4 @@ def _repeats(matrix: FloatArray, seen: Observed) -> bool:
     turns = rotation_period_s(matrix) * seen.sampling_hz
     if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
         return False
-    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
-        return False
-    on = [
-        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
-        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
-        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
-    ]
-    for amplitude, order in on:
-        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
-        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
-            return False
-    return True
+    return repeat_each_rotation(matrix)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
 
 if TYPE_CHECKING:
-    from bayesbl.bench.effects import Effect
+    from bayesbl.bench.effect_declaration import Effect
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:
@@ -25,6 +25,8 @@ def entry(effect: Effect) -> Iterator[Block]:
         "What": effect.sentence,
         "Equation": effect.equation,
         "Enters": effect.enters,
+        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
+        "Repeats each load rotation": _repeats(effect),
         "In the data": effect.data,
         "Reference": effect.reference,
     }
@@ -43,3 +45,17 @@ def entry(effect: Effect) -> Iterator[Block]:
 
 def _plain(value: float) -> str:
     return f"{value:g}".replace("-", "−")
+
+
+_REPEATS = {
+    "always": "yes",
+    "whole_orders": "with a whole number of cycles per load rotation",
+    "never": "no",
+}
+
+
+def _repeats(effect: Effect) -> str:
+    answers = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
+    if len(set(answers.values())) == 1:
+        return next(iter(answers.values()))
+    return ", ".join(f"{name}: {answer}" for name, answer in answers.items())

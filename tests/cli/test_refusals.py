@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from places import AFTER, BEFORE, CONFIGS
 from recording_files import write_csv
 
 from bayesbl import cli
@@ -27,10 +28,6 @@ from bayesbl.recording.channels import MOTOR_SPEED
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
 from bayesbl.recording.readers import read_recording
 from bayesbl.results.store import write_tree
-
-CONFIGS = Path(__file__).parents[2] / "configs"
-BEFORE = CONFIGS / "recordings" / "wear_before.csv"
-AFTER = CONFIGS / "recordings" / "wear_after.csv"
 
 
 def refused(arguments, capsys, *told: str) -> str:

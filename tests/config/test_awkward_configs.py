@@ -10,6 +10,7 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.bench import load_bench
@@ -17,7 +18,6 @@ from bayesbl.config.loading import load_config
 from bayesbl.config.simulate import load_simulation
 from bayesbl.errors import UserError
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 BENCH = (CONFIGS / "bench.toml").read_text()
 SWEEP = 'schema = 1\nkind = "sweep"\nbench = "bench.toml"\n[sweep]\n'
 SIMULATE = 'schema = 1\nkind = "simulate"\nbench = "bench.toml"\n[[recordings]]\n'

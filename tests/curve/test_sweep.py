@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
@@ -39,7 +40,6 @@ from bayesbl.runs.run import check
 from bayesbl.runs.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
-EXAMPLES = Path(__file__).parents[2] / "configs" / "recordings"
 TOLERANT = (
     "shaft_stiffness_nm_per_rad",
     "speed_gain_nm_s_per_rad",
@@ -50,9 +50,7 @@ TOLERANT = (
 
 @pytest.fixture(scope="session")
 def nominal() -> SweepRow:
-    return sweep_nominal(
-        reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1), workers=2
-    )
+    return sweep_nominal(reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="session")
@@ -131,7 +129,9 @@ def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: Gap
 
 def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve) -> None:
     truths = (6.8539e-4, 9.5394e-4)
-    points = [point(read_recording(EXAMPLES / f"wear_{name}.csv")) for name in ("before", "after")]
+    points = [
+        point(read_recording(RECORDINGS / f"wear_{name}.csv")) for name in ("before", "after")
+    ]
     rng = np.random.default_rng(1)
     ringing = [
         MeasuredRinging(

@@ -12,6 +12,8 @@ from rigid_machine import LOAD_INERTIA, RATIO, bench, motion, recording
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
+from bayesbl.bench.effects.backlash import play
+from bayesbl.bench.effects.shaft_hysteresis import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece, residuals
@@ -21,7 +23,7 @@ from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of, settled
 from bayesbl.diagnosis.rigid.naming import Settings, diagnose
 from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise, sandwich
-from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, dahl, play, required_torque
+from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, required_torque
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
     LOAD_POSITION,

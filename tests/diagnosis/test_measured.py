@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from places import CONFIGS, RECORDINGS
 
 from bayesbl.cli import status
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-MEASURED = Path(os.environ.get("BAYESBL_MEASURED", CONFIGS / "recordings" / "measured"))
+MEASURED = Path(os.environ.get("BAYESBL_MEASURED", RECORDINGS / "measured"))
 
 
 def run(name: str, folder: Path, *changes: tuple[str, str]) -> dict[str, Any]:

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from places import RECORDINGS
+from quick import without_figures
 
 from bayesbl import cli
 from bayesbl.measurement.dated_wear import wear_group, years_between
@@ -24,7 +26,6 @@ from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.runs.summary import summarise
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 HOSTILE = "<script>alert('δ')</script> & \"July\""
 CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'
 VOID = {"meta", "img", "br", "link", "input"}
@@ -76,9 +77,8 @@ def plain(text: str) -> str:
 def compared(tmp_path_factory) -> Path:
     """The stored comparison of the two examples, without figures."""
     folder = tmp_path_factory.mktemp("compared")
-    recordings = [str(CONFIGS / "recordings" / f"wear_{name}.csv") for name in ("before", "after")]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesbl.library.draw", lambda tree, folder: [])
+    recordings = [str(RECORDINGS / f"wear_{name}.csv") for name in ("before", "after")]
+    with without_figures():
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
         assert cli.status(["compare", *recordings, *out]) == 0
     return folder / "out"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import BEFORE
 from recording_files import write_csv, write_mat5, write_netcdf, write_parquet
 
 from bayesbl import cli
@@ -16,7 +17,6 @@ from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 
-EXAMPLE = Path(__file__).parents[2] / "configs" / "recordings" / "wear_before.csv"
 SAMPLES = 8280  # 2.3 rotations
 TIME, SPEED, POSITION, CURRENT = (
     "time_s",
@@ -30,8 +30,8 @@ RPM = 30.0 / np.pi
 
 @cache
 def _whole() -> Table:
-    names = EXAMPLE.open().readline().strip().split(",")
-    return dict(zip(names, np.loadtxt(EXAMPLE, delimiter=",", skiprows=1).T, strict=True))
+    names = BEFORE.open().readline().strip().split(",")
+    return dict(zip(names, np.loadtxt(BEFORE, delimiter=",", skiprows=1).T, strict=True))
 
 
 def plain(first: int = 0, samples: int = SAMPLES) -> Table:
@@ -73,7 +73,7 @@ def dates(table: Table) -> list[str]:
 
 @pytest.fixture(scope="module")
 def reference() -> PointEstimate:
-    return fitted(read_recording(EXAMPLE), slice(0, SAMPLES))
+    return fitted(read_recording(BEFORE), slice(0, SAMPLES))
 
 
 def fitted(recording: Any, part: slice | None = None) -> PointEstimate:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import BEFORE
 
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 
-EXAMPLE = Path(__file__).parents[2] / "configs" / "recordings" / "wear_before.csv"
 TIME = np.arange(40) * 0.001
 SPEED = 2000.0 + np.sin(TIME * 300.0)
 
@@ -41,7 +41,7 @@ def write(folder: Path, content: str | bytes, name: str = "recording.csv") -> Pa
 
 
 def test_the_example_recording_is_read_whole() -> None:
-    recording = read_recording(EXAMPLE)
+    recording = read_recording(BEFORE)
     assert recording.name == "wear_before"
     assert recording.samples == 18001
     assert set(recording.channels) == {
@@ -50,7 +50,7 @@ def test_the_example_recording_is_read_whole() -> None:
         "motor_current_a",
     }
     assert recording.source is not None
-    assert recording.source.sha256 == hashlib.sha256(EXAMPLE.read_bytes()).hexdigest()
+    assert recording.source.sha256 == hashlib.sha256(BEFORE.read_bytes()).hexdigest()
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from synthetic_ringing import TRUTH
 
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.process import NO_NOISE, NoiseModel
@@ -51,17 +52,6 @@ from bayesbl.sampling.convergence import (
     rank_r_hat_and_ess,
 )
 
-TRUTH = {
-    AMPLITUDE: 20.0,
-    START: 1.3,
-    DECAY: 12.0,
-    FREQUENCY: 62.0,
-    MEAN: 2000.0,
-    WINDOW_START: 0.0,
-    WINDOW_END: 0.204,
-    SEPARATION: 1.7,
-    ROTATION: 3.6,
-}
 BASELINE_RPM = (5.0, -3.0)
 WHITE = NoiseModel(1.5)
 SLOW = NoiseModel(1.5, (0.9,))

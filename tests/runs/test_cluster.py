@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.loading import load_config
@@ -264,7 +265,7 @@ def test_an_address_that_cannot_be_one_is_refused(folder, address, capsys):
 
 
 def test_only_studies_take_a_scheduler(capsys):
-    config = Path(__file__).parents[2] / "configs/wear_snapshots.toml"
+    config = CONFIGS / "wear_snapshots.toml"
     arguments = ["run", str(config), "--scheduler", "tcp://127.0.0.1:1"]
     assert cli.status(arguments) == cli.WRONG
     assert "Only studies run on a cluster." in capsys.readouterr().err

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import AFTER, BEFORE
 from recording_files import write_csv, write_netcdf
 
 from bayesbl import cli
@@ -15,9 +16,6 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_recording, read_table
-
-RECORDINGS = Path(__file__).parents[2] / "configs" / "recordings"
-BEFORE, AFTER = RECORDINGS / "wear_before.csv", RECORDINGS / "wear_after.csv"
 
 SPEED = {"rpm": 1.0, "rad/s": math.pi / 30.0, "deg/s": 6.0}
 ANGLE = {"rad": 1.0, "deg": 180.0 / math.pi, "rev": 0.5 / math.pi}

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from bayesbl.diagnosis.closed_loop.candidates import (
     Candidate,
+    amplitude_places,
     is_periodic,
     quadrant_phases,
     wrapped,
@@ -175,7 +176,7 @@ def linear_gain(base: Explanation, candidate: Candidate) -> float:
     for start in starts:
         point = np.concatenate([base.fit.point, start])
         columns = []
-        for i in _amplitudes(candidate):
+        for i in amplitude_places(candidate):
             for phase in (0.0, 0.5 * math.pi) if is_periodic(candidate) else (None,):
                 columns += _difference(model, point, len(base.fit.point) + i, phase, candidate)
         best = max(best, _projected(base.fit, columns))
@@ -193,19 +194,6 @@ def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
         model.settings,
         model.recent,
     )
-
-
-def _amplitudes(candidate: Candidate) -> list[int]:
-    """Unknowns that change something at the neutral point."""
-    if candidate.effect is None or candidate.kind == "parameter":
-        return list(range(len(candidate.unknowns)))
-    shape = ("__phase_rad", "__order", "__speed_rad_per_s")
-    hysteresis = "shaft_hysteresis__angle_rad"
-    return [
-        i
-        for i, u in enumerate(candidate.unknowns)
-        if not u.name.endswith(shape) and u.name != hysteresis
-    ]
 
 
 def _small(unknown: Unknown, coordinate: float) -> float:

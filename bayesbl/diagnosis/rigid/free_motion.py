@@ -14,7 +14,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effect_declaration import EffectParameter, Shape
+from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Candidate, Fit, Piece
@@ -23,18 +24,6 @@ from bayesbl.errors import BenchError
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-FREE_MOTION_EFFECTS = (
-    "motor_coulomb_friction",
-    "motor_viscous_friction",
-    "motor_stribeck_friction",
-    "friction_asymmetry",
-    "motor_torque_offset",
-    "gravity_phase",
-    "gear_mesh_friction",
-    "friction_drift",
-)
-"""Effects that free motion can show; ripple needs a torque to be seen against."""
 
 ACCURACY_RPM = 1e-3
 _ZERO = "angle_zero"
@@ -45,9 +34,9 @@ _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_
 def free_motion_candidates(load_angle_known: bool) -> tuple[Candidate, ...]:
     """Catalogue effects in the order they are tried."""
     return tuple(
-        TORQUE_TERMS[name].candidate
-        for name in FREE_MOTION_EFFECTS
-        if load_angle_known or name != "gravity_phase"
+        TORQUE_TERMS[effect.name].candidate
+        for effect in EFFECTS
+        if effect.free_motion and (load_angle_known or "load_angle" not in effect.depends_on)
     )
 
 
@@ -135,19 +124,19 @@ class FreeMotionComparison:
             for item in effect_named(name).parameters:
                 lower = 0.0 if candidate.not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
-                if item.shape_only:
+                if isinstance(item, Shape):
                     lower, upper = item.low, item.high
-                value = known.get(item.name, self._first(item.name, item.neutral, item.shape_only))
+                value = known.get(item.name, self._first(item))
                 shared[f"{name}.{item.name}"] = (value, lower, upper)
         return shared
 
-    def _first(self, parameter: str, neutral: float, shape: bool) -> float:
+    def _first(self, parameter: EffectParameter) -> float:
         """A small share of the torques at work: where a search for an effect starts."""
         speed = max(float(np.std(np.gradient(p.measured, p.period_s))) for p in self.pieces)
         if self.pieces[0].channel == SPEED_CHANNEL:
             speed = max(float(np.std(p.measured)) for p in self.pieces) / RPM_PER_RAD_PER_S
-        if shape:
-            return min(neutral, speed)
+        if isinstance(parameter, Shape):
+            return min(parameter.neutral, speed)
         ratio = self.bench.value("gear_ratio")
         torque = _FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio
         if torque == 0.0:
@@ -156,12 +145,12 @@ class FreeMotionComparison:
             inertia += self.bench.value("motor_inertia_kg_m2")
             torque = 0.3 * inertia * speed / span
         scales = {
-            "torque_nm": torque,
-            "coefficient_nm_s_per_rad": torque / speed,
-            "coefficient": _FIRST_SHARE,
-            "rate_nm_per_s": 0.1 * torque,
+            "N m": torque,
+            "N m s/rad": torque / speed,
+            "": _FIRST_SHARE,
+            "N m/s": 0.1 * torque,
         }
-        return scales[parameter]
+        return scales[parameter.unit]
 
     def _own_start(
         self, i: int, effects: tuple[str, ...], values: Mapping[str, float]

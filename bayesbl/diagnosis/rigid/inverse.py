@@ -18,11 +18,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
 from bayesbl.diagnosis.comparison import Candidate, Fit, Piece
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.order_scan import OrderScan, scan_orders
-from bayesbl.diagnosis.rigid.terms import ORDER, PHASE, SKEW, Term, required_torque
+from bayesbl.diagnosis.rigid.terms import SKEW, Term, required_torque
 from bayesbl.recording.types import FloatArray
 
 Values = dict[str, float]
@@ -105,12 +105,10 @@ class InverseComparison:
 
     def scan_orders(self, fit: Fit) -> OrderScan:
         """What is left of a fit on the used pieces, order by order of the motor's turning."""
-        name = "gear_transmission_error" if self.load else "motor_torque_ripple"
-        order = next(p for p in effect_named(name).parameters if p.name == ORDER)
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
         angles = [self.pieces[i].kept(self.motions[i].angle) for i in used]
         rests = [self.pieces[i].kept(self.pieces[i].measured - fit.predictions[i]) for i in used]
-        return scan_orders(angles, rests, self.phases_shared, order.low, order.high)
+        return scan_orders(angles, rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
 
     def _scanned(self, name: str) -> list[str]:
         """Parameters of an effect that the linear solution does not give."""

@@ -24,7 +24,12 @@ from bayesbl.diagnosis.problem import (
 from bayesbl.diagnosis.rigid.free_motion import FreeMotionComparison, free_motion_candidates
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of, reach, settled, widened
-from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, Term
+from bayesbl.diagnosis.rigid.terms import (
+    POSITION_TERMS,
+    TORQUE_TERMS,
+    uncomputable,
+    without_load_angle,
+)
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.checks import require_channels
 from bayesbl.recording.types import (
@@ -102,14 +107,11 @@ def _inverse(
         sum((part.channels[n] for n in compared.known_torque), np.zeros(part.samples))
         for part in parts
     )
-    gravity = bench.value(GRAVITY) > 0.0
     every = POSITION_TERMS if load else TORQUE_TERMS
-    left_out = {"gravity_phase"} if not (compared.load_angle_known and gravity) else set()
-    if load and "shaft_stiffness_nm_per_rad" in bench.assumed:
-        left_out.add("shaft_hysteresis")
-    if gravity and not compared.load_angle_known:
-        left_out.add("gear_mesh_friction")
-    terms: dict[str, Term] = {name: term for name, term in every.items() if name not in left_out}
+    if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
+        every = without_load_angle(every)
+    left_out = uncomputable(every, bench, compared.load_angle_known)
+    terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
     comparison = InverseComparison(
         pieces,
@@ -135,10 +137,9 @@ def _inverse(
             "unknown, so a ripple has its own phase in every recording, and gravity's direction "
             "is fitted."
         )
-    if left_out & {"shaft_hysteresis", "gear_mesh_friction"}:
-        names = ", ".join(sorted(left_out & {"shaft_hysteresis", "gear_mesh_friction"}))
+    if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
-        notes.append(f"Not tried, as {why}: {names}.")
+        notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
     alarm = config.candidates.false_alarm
     return Problem(
         comparison,

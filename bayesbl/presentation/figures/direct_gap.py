@@ -12,12 +12,12 @@ from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
     credible_interval,
+    curve_name,
     gap_colour,
     gap_in_words,
     interval_in_words,
     snapshots,
 )
-from bayesbl.presentation.figures.stored import curve_name
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 
 _OTHER = "#d55e00"

@@ -16,12 +16,12 @@ from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
     credible_interval,
+    curve_name,
     gap_colour,
     gap_in_words,
     gap_interval,
     snapshots,
 )
-from bayesbl.presentation.figures.stored import curve_name
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.ringing.symbols import AMPLITUDE
 
