@@ -17,6 +17,7 @@ ROOMS = (
     "bayesbl",  # the package itself: its version; public names are looked up when asked for
     "errors",
     "units",
+    "declared",
     "processes",
     "recording",
     "noise",
@@ -72,7 +73,6 @@ STILL_ONE_NAME = {
     "naming": "forward and rigid name with a judge each",
     "problem": "forward and rigid set up their problem each",
     "tree": "the former writer of groups beside the tree of a measurement",
-    "stored": "figures of stored results, commands on stored results",
 }
 STILL_CIRCULAR: dict[tuple[str, ...], str] = {}
 

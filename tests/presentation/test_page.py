@@ -420,7 +420,7 @@ def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(
     told = plain(Reader(page(tree, [])).text)
     first = told[: told.index("Numbers")]
     for expected in (worn.median_in_mrad(wear["rate_rad_per_year"]), "mrad a year", "Change",
-                     "Limit reached", wear["limit_not_before"], "plan the repair"):  # fmt: skip
+                     "Limit reached", wear["limit_not_before"], "Plan the repair"):  # fmt: skip
         assert expected in first, expected
 
 

@@ -132,7 +132,7 @@ def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
     ("first", "third", "told"),
     [
         ("2000.5", "OVL", 'line 4, column "speed": There is text in a column of numbers.'),
-        ("rpm", "2000.5", "Found: 's'. Expected: a number; a row of units is to be deleted"),
+        ("rpm", "2000.5", "Found: 's'. Expected: a number; delete a row of units"),
         ("", "", 'column "speed": This column is not a series of numbers. Found: 1 finite'),
     ],
 )
@@ -162,7 +162,7 @@ def test_what_cannot_run_is_not_told_to_run(measured, tmp_path, capsys):
     path = write_csv(tmp_path / "slow.csv", values)
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
     printed = capsys.readouterr()
-    assert "It cannot run as it is; what stands against it:" in printed.out
+    assert "It cannot run yet:" in printed.out
     assert "bayesbl run" not in printed.out
     assert "sampling rate" in printed.err
 

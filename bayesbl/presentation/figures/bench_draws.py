@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.scales import plain_log_axis
-from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.snapshots import values
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 

@@ -14,7 +14,7 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.scales import plain_log_axis
-from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.snapshots import values
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 

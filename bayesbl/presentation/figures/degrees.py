@@ -11,7 +11,7 @@ from numpy.polynomial import polynomial
 
 from bayesbl.curve.regression import relative_fit
 from bayesbl.presentation.figures import layout, panels, style
-from bayesbl.presentation.figures.stored import values
+from bayesbl.presentation.figures.snapshots import values
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 

@@ -11,13 +11,13 @@ from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
-    colour_of,
     credible_interval,
+    curve_name,
+    gap_colour,
     gap_in_words,
     interval_in_words,
     snapshots,
 )
-from bayesbl.presentation.figures.stored import curve_name
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 
 _OTHER = "#d55e00"
@@ -35,7 +35,7 @@ def direct_gap(tree: xr.DataTree) -> Figure:
     figure, axes = layout.one_panel_each(len(parts), shared=False)
     curve = curve_name(tree["curve"].attrs["name"])
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
-        _draw(panel, tree, snapshot, colour_of(snapshot, index), curve)
+        _draw(panel, tree, snapshot, gap_colour(snapshot, index), curve)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     return figure
 

@@ -15,13 +15,13 @@ from bayesbl.presentation.figures.change import draw_change, legend_lines
 from bayesbl.presentation.figures.snapshots import (
     GAP,
     Snapshot,
-    colour_of,
     credible_interval,
+    curve_name,
+    gap_colour,
     gap_in_words,
     gap_interval,
     snapshots,
 )
-from bayesbl.presentation.figures.stored import curve_name
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.ringing.symbols import AMPLITUDE
 
@@ -114,7 +114,7 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
 
 def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
     """The look of a snapshot's point; hollow and grey where δ must not be read."""
-    colour = colour_of(snapshot, index)
+    colour = gap_colour(snapshot, index)
     face = "white" if snapshot.withheld else colour
     marker = style.look(index).marker
     return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
@@ -125,7 +125,7 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
     outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
     panels.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
     draws = 1e3 * snapshot.values("posterior", GAP)
-    panels.density(side, draws, colour_of(snapshot, index), orientation="horizontal", **outline)
+    panels.density(side, draws, gap_colour(snapshot, index), orientation="horizontal", **outline)
     if snapshot.withheld:
         side.annotate(
             "withheld",

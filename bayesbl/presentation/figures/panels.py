@@ -39,8 +39,9 @@ def density(
 
 def reach(interval: Interval, scale: float = 1.0) -> list[list[float]]:
     """How far an interval reaches below and above its median, as error bars ask for it."""
-    low, middle, high = (scale * interval[key] for key in ("low", "median", "high"))
-    return [[middle - low], [high - middle]]
+    below = interval["median"] - interval["low"]
+    above = interval["high"] - interval["median"]
+    return [[scale * below], [scale * above]]
 
 
 def limit_line(panel: Axes, tree: xr.DataTree) -> None:

@@ -1,9 +1,10 @@
-"""A stored result as figures read it: one view per snapshot, fits and comparisons alike."""
+"""A stored result as figures read it: snapshots, intervals, arrays."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.stored_snapshot import StoredSnapshot as Snapshot
@@ -12,22 +13,12 @@ from bayesbl.presentation.figures.style import WITHHELD, look
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 
-__all__ = [
-    "GAP",
-    "Snapshot",
-    "colour_of",
-    "credible_interval",
-    "gap_in_words",
-    "gap_interval",
-    "interval_in_words",
-    "interval_name",
-    "snapshots",
-]
+__all__ = ["GAP", "Snapshot", "snapshots"]
 
 GAP = "delta_rad"
 
 
-def colour_of(snapshot: Snapshot, index: int) -> str:
+def gap_colour(snapshot: Snapshot, index: int) -> str:
     """Of what shows δ, by the snapshot's place among the others; grey where withheld."""
     return WITHHELD if snapshot.withheld else look(index).colour
 
@@ -61,3 +52,16 @@ def interval_name(tree: xr.DataTree) -> str:
     """``90 % interval``."""
     kind = "HDI" if tree.attrs["interval_kind"] == "hdi" else "interval"
     return f"{100.0 * float(tree.attrs['interval_level']):g} % {kind}"
+
+
+def values(tree: xr.DataTree, group: str, variable: str) -> FloatArray:
+    """A stored variable or coordinate of numbers, in its own shape and units."""
+    return np.asarray(tree[group].to_dataset()[variable].values, dtype=float)
+
+
+def curve_name(name: str) -> str:
+    """What a reader calls a gap curve: ``published``, or the folder of the sweep that made it."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part]
+    if not parts:
+        return name
+    return parts[-2] if parts[-1] == "result.nc" and len(parts) > 1 else parts[-1]

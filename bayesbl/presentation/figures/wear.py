@@ -13,7 +13,12 @@ from matplotlib.figure import Figure
 from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
 from bayesbl.presentation.figures import layout, panels, style
-from bayesbl.presentation.figures.snapshots import colour_of, gap_interval, interval_name, snapshots
+from bayesbl.presentation.figures.snapshots import (
+    gap_colour,
+    gap_interval,
+    interval_name,
+    snapshots,
+)
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 
@@ -110,7 +115,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     own = style.look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
         found = gap_interval(tree, part)
-        colour = colour_of(part, 1) if used[index] or part.withheld else style.NEUTRAL
+        colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
         panel.errorbar(
             [day],
             [found["median"]],

@@ -17,7 +17,7 @@ import xarray as xr
 from bayesbl.errors import UserError
 from bayesbl.presentation import answer, words
 from bayesbl.presentation.citations import all_bibtex, citations
-from bayesbl.presentation.figures.answer import answer_figure
+from bayesbl.presentation.figures.answer_picture import answer_picture
 from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
 from bayesbl.presentation.subjects import blocks, subject_of, summary_of
 from bayesbl.presentation.words import Summary
@@ -130,7 +130,7 @@ def _answer_picture(gaps: Sequence[tuple[str, Summary]]) -> Picture | None:
     )
     buffer = io.BytesIO()
     places = words.common_decimals(part["delta_rad"] for _, part in gaps)
-    answer_figure(gaps, places).savefig(buffer, format="svg", metadata={"Date": None})
+    answer_picture(gaps, places).savefig(buffer, format="svg", metadata={"Date": None})
     return Picture(each, _address(buffer.getvalue(), "svg+xml"))
 
 

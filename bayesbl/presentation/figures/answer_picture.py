@@ -15,7 +15,7 @@ _LONGEST_NAME = 18
 
 
 @style.publication_style()
-def answer_figure(parts: Sequence[tuple[str, Mapping[str, Any]]], decimals: int = 2) -> Figure:
+def answer_picture(parts: Sequence[tuple[str, Mapping[str, Any]]], decimals: int = 2) -> Figure:
     """A line per snapshot, large enough to be read on a phone.
 
     Parameters
