@@ -51,10 +51,13 @@ SAME_IDEA = {
     "diagnosis": "a diagnosis: the numbers, their words, their figure",
     "direct_route": "the direct route: the measurement, its words",
     "first_configuration": "what init writes: the making, its words",
+    "measurement": "a measurement: its configuration, what every route returns",
     "misfit": "what repeats and the model lacks: the numbers, their figure",
     "posterior": "draws of the parameters of a model: of the ringing, of the matched bench",
     "simulate": "the kind simulate: its configuration, its run",
     "study": "the kind study: its configuration, its run, its words",
+    "summary": "what summary.json holds: of any result, of a measurement",
+    "summary_types": "the keys of summary.json: of any result, of a measurement",
     "sweep": "the kind sweep: its configuration, the curve, its run, its words",
     "wear": "wear over dates: the numbers, their words, their figure",
 }
@@ -66,23 +69,22 @@ STILL_UPWARDS = {
     ("config.fields", "results.folder"): "the check of an output's name",
     ("measurement.fits", "runs.processes"): "pools of processes are started in runs/",
     ("results.diagnosis", "diagnosis.report"): "results/ knows the rigid methods",
-    ("results.direct_tree", "measurement.change"): "results/ knows the direct route",
     ("results.forward_diagnosis", "diagnosis.closed_loop.diagnosis"): "results/ knows forward",
     ("results.forward_diagnosis", "diagnosis.closed_loop.evaluate"): "results/ knows forward",
     ("results.forward_diagnosis", "diagnosis.closed_loop.naming"): "results/ knows forward",
     ("results.forward_diagnosis", "diagnosis.report"): "results/ knows forward",
+    ("results.forward_diagnosis", "measurement.direct_groups"): "results/ knows forward",
     ("results.located", "diagnosis.residuals.attribution"): "results/ knows residuals",
     ("results.located", "diagnosis.residuals.decomposition"): "results/ knows residuals",
     ("results.located", "diagnosis.residuals.locate"): "results/ knows residuals",
     ("results.located", "diagnosis.residuals.unexplained"): "results/ knows residuals",
-    ("results.tree", "measurement.change"): "results/ knows the amplitude route",
-    ("results.wear", "measurement.wear"): "results/ knows wear",
     ("sampling.ensemble", "ringing.memory"): "what a likelihood remembers between calls",
 }
 STILL_LONGER = {"ringing/sums_of_squares.py": "one compiled kernel, to be divided or shortened"}
 STILL_ONE_NAME = {
     "naming": "forward and rigid name with a judge each",
     "problem": "forward and rigid set up their problem each",
+    "tree": "the former writer of groups beside the tree of a measurement",
     "stored": "figures of stored results, commands on stored results",
 }
 STILL_CIRCULAR = {("runs.cases", "runs.cluster"): "each imports the other"}
