@@ -66,6 +66,11 @@ def left(place: Path) -> list[Path]:
     )
 
 
+def finished_work(place: Path) -> list[Path]:
+    """What a run goes on from; a result that was not yet whole is not looked at again."""
+    return [path for path in left(place) if ".staging" not in str(path)]
+
+
 def forgotten(place: Path) -> list[str]:
     """Hidden files that a finished run should have cleared away."""
     names = (str(path.relative_to(place)) for path in left(place))
@@ -110,7 +115,7 @@ Act = Callable[[Path, np.random.Generator], object]
 
 def with_bytes(damage: Damage) -> Act:
     def act(place: Path, rng: np.random.Generator) -> None:
-        files = left(place)
+        files = finished_work(place)
         if files:
             file = files[int(rng.integers(len(files)))]
             file.write_bytes(damage(file.read_bytes(), rng))
@@ -119,7 +124,7 @@ def with_bytes(damage: Damage) -> Act:
 
 
 def exchange(place: Path, rng: np.random.Generator) -> None:
-    files = left(place)
+    files = finished_work(place)
     first, second = (one([str(f) for f in files], rng) for _ in range(2))
     content = Path(first).read_bytes()
     Path(first).write_bytes(Path(second).read_bytes())
@@ -127,25 +132,25 @@ def exchange(place: Path, rng: np.random.Generator) -> None:
 
 
 def delete_one(place: Path, rng: np.random.Generator) -> None:
-    Path(one([str(f) for f in left(place)], rng)).unlink()
+    Path(one([str(f) for f in finished_work(place)], rng)).unlink()
 
 
 def foreign_file(place: Path, rng: np.random.Generator) -> None:
-    for folder in {file.parent for file in left(place)}:
+    for folder in {file.parent for file in finished_work(place)}:
         (folder / "notes.txt").write_text("mine\n")
         np.savez(folder / "foreign-optimum.npz", x=np.arange(3.0))
 
 
 def other_arrays(place: Path, rng: np.random.Generator) -> None:
     """Valid archives with arrays of other names and shapes."""
-    for file in left(place):
+    for file in finished_work(place):
         if file.suffix == ".npz":
             np.savez(file, x=np.arange(3.0))
 
 
 def scaled_arrays(place: Path, rng: np.random.Generator) -> None:
     """Valid archives in which the numbers are others: a tool that rewrote them, or a worn disk."""
-    for file in left(place):
+    for file in finished_work(place):
         if file.suffix == ".npz":
             with np.load(file, allow_pickle=False) as stored:
                 arrays = {
@@ -168,7 +173,7 @@ ACTS: Mapping[str, Act] = {
 def resumed(originals: Originals, kind: str, act: Act) -> Prepare:
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
         leave_unfinished(place, kind)
-        if not left(place):
+        if not finished_work(place):
             raise Skipped(f"a {kind} that was killed left nothing behind")
         act(place, rng)
         wanted = numbers(originals.folder / kind / "result")
