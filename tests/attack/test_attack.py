@@ -15,12 +15,12 @@ SEED = 16
 CORE = {
     "recordings, same samples": 40,
     "recordings, damaged": 40,
-    "results, damaged": 40,
+    "results, damaged": 30,
     "configurations that it wrote": 10,
     "unfinished work, damaged": 3,
     "configurations": 30,
-    "commands": 30,
-    "files": 20,
+    "commands": 15,
+    "files": 12,
 }
 """Cases of each group; what needs a process of its own has named tests."""
 
