@@ -51,6 +51,11 @@ class UserError(Exception):
         return text
 
 
+def shortened(text: str, length: int = 40) -> str:
+    """The text, cut to a length that fits into a message."""
+    return text if len(text) <= length else text[: length - 1] + "…"
+
+
 def _ended(text: str) -> str:
     return text if text.endswith((".", "?", "!")) else f"{text}."
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import RunConfig
+from bayesbl.errors import ResultError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -106,13 +107,31 @@ def write_page(result: str | Path) -> Path:
     return write(result, draw)
 
 
-def draw(tree: xr.DataTree, folder: Path) -> list[Path]:
-    """Write every figure of a result of any kind into a folder; the files written."""
-    if tree.attrs["kind"] == "study":
-        from bayesbl.runs.study import draw_study
+def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Path]:
+    """Write every figure of a result of any kind into a folder; the files written.
 
-        return draw_study(tree, folder)
-    from bayesbl.presentation.figures import draw_all
+    Parameters
+    ----------
+    study
+        The study file, if the result is a study's: only the user says which file is run.
+
+    Raises
+    ------
+    ResultError
+        If the result is a study's and there is no study file, or the reverse.
+    """
+    if (tree.attrs["kind"] == "study") is not (study is not None):
+        raise ResultError(
+            "The figure of a study, and no other, is drawn by its study file.",
+            found=f'kind = "{tree.attrs["kind"]}"' + (f" with {study}" if study else ""),
+            expected="bayesbl figures RESULT --study FILE for a study; FILE is run",
+        )
+    if study is not None:
+        from bayesbl.runs.study import draw_study
+        from bayesbl.runs.study_file import load_study
+
+        return draw_study(load_study(study), tree, folder)
+    from bayesbl.presentation.figures.draw import draw_all
 
     return draw_all(tree, folder)
 

@@ -27,8 +27,9 @@ import numpy as np
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import load_config
-from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnose_forward
-from bayesbl.diagnosis.closed_loop.problem import forward_problem
+from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.method import forward_problem
+from bayesbl.diagnosis.task import Task
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
@@ -36,7 +37,7 @@ from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -51,6 +52,7 @@ from bayesbl.ringing.symbols import (
 )
 from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.ringing.warm_start import EarlierOptimum, warm_optimum
+from bayesbl.sampling.chains import SamplerSettings
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"
 POPULATION = 1000
@@ -222,13 +224,12 @@ def diagnose_seconds(folder: Path) -> tuple[float, float]:
     config = load_config(file)
     assert isinstance(config, DiagnoseConfig)
     recordings = [read_recording(e.file, name=e.name) for e in config.recordings]
-    problem = forward_problem(config, load_bench(config.bench), recordings)
-    used, held_out, unknowns, _ = problem
+    task = Task(config, load_bench(config.bench), tuple(recordings))
+    used, held_out, unknowns, _ = forward_problem(task)
     settings = ForwardSettings(workers=2)
 
     def name() -> object:
-        bench = load_bench(config.bench)
-        return diagnose_forward(bench, used, held_out, unknowns, settings)
+        return search(load_bench(config.bench), used, held_out, unknowns, settings)
 
     naming = best_seconds(name, 1)
     return naming, process_seconds(["diagnose", str(file), "--out", str(result)], 1)

@@ -48,10 +48,11 @@ from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY
 from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 from bayesbl.sampling.calibration import rank
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.sampling.calibration import LEVELS, coverage
+from bayesbl.sampling.chains import SamplerSettings
 
 FAST = SamplerSettings(ensembles=2, max_steps=1000)
 FULL = SamplerSettings()

@@ -31,7 +31,7 @@ from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 FAST = SamplerSettings(ensembles=2, max_steps=1000)
 RANGE_RAD = (5e-5, 1e-2)

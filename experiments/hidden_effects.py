@@ -32,21 +32,24 @@ sys.path.append(str(Path(__file__).parent))
 
 from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 
-from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.parameters import BENCH_PARAMETERS as ALL_PARAMETERS
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.candidates import BENCH_PARAMETERS, candidates
+from bayesbl.diagnosis.closed_loop.candidates import candidates
 from bayesbl.diagnosis.closed_loop.diagnosis import (
-    ForwardDiagnosis,
+    Findings,
     ForwardSettings,
-    diagnose_forward,
+    diagnosis_of,
+    search,
 )
 from bayesbl.diagnosis.closed_loop.explain import Explanation, distance, explain
 from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
+from bayesbl.diagnosis.closed_loop.prediction import residuals_of
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, observed
 from bayesbl.matching.signals import start_angle_unknown as start_angle
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 HELD_OUT_RPM = 1600.0
 GAP_RANGE_RAD = (1e-4, 4e-3)
@@ -54,8 +57,8 @@ KNOWN_ANGLE_SD_RAD = 1e-3
 LEVEL_SD = 1.6449
 """Half-width of a 90 % interval in standard deviations."""
 
-EFFECT_NAMES = tuple(effect.name for effect in EFFECTS)
-NAMES = (*EFFECT_NAMES, *BENCH_PARAMETERS)
+EFFECT_NAMES = tuple(TYPICAL)
+NAMES = (*EFFECT_NAMES, *CORRECTABLE_PARAMETERS)
 """Place of a name is its bit in ``set_1`` and so on."""
 VERDICTS = ("nothing_missing", "named", "parameter_error", "unexplained")
 MOST_NAMED = 3
@@ -169,11 +172,12 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     made = random_recordings(hidden.values, hidden.settings, generator, speeds_rpm=speeds)
     begin = time.perf_counter()
     found = _diagnosed(hidden, made, generator)
+    diagnosis = diagnosis_of(found)
     seconds = time.perf_counter() - begin
     return {
-        **_answer(found),
-        **_score(found, hidden, made),
-        **(_sampled(found, sampling_seed) if row.sampled else {}),
+        **_answer(found, diagnosis),
+        **_score(found, diagnosis, hidden, made),
+        **(_sampled(found, diagnosis, sampling_seed) if row.sampled else {}),
         "diagnosis_s": seconds,
     }
 
@@ -303,7 +307,8 @@ def write_confusion(groups: Mapping[str, xr.Dataset], file: Path) -> None:
 @cache
 def _believed() -> dict[str, float]:
     bench = reference_bench()
-    return {info.name: bench.value(info.name) for info in ALL_PARAMETERS}
+    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
+    return {name: value for name, (value, default) in every.items() if value != default}
 
 
 def _strong(name: str, strength: float) -> dict[str, float]:
@@ -311,19 +316,14 @@ def _strong(name: str, strength: float) -> dict[str, float]:
     if name == "backlash":
         # The gap itself, where the bench is believed to have none.
         return {"gap_rad": 0.0, "backlash__gap_rad": strength * TYPICAL[name]["gap_rad"]}
-    shape = {
-        p.name for effect in EFFECTS if effect.name == name for p in effect.parameters
-        if p.shape_only
-    }  # fmt: skip
+    amplitudes = {item.name for item in effect_named(name).amplitudes}
     return {
-        f"{name}__{key}": value if key in shape else strength * value
+        f"{name}__{key}": strength * value if key in amplitudes else value
         for key, value in TYPICAL[name].items()
     }
 
 
-def _diagnosed(
-    hidden: Hidden, made: Sequence[Made], generator: np.random.Generator
-) -> ForwardDiagnosis:
+def _diagnosed(hidden: Hidden, made: Sequence[Made], generator: np.random.Generator) -> Findings:
     bench = reference_bench()
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [] if "backlash" in hidden.names else [gap_unknown(*GAP_RANGE_RAD)]
@@ -337,24 +337,26 @@ def _diagnosed(
         else:
             unknowns.append(start_angle(name))
     settings = ForwardSettings(load_angle_known=angle_known)
-    return diagnose_forward(bench, seen[:-1], seen[-1:], unknowns, settings)
+    return search(bench, seen[:-1], seen[-1:], unknowns, settings)
 
 
-def _answer(found: ForwardDiagnosis) -> dict[str, float]:
-    answer = {"verdict": float(VERDICTS.index(found.verdict))}
+def _answer(found: Findings, diagnosis: Diagnosis) -> dict[str, float]:
+    answer = {"verdict": float(VERDICTS.index(diagnosis.verdict))}
     effects = found.naming.effects
     for k in range(MOST_NAMED):
         there = k < len(effects)
         answer[f"set_{k + 1}"] = _bits(effects[k].members) if there else 0.0
         answer[f"first_{k + 1}"] = float(NAMES.index(effects[k].name)) if there else math.nan
-    suggestion = found.suggestion
+    suggestion = diagnosis.suggestion
     answer["suggested_rpm"] = math.nan if suggestion is None else suggestion.reference_speed_rpm
     fit = found.naming.nominal.fit
     answer["chi_square_before"] = fit.chi_square / fit.residual.size
     return answer
 
 
-def _score(found: ForwardDiagnosis, hidden: Hidden, made: Sequence[Made]) -> dict[str, float]:
+def _score(
+    found: Findings, diagnosis: Diagnosis, hidden: Hidden, made: Sequence[Made]
+) -> dict[str, float]:
     z, nearest = _signature(found, hidden)
     score = {"truth": _bits(hidden.names), "z": z, "nearest": nearest}
     for use in ("used", "held_out"):
@@ -362,16 +364,21 @@ def _score(found: ForwardDiagnosis, hidden: Hidden, made: Sequence[Made]) -> dic
     first = made[0].truth
     gap = first.gap_rad + first.backlash__gap_rad
     score["delta_rad"] = gap
-    for stage, estimate in (("before", found.delta_before), ("after", found.delta_after)):
+    for stage, estimate in (
+        ("before", diagnosis.delta_before),
+        ("after", diagnosis.delta_after),
+    ):
         error = math.nan if estimate is None else estimate.value - math.log(gap)
         score[f"delta_ratio_{stage}"] = math.exp(error)
         score[f"delta_z_{stage}"] = math.nan if estimate is None else error / estimate.sd
     return score
 
 
-def _sampled(found: ForwardDiagnosis, seed: np.random.SeedSequence) -> dict[str, float]:
+def _sampled(
+    found: Findings, diagnosis: Diagnosis, seed: np.random.SeedSequence
+) -> dict[str, float]:
     """The posterior of the gap by emcee beside the Laplace approximation."""
-    laplace = found.delta_after
+    laplace = diagnosis.delta_after
     if laplace is None:
         return {}
     posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
@@ -382,7 +389,7 @@ def _sampled(found: ForwardDiagnosis, seed: np.random.SeedSequence) -> dict[str,
     }
 
 
-def _signature(found: ForwardDiagnosis, hidden: Hidden) -> tuple[float, float]:
+def _signature(found: Findings, hidden: Hidden) -> tuple[float, float]:
     """√Δχ² of the truth's own fit over the nominal one, and its distance to the nearest other."""
     if len(hidden.names) != 1:
         return math.nan, math.nan
@@ -394,7 +401,7 @@ def _signature(found: ForwardDiagnosis, hidden: Hidden) -> tuple[float, float]:
     return math.sqrt(gain), min((distance(own, other) for other in others), default=math.nan)
 
 
-def _own_fit(found: ForwardDiagnosis, hidden: Hidden) -> Explanation | None:
+def _own_fit(found: Findings, hidden: Hidden) -> Explanation | None:
     """The truth's fit; made here if the diagnosis saw no order to begin with."""
     nominal, name = found.naming.nominal, hidden.names[0]
     for explanation in found.naming.ranking:
@@ -409,14 +416,15 @@ def _own_fit(found: ForwardDiagnosis, hidden: Hidden) -> Explanation | None:
     return None
 
 
-def _closed(found: ForwardDiagnosis, made: Sequence[Made], use: str) -> float:
+def _closed(found: Findings, made: Sequence[Made], use: str) -> float:
     """Share of the mean square distance to the noise-free truth that naming has closed."""
     clean = {item.recording.name: item.clean[1:] for item in made}
     before = after = 0.0
-    for pair in found.recordings:
+    for pair in found.pairs:
         if pair.use != use:
             continue
-        weight = 1.0 / pair.noise.sd[:, None] ** 2
+        floors = np.array([residuals.noise_floor for residuals in residuals_of(pair)])
+        weight = 1.0 / floors[:, None] ** 2
         truth = clean[pair.seen.name]
         before += float(np.sum(weight * (truth - pair.before) ** 2))
         after += float(np.sum(weight * (truth - pair.after) ** 2))

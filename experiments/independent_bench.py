@@ -24,6 +24,7 @@ import numba
 import numpy as np
 from scipy import signal, special
 
+from bayesbl.bench.effects import EFFECTS
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
 
 RPM = 60.0 / (2.0 * math.pi)
@@ -108,6 +109,14 @@ class Plant(NamedTuple):
     outside__dropouts_per_s: float = 0.0
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
+
+
+TYPICAL: Mapping[str, Mapping[str, float]] = {
+    effect.name: {item.name: item.typical for item in effect.parameters}
+    for effect in EFFECTS
+    if all(slot.name in Plant._fields for slot in effect.slots.values())
+}
+"""A middling strength of every effect of the catalogue that this simulator has too."""
 
 
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -504,40 +513,15 @@ def _lose_samples(
         speed[begin : begin + length] *= 1.0 - made.outside__dropout_share * rng.uniform(0.2, 1.0)
 
 
-TYPICAL: Mapping[str, Mapping[str, float]] = {
-    "backlash": {"gap_rad": 4e-4},
-    "motor_coulomb_friction": {"torque_nm": 0.2},
-    "motor_viscous_friction": {"coefficient_nm_s_per_rad": 1e-3},
-    "motor_stribeck_friction": {"torque_nm": 0.3, "speed_rad_per_s": 200.0},
-    "friction_asymmetry": {"coefficient_nm_s_per_rad": 5e-4},
-    "motor_torque_offset": {"torque_nm": 0.2},
-    "load_coulomb_friction": {"torque_nm": 15.0},
-    "load_viscous_friction": {"coefficient_nm_s_per_rad": 10.0},
-    "load_torque_offset": {"torque_nm": 15.0},
-    "gravity_phase": {"torque_nm": 30.0},
-    "gear_mesh_friction": {"coefficient": 0.05},
-    "motor_torque_ripple": {"torque_nm": 0.05, "order": 6.0, "phase_rad": 0.7},
-    "gear_transmission_error": {"angle_rad": 3e-5, "order": 2.0, "phase_rad": -0.4},
-    "encoder_eccentricity": {"angle_rad": 2e-3, "phase_rad": 1.1},
-    "stiffness_hardening": {"stiffness_nm_per_rad3": 1e9},
-    "shaft_hysteresis": {"torque_nm": 20.0, "angle_rad": 1e-3},
-    "current_loop_lag": {"time_s": 1e-3},
-    "speed_sensor_lag": {"time_s": 1e-3},
-    "friction_drift": {"torque_nm": 0.1, "rate_nm_per_s": 0.01},
-    "channel_time_skew": {"position_s": 1e-3, "speed_s": 2e-3, "current_s": -1.5e-3},
-}
-"""A middling strength of every effect of the catalogue."""
-
-
 def _main() -> None:
     from time import perf_counter
 
-    from bayesbl.bench.effects import EFFECTS
     from bayesbl.bench.parameters import BENCH_PARAMETERS
     from bayesbl.config.bench import reference_bench
 
     bench = reference_bench()
-    values = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
+    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
+    values = {name: value for name, (value, default) in every.items() if value != default}
     common = {"gap_rad": 8e-4, "start_angle_rad": 0.4, "reference_speed_rpm": 2000.0}
     motor = {"motor_start_angle_rad": 0.9}
 

@@ -44,8 +44,8 @@ from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.sampling.calibration import coverage_band
+from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

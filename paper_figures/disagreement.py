@@ -30,23 +30,23 @@ _STAGES = {"before": "bench as believed", "after": "with the effect that was nam
 def data(stored: Stored) -> xr.Dataset:
     """Over the load angle: recorded, simulated, residual; and how far each recording closed."""
     tree = stored.tree("hidden_friction")
-    located = [tree[f"located_{s}"].to_dataset().sel(recording=RECORDING) for s in _STAGES]
+    residuals = [tree[f"residuals_{s}"].to_dataset().sel(recording=RECORDING) for s in _STAGES]
     columns: dict[str, tuple[object, ...]] = {
-        "load_angle_rad": ("angle", located[0]["load_angle_rad"].values, "rad")
+        "load_angle_rad": ("angle", residuals[0]["load_angle_rad"].values, "rad")
     }
     for channel in _CHANNELS:
         unit = unit_of(channel)
-        columns[f"{channel}_recorded"] = ("angle", located[0][f"{channel}_recorded"].values, unit)
+        columns[f"{channel}_recorded"] = ("angle", residuals[0][f"{channel}_recorded"].values, unit)
         for name in ("simulated", "load_map"):
-            both = [stage[f"{channel}_{name}"].values for stage in located]
+            both = [stage[f"{channel}_{name}"].values for stage in residuals]
             columns[f"{channel}_{name}"] = (("stage", "angle"), both, unit)
-        errors = [float(stage[f"{channel}_map_error"]) for stage in located]
+        errors = [float(stage[f"{channel}_map_error"]) for stage in residuals]
         columns[f"{channel}_map_error"] = ("stage", errors, unit)
     summary, rows, labels, held = summarise(tree), [], [], []
-    for recording, channels in summary["gap"]["recordings"].items():
+    for recording, channels in summary["disagreement"]["recordings"].items():
         for channel, uses in channels.items():
-            for use, gap in uses.items():
-                rows.append([gap[stage] / gap["noise_floor"] for stage in _STAGES])
+            for use, found in uses.items():
+                rows.append([found[stage] / found["noise_floor"] for stage in _STAGES])
                 labels.append(f"{recording}, {_CHANNELS[channel].lower().removeprefix('motor ')}")
                 held.append(use == "held_out")
     columns["over_noise"] = (("piece", "stage"), rows, "1")

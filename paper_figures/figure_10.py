@@ -7,9 +7,14 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.presentation.figures import gap
-from bayesbl.presentation.figures.change import told
-from bayesbl.presentation.figures.snapshots import GAP, credible_interval, snapshots
+from bayesbl.presentation.figures.gap import gap
+from bayesbl.presentation.figures.snapshots import (
+    GAP,
+    credible_interval,
+    gap_interval,
+    interval_in_words,
+    snapshots,
+)
 from bayesbl.ringing.symbols import AMPLITUDE
 
 
@@ -27,15 +32,14 @@ def data(stored: Stored) -> xr.DataTree:
 def caption(tree: xr.DataTree) -> str:
     """What is seen, with gaps and change."""
     gaps = "; ".join(
-        f"{s.name} {told(tree, credible_interval(tree, 1e3 * s.values('posterior', GAP)))}"
-        for s in snapshots(tree)
+        f"{s.name} {interval_in_words(tree, gap_interval(tree, s))}" for s in snapshots(tree)
     )
     draws = 1e3 * tree["change"]["change_rad"].values
     return (
         "(a) Amplitude A and gap δ of both recordings on the curve that was swept on the bench, "
         f"with their posterior distributions along the axes: {gaps}. (b) The change of the gap, "
         "both recordings through the same draws of the curve: "
-        f"{told(tree, credible_interval(tree, draws))}. (c) The whole curve."
+        f"{interval_in_words(tree, credible_interval(tree, draws))}. (c) The whole curve."
     )
 
 

@@ -7,8 +7,8 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.presentation.figures import wear
 from bayesbl.presentation.figures.snapshots import GAP
+from bayesbl.presentation.figures.wear import wear
 from bayesbl.presentation.wear import sentences
 from bayesbl.runs.summary import summarise
 

@@ -1,11 +1,79 @@
-"""Linear algebra on one thread: on busy cores, threads waiting for one another cost tenfold.
+"""How tests run: linear algebra on one thread, a whole run on every core, figures on demand.
 
-Set before NumPy is imported; processes that tests start inherit it.
+The threads are set before NumPy is imported; processes that tests start inherit them. On busy
+cores, threads waiting for one another cost tenfold.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+
+import pytest
+from places import EXPERIMENTS
+from quick import without_figures
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+LONGEST = (
+    "test_paper_figures.py",
+    "test_golden.py",
+    "test_forward.py",
+    "test_calibration.py",
+    "test_direct.py",
+    "test_wear_detection.py",
+    "test_cli.py",
+    "test_sweep.py",
+    "test_direct_results.py",
+    "test_figures.py",
+    "test_page.py",
+)
+"""Files that a whole run starts with, or it would end with one core waiting for another.
+
+In a fresh clone the first compiles the simulator while the second compiles the ringing model.
+"""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """A run of all tests uses every core; ``-n 0`` or naming files keeps it in one process."""
+    options = config.option
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    is_worker = hasattr(config, "workerinput")
+    if not whole or is_worker or not config.pluginmanager.hasplugin("xdist"):
+        return
+    if options.numprocesses is None and not options.usepdb:
+        options.numprocesses = "logical"
+        options.dist = "loadfile"  # what a file's tests share is made once
+        options.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first."""
+    rank = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+
+
+@pytest.fixture
+def no_figures() -> Iterator[None]:
+    """Runs of this test write no figures."""
+    with without_figures():
+        yield
+
+
+@pytest.fixture(scope="session")
+def independent() -> Iterator[ModuleType]:
+    """The simulator that shares only equations with the package's own."""
+    path = EXPERIMENTS / "independent_bench.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[path.stem]

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
 DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))

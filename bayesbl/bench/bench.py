@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
 from bayesbl.bench.parameters import (
@@ -65,6 +66,11 @@ class BenchEffect:
 
     name: str
     parameters: Mapping[str, EffectParameterValue]
+
+    def complete(self) -> dict[str, float]:
+        """All of its parameters by name, those not given at their neutral value."""
+        given = {name: item.value for name, item in self.parameters.items()}
+        return effect_named(self.name).complete(given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +153,9 @@ class Bench:
         vector[Slot.hard_dead_zone] = float(self.gap_form == "dead_zone")
         vector[Slot.rigid] = float(self.drive == "rigid")
         for present in self.effects:
-            given = {name: item.value for name, item in present.parameters.items()}
-            for slot, value in effect_named(present.name).values(given).items():
-                vector[slot] = value
+            slots = effect_named(present.name).slots
+            for name, value in present.complete().items():
+                vector[slots[name]] = value
         vector.setflags(write=False)
         return vector
 
@@ -179,7 +185,7 @@ class Bench:
         return dataclasses.replace(self, effects=tuple(effects))
 
     def with_measurement(self, measurement: Measurement) -> Bench:
-        """The same bench, seen otherwise."""
+        """The same bench, measured differently."""
         return dataclasses.replace(self, measurement=measurement)
 
     def draw(self, rng: np.random.Generator) -> Bench:
@@ -198,6 +204,20 @@ class Bench:
     def rotation_period_s(self, reference_speed_rpm: float | None = None) -> float:
         """Time of one load rotation T_w = 2πN/|ω_ref|, s."""
         return float(rotation_period_s(self.vector(reference_speed_rpm=reference_speed_rpm))[0])
+
+    def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
+        """Torque that the gear passes on in this motion of a rigid bench, at the motor, N m.
+
+        Load inertia, gravity and the effects at the load; shape (n,).
+        """
+        ratio = self.value("gear_ratio")
+        torque = self.value("load_inertia_kg_m2") / ratio * motion.acceleration
+        torque = torque + self.value("gravity_torque_nm") * np.sin(motion.angle / ratio)
+        for present in self.effects:
+            law = effect_named(present.name).load_torque
+            if law is not None:
+                torque = torque + law(motion, self, present.complete())
+        return np.asarray(torque / ratio)
 
     def vector(self, **settings: Any) -> FloatArray:
         """Parameter matrix for simulations that differ in these settings.

@@ -1,6 +1,6 @@
 """Equations of motion and their integrator, compiled.
 
-Everything that numba compiles together stands in this one file: its cache looks only at the file
+Everything that numba compiles together is in this one file: its cache looks only at the file
 of the outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
 
 State, shape (8,), SI: motor angle, motor speed, twist Δθ, twist speed Δω, integral of the speed
@@ -16,7 +16,7 @@ Within a step the region is fixed, so the right-hand side is smooth there.
 from __future__ import annotations
 
 import math
-from enum import IntEnum
+from enum import IntEnum, auto
 from typing import Any, NamedTuple
 
 import numba
@@ -27,59 +27,64 @@ FloatArray = NDArray[np.float64]
 
 
 class Slot(IntEnum):
-    """Places in the flat parameter vector; ``effect__parameter`` for effects.
+    """Places in the flat parameter vector, numbered in this order.
 
-    A vector of zeros in the effects' places is a bench without effects.
+    Bench and run come first, then effects as ``effect__parameter``, skews last. A vector of zeros
+    in the effects' places is a bench without effects.
     """
 
-    gear_ratio = 0
-    motor_inertia_kg_m2 = 1
-    load_inertia_kg_m2 = 2
-    shaft_stiffness_nm_per_rad = 3
-    shaft_damping_nm_s_per_rad = 4
-    gravity_torque_nm = 5
-    speed_gain_nm_s_per_rad = 6
-    integral_gain_nm_per_rad = 7
-    position_gain_per_s = 8
-    torque_constant_nm_per_a = 9
-    current_limit_a = 10
-    stiffness_sharpness_per_rad = 11
-    hard_dead_zone = 12  # 1: hard dead zone, 0: arctan
-    rigid = 13  # 1: one inertia, 0: two masses
-    reference_speed_rpm = 14
-    gap_rad = 15
-    start_angle_rad = 16
-    motor_start_angle_rad = 17
-    backlash__gap_rad = 18
-    motor_coulomb_friction__torque_nm = 19
-    motor_viscous_friction__coefficient_nm_s_per_rad = 20
-    motor_stribeck_friction__torque_nm = 21
-    motor_stribeck_friction__speed_rad_per_s = 22
-    friction_asymmetry__coefficient_nm_s_per_rad = 23
-    motor_torque_offset__torque_nm = 24
-    load_coulomb_friction__torque_nm = 25
-    load_viscous_friction__coefficient_nm_s_per_rad = 26
-    load_torque_offset__torque_nm = 27
-    gravity_phase__torque_nm = 28
-    gear_mesh_friction__coefficient = 29
-    motor_torque_ripple__torque_nm = 30
-    motor_torque_ripple__order = 31
-    motor_torque_ripple__phase_rad = 32
-    gear_transmission_error__angle_rad = 33
-    gear_transmission_error__order = 34
-    gear_transmission_error__phase_rad = 35
-    encoder_eccentricity__angle_rad = 36
-    encoder_eccentricity__phase_rad = 37
-    stiffness_hardening__stiffness_nm_per_rad3 = 38
-    shaft_hysteresis__torque_nm = 39
-    shaft_hysteresis__angle_rad = 40
-    current_loop_lag__time_s = 41
-    speed_sensor_lag__time_s = 42
-    friction_drift__torque_nm = 43
-    friction_drift__rate_nm_per_s = 44
-    channel_time_skew__position_s = 45
-    channel_time_skew__speed_s = 46
-    channel_time_skew__current_s = 47
+    @staticmethod
+    def _generate_next_value_(name: str, start: int, count: int, last_values: list[Any]) -> int:
+        return count
+
+    gear_ratio = auto()
+    motor_inertia_kg_m2 = auto()
+    load_inertia_kg_m2 = auto()
+    shaft_stiffness_nm_per_rad = auto()
+    shaft_damping_nm_s_per_rad = auto()
+    gravity_torque_nm = auto()
+    speed_gain_nm_s_per_rad = auto()
+    integral_gain_nm_per_rad = auto()
+    position_gain_per_s = auto()
+    torque_constant_nm_per_a = auto()
+    current_limit_a = auto()
+    stiffness_sharpness_per_rad = auto()
+    hard_dead_zone = auto()  # 1: hard dead zone, 0: arctan
+    rigid = auto()  # 1: one inertia, 0: two masses
+    reference_speed_rpm = auto()
+    gap_rad = auto()
+    start_angle_rad = auto()
+    motor_start_angle_rad = auto()
+    backlash__gap_rad = auto()
+    motor_coulomb_friction__torque_nm = auto()
+    motor_viscous_friction__coefficient_nm_s_per_rad = auto()
+    motor_stribeck_friction__torque_nm = auto()
+    motor_stribeck_friction__speed_rad_per_s = auto()
+    friction_asymmetry__coefficient_nm_s_per_rad = auto()
+    motor_torque_offset__torque_nm = auto()
+    load_coulomb_friction__torque_nm = auto()
+    load_viscous_friction__coefficient_nm_s_per_rad = auto()
+    load_torque_offset__torque_nm = auto()
+    gravity_phase__torque_nm = auto()
+    gear_mesh_friction__coefficient = auto()
+    motor_torque_ripple__torque_nm = auto()
+    motor_torque_ripple__order = auto()
+    motor_torque_ripple__phase_rad = auto()
+    gear_transmission_error__angle_rad = auto()
+    gear_transmission_error__order = auto()
+    gear_transmission_error__phase_rad = auto()
+    encoder_eccentricity__angle_rad = auto()
+    encoder_eccentricity__phase_rad = auto()
+    stiffness_hardening__stiffness_nm_per_rad3 = auto()
+    shaft_hysteresis__torque_nm = auto()
+    shaft_hysteresis__angle_rad = auto()
+    current_loop_lag__time_s = auto()
+    speed_sensor_lag__time_s = auto()
+    friction_drift__torque_nm = auto()
+    friction_drift__rate_nm_per_s = auto()
+    channel_time_skew__position_s = auto()
+    channel_time_skew__speed_s = auto()
+    channel_time_skew__current_s = auto()
 
 
 SLOTS = len(Slot)

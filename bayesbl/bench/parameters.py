@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.kernel import SLOTS, Slot
 from bayesbl.errors import BenchError
 
@@ -19,10 +20,11 @@ FloatArray = NDArray[np.float64]
 class ParameterInfo:
     """What a bench parameter is.
 
-    ``positive``: it must be above zero; otherwise zero is allowed, and negative values only where
+    ``positive``: it must be above zero; if not, zero is allowed, and negative values only where
     ``signed``. ``default``: value in a bench file that does not give it, ``None`` if it must.
     ``idle``: value in the file of a rigid bench that does not give it and is only compared with
-    recordings, never driven.
+    recordings, never driven. ``correctable``: a wrong value of it is an explanation of its own (a
+    parameter error) when recordings and bench disagree.
     """
 
     name: str
@@ -32,17 +34,19 @@ class ParameterInfo:
     signed: bool = False
     default: float | None = None
     idle: float | None = None
+    correctable: bool = False
 
 
 BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ParameterInfo("gear_ratio", "", "gear ratio N, motor turns per load turn"),
-    ParameterInfo("motor_inertia_kg_m2", "kg m²", "inertia of the motor J_m"),
-    ParameterInfo("load_inertia_kg_m2", "kg m²", "inertia of the load J_l"),
+    ParameterInfo("motor_inertia_kg_m2", "kg m²", "inertia of the motor J_m", correctable=True),
+    ParameterInfo("load_inertia_kg_m2", "kg m²", "inertia of the load J_l", correctable=True),
     ParameterInfo(
         "shaft_stiffness_nm_per_rad",
         "N m/rad",
         "torsional stiffness K_s, seen at the load",
         idle=1.0,
+        correctable=True,
     ),
     ParameterInfo(
         "shaft_damping_nm_s_per_rad",
@@ -50,6 +54,7 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         "torsional damping D_s, seen at the load",
         positive=False,
         idle=0.0,
+        correctable=True,
     ),
     ParameterInfo(
         "gravity_torque_nm",
@@ -57,9 +62,14 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         "largest torque of gravity on the load m g l",
         positive=False,
         default=0.0,
+        correctable=True,
     ),
     ParameterInfo(
-        "speed_gain_nm_s_per_rad", "N m s/rad", "speed controller, proportional K_p", idle=1.0
+        "speed_gain_nm_s_per_rad",
+        "N m s/rad",
+        "speed controller, proportional K_p",
+        idle=1.0,
+        correctable=True,
     ),
     ParameterInfo(
         "integral_gain_nm_per_rad",
@@ -67,6 +77,7 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         "speed controller, integral K_i",
         positive=False,
         idle=0.0,
+        correctable=True,
     ),
     ParameterInfo(
         "position_gain_per_s",
@@ -75,7 +86,13 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         positive=False,
         default=0.0,
     ),
-    ParameterInfo("torque_constant_nm_per_a", "N m/A", "motor torque per current K_t", idle=1.0),
+    ParameterInfo(
+        "torque_constant_nm_per_a",
+        "N m/A",
+        "motor torque per current K_t",
+        idle=1.0,
+        correctable=True,
+    ),
     ParameterInfo(
         "current_limit_a", "A", "largest current the controller asks for i_max", idle=1.0
     ),
@@ -95,6 +112,12 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
 )
 
 PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
+
+CORRECTABLE_PARAMETERS = tuple(info.name for info in BENCH_PARAMETERS if info.correctable)
+"""Parameters whose wrong values are a class of explanations of their own.
+
+See docs/design.md, "What recordings cannot tell apart".
+"""
 
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
@@ -175,30 +198,25 @@ def _check_gap(matrix: FloatArray) -> None:
         )
 
 
-_NOT_NEGATIVE = (
-    Slot.backlash__gap_rad,
-    Slot.motor_coulomb_friction__torque_nm,
-    Slot.motor_viscous_friction__coefficient_nm_s_per_rad,
-    Slot.load_coulomb_friction__torque_nm,
-    Slot.load_viscous_friction__coefficient_nm_s_per_rad,
-    Slot.gear_mesh_friction__coefficient,
-    Slot.current_loop_lag__time_s,
-    Slot.speed_sensor_lag__time_s,
-)
+_AMPLITUDES = [(item, effect.slots[item.name]) for effect in EFFECTS for item in effect.amplitudes]
+_NOT_NEGATIVE = [slot for item, slot in _AMPLITUDES if item.not_negative]
+_BOUNDED = [(slot, item.smaller_than, item.unit) for item, slot in _AMPLITUDES if item.smaller_than]
+_SCALES = [
+    (effect.slots[scale.name], [effect.slots[item.name] for item in effect.amplitudes])
+    for effect in EFFECTS
+    for scale in effect.shapes
+    if scale.positive_scale
+]
 
 
 def _check_effects(matrix: FloatArray) -> None:
     for slot in _NOT_NEGATIVE:
         _refuse_where(matrix[:, slot] < 0.0, matrix, slot, "zero or a number above it")
-    eccentricity = Slot.encoder_eccentricity__angle_rad
-    _refuse_where(
-        np.abs(matrix[:, eccentricity]) >= 1.0, matrix, eccentricity, "between -1 and 1 rad"
-    )
-    for amplitude, scale in (
-        (Slot.motor_stribeck_friction__torque_nm, Slot.motor_stribeck_friction__speed_rad_per_s),
-        (Slot.shaft_hysteresis__torque_nm, Slot.shaft_hysteresis__angle_rad),
-    ):
-        wrong = (matrix[:, amplitude] != 0.0) & (matrix[:, scale] <= 0.0)
+    for slot, bound, unit in _BOUNDED:
+        expected = f"between -{bound:g} and {bound:g} {unit}"
+        _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
+    for scale, amplitudes in _SCALES:
+        wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
         _refuse_where(wrong, matrix, scale, "a number above zero")
 
 

@@ -81,7 +81,7 @@ def main() -> None:
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, ``sys.argv``'s by default, and return its exit status."""
-    from bayesbl.presentation.console import error, make_console
+    from bayesbl.presentation.terminal import error, make_console
 
     try:
         app(arguments, prog_name="bayesbl")

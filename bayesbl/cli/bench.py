@@ -2,54 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from bayesbl.cli.options import ConfigPath, Force, Json, Out, Seed, Workers
-from bayesbl.cli.running import run_config, simulate
+from bayesbl.cli.running import run_file
 
 
-def simulate_command(
-    config: ConfigPath,
-    out: Out = None,
-    seed: Seed = None,
-    workers: Workers = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Make recordings on a virtual bench."""
-    simulate(config, out, seed, workers, force, json)
+def _command(kind: str, what: str) -> Callable[..., None]:
+    """The command that runs configurations of one kind; ``what`` is its help."""
+
+    def command(
+        config: ConfigPath,
+        out: Out = None,
+        seed: Seed = None,
+        workers: Workers = None,
+        force: Force = False,
+        json: Json = False,
+    ) -> None:
+        run_file(config, force, json, kind=kind, out=out, seed=seed, workers=workers)
+
+    command.__doc__ = what
+    return command
 
 
-def sweep_command(
-    config: ConfigPath,
-    out: Out = None,
-    seed: Seed = None,
-    workers: Workers = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Sweep a virtual bench over its gap, for a gap curve of its own."""
-    from bayesbl.runs.run import load_run
-
-    loaded = load_run(config, kind="sweep", out=out, seed=seed, workers=workers)
-    run_config(loaded, force, json)
-
-
-def diagnose_command(
-    config: ConfigPath,
-    out: Out = None,
-    seed: Seed = None,
-    workers: Workers = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
-    """Find what a bench lacks that recordings show."""
-    from bayesbl.runs.run import load_run
-
-    loaded = load_run(config, kind="diagnose", out=out, seed=seed, workers=workers)
-    run_config(loaded, force, json)
+simulate_command = _command("simulate", "Make recordings on a virtual bench.")
+sweep_command = _command("sweep", "Sweep a virtual bench over its gap, for a gap curve of its own.")
+diagnose_command = _command("diagnose", "Find what a bench lacks that recordings show.")
 
 
 def effects_command(
@@ -59,10 +40,7 @@ def effects_command(
 ) -> None:
     """Print the catalogue of physical effects, or one entry in full."""
     from bayesbl.bench.effects import EFFECTS, effect_named
-    from bayesbl.presentation.catalogue import print_catalogue, print_effect
-    from bayesbl.presentation.console import make_console
+    from bayesbl.presentation.catalogue import catalogue, entry
+    from bayesbl.presentation.terminal import make_console, print_blocks
 
-    if name is None:
-        print_catalogue(EFFECTS, make_console())
-    else:
-        print_effect(effect_named(name), make_console())
+    print_blocks(catalogue(EFFECTS) if name is None else entry(effect_named(name)), make_console())

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bayesbl.cli.options import Before, ConfigPath, Force, Json, Out, Scheduler, Seed, Workers
-from bayesbl.cli.running import run_config, simulate
+from bayesbl.cli.running import run_file
 from bayesbl.cli.statuses import WRONG
 from bayesbl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from bayesbl.runs.workflow import Plan
 
 
 def run_command(
@@ -24,7 +27,7 @@ def run_command(
     json: Json = False,
 ) -> None:
     """Run a configuration, whatever its kind."""
-    from bayesbl.runs.run import kind_of, load_run
+    from bayesbl.runs.run import kind_of
 
     kind = kind_of(config)
     if scheduler is not None and kind not in ("study", ""):
@@ -35,36 +38,25 @@ def run_command(
             found=f'kind = "{kind}"',
             expected='kind = "study"',
         )
-    if kind == "simulate":
-        simulate(config, out, seed, workers, force, json)
-    else:
-        loaded = load_run(
-            config, out=out, seed=seed, workers=workers, scheduler=scheduler, before=before
-        )
-        run_config(loaded, force, json)
+    options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    run_file(config, force, json, **options, scheduler=scheduler, before=before)
 
 
 def check_command(config: ConfigPath) -> None:
-    """Check all that can be checked without running."""
-    from bayesbl.presentation.console import error, make_console
+    """Check everything that can be checked without running."""
     from bayesbl.runs.run import check
 
     plan = check(config)
     for label, text in plan.lines:
         typer.echo(f"{label}: {text}")
-    for warning in plan.warnings:
-        typer.echo(f"warning: {warning}")
-    for problem in plan.problems:
-        error(make_console(stderr=True), problem)
-    if plan.problems:
-        raise typer.Exit(WRONG)
-    typer.echo("Nothing stands against a run.")
+    _print_findings(plan)
+    typer.echo("Ready to run.")
 
 
 def init_command(
     recordings: Annotated[
         list[Path],
-        typer.Argument(metavar="RECORDING", help="One to be fitted, several to be compared."),
+        typer.Argument(metavar="RECORDING", help="One to fit, several to compare."),
     ],
     out: Annotated[
         Path | None,
@@ -72,15 +64,23 @@ def init_command(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
-    """Write a first configuration for recordings, columns and units guessed."""
-    from bayesbl.presentation.console import error, make_console
-    from bayesbl.presentation.first_configuration import print_guess
+    """Write a first configuration for recordings, with columns and units guessed."""
+    from bayesbl.presentation.first_configuration import guessed, what_next
+    from bayesbl.presentation.terminal import make_console, print_blocks
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.run import check
 
     path, guess = start_config(recordings, out, force=force)
     plan = check(path)
-    print_guess(guess, path, make_console(), sound=not plan.problems)
+    print_blocks(guessed(guess), make_console())
+    typer.echo(what_next(path, sound=not plan.problems))
+    _print_findings(plan)
+
+
+def _print_findings(plan: Plan) -> None:
+    """Warnings and problems; with a problem the command ends here."""
+    from bayesbl.presentation.terminal import error, make_console
+
     for warning in plan.warnings:
         typer.echo(f"warning: {warning}")
     for problem in plan.problems:

@@ -9,55 +9,39 @@ from typing import Annotated, Any
 
 import typer
 
-from bayesbl.cli.options import (
-    BaseConfig,
-    Before,
-    BenchFile,
-    CheckSampler,
-    Curve,
-    Dates,
-    Force,
-    GearRatio,
-    Json,
-    Level,
-    LimitRad,
-    Out,
-    Route,
-    Seed,
-    StartFrom,
-    Workers,
-)
+from bayesbl.cli import options
 from bayesbl.cli.running import run_config
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.recording import formats
 
-FORMATS = "CSV, TSV, NetCDF, MATLAB or Parquet"
+FORMATS = formats.names()
 
 
 def fit_command(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help=f"A recording: {FORMATS}.")
     ],
-    config: BaseConfig = None,
-    out: Out = None,
-    seed: Seed = None,
-    force: Force = False,
-    json: Json = False,
-    curve: Curve = None,
-    route: Route = None,
-    bench: BenchFile = None,
-    limit_rad: LimitRad = None,
-    gear_ratio: GearRatio = None,
-    level: Level = None,
-    workers: Workers = None,
-    start_from: StartFrom = None,
-    check_sampler: CheckSampler = False,
+    config: options.BaseConfig = None,
+    out: options.Out = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    curve: options.Curve = None,
+    route: options.Route = None,
+    bench: options.BenchFile = None,
+    limit_rad: options.LimitRad = None,
+    gear_ratio: options.GearRatio = None,
+    level: options.Level = None,
+    workers: options.Workers = None,
+    start_from: options.StartFrom = None,
+    check_sampler: options.CheckSampler = False,
 ) -> None:
     """Measure the gap in one recording."""
-    options = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
-    options |= {"route": route, "bench": bench}
-    options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
-    options |= {"start_from": start_from, "check_sampler": check_sampler or None}
-    _measure("fit", [recording], config, options, force, json)
+    given = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    given |= {"route": route, "bench": bench}
+    given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    given |= {"start_from": start_from, "check_sampler": check_sampler or None}
+    _measure("fit", [recording], config, given, force, json)
 
 
 def compare_command(
@@ -68,22 +52,22 @@ def compare_command(
         list[Path] | None,
         typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
     ] = None,
-    config: BaseConfig = None,
-    out: Out = None,
-    seed: Seed = None,
-    force: Force = False,
-    json: Json = False,
-    curve: Curve = None,
-    route: Route = None,
-    bench: BenchFile = None,
-    dates: Dates = None,
-    limit_rad: LimitRad = None,
-    before: Before = None,
-    gear_ratio: GearRatio = None,
-    level: Level = None,
-    workers: Workers = None,
-    start_from: StartFrom = None,
-    check_sampler: CheckSampler = False,
+    config: options.BaseConfig = None,
+    out: options.Out = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    curve: options.Curve = None,
+    route: options.Route = None,
+    bench: options.BenchFile = None,
+    dates: options.Dates = None,
+    limit_rad: options.LimitRad = None,
+    before: options.Before = None,
+    gear_ratio: options.GearRatio = None,
+    level: options.Level = None,
+    workers: options.Workers = None,
+    start_from: options.StartFrom = None,
+    check_sampler: options.CheckSampler = False,
 ) -> None:
     """Measure each gap, the change from first to last, and with dates how fast it grows."""
     if not later:
@@ -94,25 +78,25 @@ def compare_command(
             found=f"{first} alone",
             expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
         )
-    options: dict[str, Any] = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
-    options |= {"route": route, "bench": bench}
-    options |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
-    options |= {"start_from": start_from, "check_sampler": check_sampler or None}
-    options |= {"before": before, "dates": dates or ()}
-    _measure("compare", [first, *later], config, options, force, json)
+    given: dict[str, Any] = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    given |= {"route": route, "bench": bench}
+    given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    given |= {"start_from": start_from, "check_sampler": check_sampler or None}
+    given |= {"before": before, "dates": dates or ()}
+    _measure("compare", [first, *later], config, given, force, json)
 
 
 def _measure(
     kind: str,
     recordings: Sequence[Path],
     config: Path | None,
-    options: dict[str, Any],
+    given: dict[str, Any],
     force: bool,
     json: bool,
 ) -> None:
     from bayesbl.config.loading import config_from_options
 
-    loaded = config_from_options(kind, recordings, config, **options)
+    loaded = config_from_options(kind, recordings, config, **given)
     try:
         run_config(loaded, force, json)
     except RecordingError as error:

@@ -2,44 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 
-
-def _whole_number(text: str) -> int:
-    """An option's value; what it may be is the configuration's to say."""
-    try:
-        return int(text)
-    except ValueError:
-        raise typer.BadParameter(f"Found: {text}. Expected: a whole number.") from None
+_Value = TypeVar("_Value")
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        point = ", with a decimal point and no comma" if "," in text else ""
-        raise typer.BadParameter(f"Found: {text}. Expected: a number{point}.") from None
+def _parser(read: Callable[[str], _Value], expected: str) -> Callable[[str], _Value]:
+    """An option's value by ``read``; its range is the configuration's to check."""
+
+    def parse(text: str) -> _Value:
+        try:
+            return read(text)
+        except ValueError:
+            raise typer.BadParameter(f"Found: {text}. Expected: {expected}.") from None
+
+    return parse
 
 
-def _gap(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(
-            f"Found: {text}. Expected: a number in rad, with a decimal point, e.g. 1.2e-3 for "
-            "1.2 mrad."
-        ) from None
+_whole_number = _parser(int, "a whole number")
+_number = _parser(float, "a number, with a decimal point")
+_gap = _parser(float, "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad")
+_day = _parser(date.fromisoformat, "a date, e.g. 2026-03-01")
 
 
-def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise typer.BadParameter(f"Found: {text}. Expected: a date, e.g. 2026-03-01.") from None
+def _option(name: str, metavar: str, what: str, parser: Callable[[str], Any] | None = None) -> Any:
+    """An option with a value; ``what`` is its help."""
+    return typer.Option(name, metavar=metavar, help=what, parser=parser)
 
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
@@ -47,118 +40,98 @@ ResultPath = Annotated[
     Path, typer.Argument(metavar="RESULT", help="Output folder of a run, or its result.nc.")
 ]
 BaseConfig = Annotated[
-    Path | None,
-    typer.Option("--config", metavar="FILE", help="Configuration that the options go over."),
+    Path | None, _option("--config", "FILE", "Configuration; options override it.")
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="FOLDER", help="Output folder. [default: results/<name>]"),
-]
+Out = Annotated[Path | None, _option("--out", "FOLDER", "Output folder. [default: results/<name>]")]
 Seed = Annotated[
     int | None,
-    typer.Option(
-        "--seed",
-        parser=_whole_number,
-        metavar="N",
-        help="Seed of all random numbers. [default: 1]",
-    ),
+    _option("--seed", "N", "Seed of all random numbers. [default: 1]", _whole_number),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(
+    _option(
         "--workers",
-        parser=_whole_number,
-        metavar="N",
-        help="Most processes at a time, where there is work for them; the numbers do not "
-        "depend on it. [default: all cores]",
+        "N",
+        "Largest number of processes; results do not depend on it. [default: all cores]",
+        _whole_number,
     ),
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option(
+    _option(
         "--scheduler",
-        metavar="ADDRESS",
-        help="Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786, in place of "
-        "processes.",
+        "ADDRESS",
+        "Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
 Curve = Annotated[
     str | None,
-    typer.Option(
+    _option(
         "--curve",
-        metavar="published|RESULT",
-        help="Gap curve: the result of a sweep, its folder or result.nc. [default: published]",
+        "published|RESULT",
+        "Gap curve: the result of a sweep, its folder or result.nc. [default: published]",
     ),
 ]
 BenchFile = Annotated[
-    Path | None,
-    typer.Option("--bench", metavar="FILE", help="Bench of the joint, for the direct route."),
+    Path | None, _option("--bench", "FILE", "Bench of the joint, for the direct route.")
 ]
 Route = Annotated[
     str | None,
-    typer.Option(
+    _option(
         "--route",
-        metavar="amplitude|direct",
-        help="From the ringing's amplitude by a curve, or from the simulated bench. "
+        "amplitude|direct",
+        "By the ringing's amplitude and a curve, or by simulations of the bench. "
         "[default: amplitude]",
     ),
 ]
 StartFrom = Annotated[
     Path | None,
-    typer.Option(
+    _option(
         "--start-from",
-        metavar="RESULT",
-        help="Earlier result of this joint, from whose optimum the search starts.",
+        "RESULT",
+        "Earlier result of this joint: the search starts from its optimum.",
     ),
 ]
 CheckSampler = Annotated[
     bool,
     typer.Option(
-        "--check-sampler", help="Sample again by a nested sampler, and tell where both differ."
+        "--check-sampler", help="Sample again with a nested sampler, and report differences."
     ),
 ]
 LimitRad = Annotated[
     float | None,
-    typer.Option(
+    _option(
         "--limit-rad",
-        parser=_gap,
-        metavar="RAD",
-        help="Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the "
-        "total play.",
+        "RAD",
+        "Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the total "
+        "play.",
+        _gap,
     ),
 ]
 Before = Annotated[
     date | None,
-    typer.Option(
+    _option(
         "--before",
-        parser=_day,
-        metavar="DATE",
-        help="Also tell how probably the gap passes its limit before this date.",
+        "DATE",
+        "Also report the probability that the gap passes its limit before this date.",
+        _day,
     ),
 ]
 Dates = Annotated[
     list[date] | None,
-    typer.Option(
+    _option(
         "--date",
-        parser=_day,
-        metavar="DATE",
-        help="When a recording was taken; once for each, in their order.",
+        "DATE",
+        "When a recording was taken; once per recording, in the same order.",
+        _day,
     ),
 ]
 GearRatio = Annotated[
-    float | None,
-    typer.Option(
-        "--gear-ratio", parser=_number, metavar="N", help="Motor turns per turn of the load."
-    ),
+    float | None, _option("--gear-ratio", "N", "Motor turns per turn of the load.", _number)
 ]
 Level = Annotated[
     float | None,
-    typer.Option(
-        "--level",
-        parser=_number,
-        metavar="P",
-        help="Level of the credible intervals. [default: 0.9]",
-    ),
+    _option("--level", "P", "Level of the credible intervals. [default: 0.9]", _number),
 ]

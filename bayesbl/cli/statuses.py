@@ -1,4 +1,4 @@
 """Exit statuses besides 0."""
 
 FAILED, WRONG, WITHHELD = 1, 2, 3
-"""What no user can mend, or Ctrl-C; usage, config or input; no answer."""
+"""A bug or Ctrl-C; wrong usage, configuration or input; an answer that is withheld."""

@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from bayesbl.cli.options import Json, ResultPath
-from bayesbl.cli.running import print_json, tell_study
+from bayesbl.cli.running import print_json
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def figures_command(result: ResultPath) -> None:
+def figures_command(
+    result: ResultPath,
+    study: Annotated[
+        Path | None,
+        typer.Option("--study", metavar="FILE", help="Run this study file to draw its figure."),
+    ] = None,
+) -> None:
     """Draw the figures of a result again."""
     from bayesbl.results.folder import FIGURES
     from bayesbl.results.store import read_tree
 
     tree = read_tree(result)
     folder = (result if result.is_dir() else result.parent) / FIGURES
-    for path in _draw_in_place(tree, folder):
+    for path in _draw_in_place(tree, folder, study):
         typer.echo(str(path))
 
 
@@ -31,21 +38,25 @@ def report_command(result: ResultPath) -> None:
     from bayesbl.library import draw
     from bayesbl.presentation.page.build import write_page
 
-    typer.echo(str(write_page(result, draw)))
+    def draw_or_say(tree: xr.DataTree, folder: Path) -> list[Path]:
+        if tree.attrs["kind"] != "study":
+            return draw(tree, folder)
+        command = f"bayesbl figures {shlex.quote(str(result))} --study FILE"
+        typer.echo(f"The page has no figure: none is stored. To draw it: {command}", err=True)
+        return []
+
+    typer.echo(str(write_page(result, draw_or_say)))
 
 
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
-    from bayesbl.presentation.console import make_console, print_summary
+    from bayesbl.presentation.console import print_summary
+    from bayesbl.presentation.terminal import make_console
     from bayesbl.results.store import read_tree
 
     tree = read_tree(result)
     if json:
         print_json(result if result.is_dir() else result.parent)
-    elif tree.attrs["kind"] == "study":
-        from bayesbl.runs.study import summarise_study
-
-        tell_study(summarise_study(tree))
     else:
         print_summary(tree, make_console())
 
@@ -54,22 +65,22 @@ def cite_command(
     bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
 ) -> None:
     """Print what to cite, as text and as BibTeX."""
-    from bayesbl.presentation.citations import all_bibtex, told_citations
+    from bayesbl.presentation.citations import all_bibtex, cited
 
     if not bibtex:
-        for line in told_citations():
+        for line in cited():
             typer.echo(f"{line}\n")
     typer.echo(all_bibtex())
 
 
-def _draw_in_place(tree: xr.DataTree, folder: Path) -> list[Path]:
+def _draw_in_place(tree: xr.DataTree, folder: Path, study: Path | None) -> list[Path]:
     """Draw beside and move: an interrupted command leaves the figures that were there."""
     import tempfile
 
     from bayesbl.library import draw
 
     with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
-        drawn = draw(tree, Path(beside))
+        drawn = draw(tree, Path(beside), *([] if study is None else [study]))
         folder.mkdir(exist_ok=True)
         for path in drawn:
             os.replace(path, folder / path.name)

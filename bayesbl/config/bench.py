@@ -22,7 +22,7 @@ from bayesbl.bench.bench import (
     EffectParameterValue,
     Measurement,
 )
-from bayesbl.bench.effects import EFFECT_BY_NAME
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.fields import (
     Section,
@@ -48,11 +48,10 @@ def _parameter_name(name: str) -> str:
 
 
 def _effect_name(name: str) -> str:
-    if name not in EFFECT_BY_NAME:
-        refuse(
-            "There is no such effect." + did_you_mean(name, EFFECT_BY_NAME),
-            expected="one of " + ", ".join(EFFECT_BY_NAME),
-        )
+    try:
+        effect_named(name)
+    except BenchError as error:
+        refuse(error.problem, expected=error.expected)
     return name
 
 
@@ -172,14 +171,11 @@ class EffectEntry(Section):
 
     @model_validator(mode="after")
     def _parameters_of_effect(self) -> Self:
-        known = EFFECT_BY_NAME[self.name].slots
         for name in self.parameters:
-            if name not in known:
-                refuse(
-                    f"The effect {self.name} has no such parameter." + did_you_mean(name, known),
-                    found=name,
-                    expected="one of " + ", ".join(known),
-                )
+            try:
+                effect_named(self.name).parameter(name)
+            except BenchError as error:
+                refuse(error.problem, found=name, expected=error.expected)
         return self
 
 

@@ -17,8 +17,10 @@ from bayesbl.recording.channels import (
     did_you_mean_file,
     is_mappable,
 )
-from bayesbl.results.folder import RESULT_FILE
 from bayesbl.ringing.symbols import SYMBOLS
+
+RESULT_FILE = "result.nc"
+"""Name of a result in its output folder."""
 
 BASE_DIRECTORY = "base_directory"
 """Key of the validation context: the folder that relative paths start from."""

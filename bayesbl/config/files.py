@@ -14,7 +14,8 @@ from bayesbl.config.fields import BASE_DIRECTORY, Section
 from bayesbl.config.kinds import FILES
 from bayesbl.config.problems import Problem, config_error, line_numbers, problems_of
 from bayesbl.errors import ConfigError
-from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
+from bayesbl.recording.channels import did_you_mean_file
+from bayesbl.recording.formats import formats
 
 _Model = TypeVar("_Model", bound=Section)
 
@@ -53,7 +54,7 @@ def read_toml(
     ConfigError
         If there is no such file, or it is not TOML.
     """
-    if path.suffix.lower() in SUFFIXES and path.is_file():
+    if path.suffix.lower() in formats() and path.is_file():
         raise ConfigError(
             "This is a recording, or not a configuration at all.",
             file=path,

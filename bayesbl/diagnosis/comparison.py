@@ -1,16 +1,15 @@
-"""What a comparison of bench and recordings hands to naming, whatever the method behind it."""
+"""What a least-squares comparison of bench and recordings hands to the selection of effects."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.recording.types import BoolArray, FloatArray
-
-Use = Literal["used", "held_out"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class TestedEffect:
     """An effect that may be missing.
 
     Attributes
@@ -73,7 +72,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class EffectsFit:
     """Least squares with a set of effects in the bench.
 
     Attributes
@@ -112,14 +111,32 @@ class Comparison(Protocol):
         """Everything compared, in the order of a fit's predictions."""
 
     @property
-    def candidates(self) -> tuple[Candidate, ...]:
+    def candidates(self) -> tuple[TestedEffect, ...]:
         """Effects that these recordings can show."""
 
-    def fit(self, effects: tuple[str, ...], start: Fit | None) -> Fit:
+    def fit(self, effects: tuple[str, ...], start: EffectsFit | None) -> EffectsFit:
         """Fit on the used pieces; what ``start`` has found is where the search starts."""
 
 
-def residuals(comparison: Comparison, fit: Fit, use: Use) -> list[FloatArray]:
+def residuals_of_pieces(
+    comparison: Comparison, before: EffectsFit, after: EffectsFit
+) -> list[PieceResiduals]:
+    """Of every piece, at the samples that count."""
+    return [
+        piece_residuals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            piece.kept(piece.measured - first),
+            piece.kept(piece.measured - last),
+        )
+        for piece, first, last in zip(
+            comparison.pieces, before.predictions, after.predictions, strict=True
+        )
+    ]
+
+
+def residuals(comparison: Comparison, fit: EffectsFit, use: Use) -> list[FloatArray]:
     """Measured less predicted at the samples that count, for the pieces of one use."""
     return [
         piece.kept(piece.measured - prediction)

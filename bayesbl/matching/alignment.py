@@ -159,8 +159,7 @@ def _align(
     matrix = model.bench.vector(
         **(
             {"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0}
-            | model.settings
-            | settings
+            | {**model.settings, **settings}
         )
     )
     if len(matrix) < len(points):

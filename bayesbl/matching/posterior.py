@@ -17,7 +17,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.posterior import (
+from bayesbl.sampling.chains import (
     BOUND_TOLERANCE_SD,
     STEPS_BETWEEN_CHECKS,
     Progress,

@@ -44,12 +44,8 @@ class Disagreement:
 def disagreements(fit: SimulatedFit) -> list[Disagreement]:
     """One entry for each recording, channel and band."""
     found = []
-    begin = 0
-    for seen, noise in zip(fit.model.recordings, fit.model.noise, strict=True):
-        n = seen.samples - noise.order
-        count = len(seen.signals) * n
-        part = fit.residual[begin : begin + count].reshape(len(seen.signals), n)
-        begin += count
+    parts = fit.model.by_recording(fit.residual)
+    for seen, part in zip(fit.model.recordings, parts, strict=True):
         for channel, row in zip(seen.channels, part, strict=True):
             found += [
                 Disagreement(seen.name, channel, *entry) for entry in _repeating(row, seen.lag)

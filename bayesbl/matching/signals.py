@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
@@ -28,18 +28,11 @@ from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Record
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
-PHASE = "phase_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
-
-_WITH_MOTOR_ANGLE = (
-    Slot.motor_torque_ripple__torque_nm,
-    Slot.gear_transmission_error__angle_rad,
-    Slot.encoder_eccentricity__angle_rad,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +224,7 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
         for item in effect_named(effect.name).parameters:
             name = f"{effect.name}__{item.name}"
             given = effect.parameters.get(item.name)
-            if item.name == PHASE:
+            if item.role == "phase":
                 found += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
@@ -239,10 +232,11 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
     return found
 
 
+@dataclass(eq=False)
 class SimulatedSignals:
     """What the bench predicts for some recordings, at many points at once.
 
-    Parameters
+    Attributes
     ----------
     noise
         Of each recording: makes residuals independent and standard normal.
@@ -254,23 +248,16 @@ class SimulatedSignals:
         Simulations that another comparison of the same recordings has made.
     """
 
-    def __init__(
-        self,
-        bench: Bench,
-        recordings: Sequence[Observed],
-        unknowns: Sequence[Unknown],
-        noise: Sequence[ChannelNoise],
-        workers: int = 1,
-        settings: Mapping[str, float] | None = None,
-        recent: RecentSimulations | None = None,
-    ) -> None:
-        self.settings = dict(settings or {})
-        self.recent = RecentSimulations() if recent is None else recent
-        self.bench = bench
-        self.recordings = tuple(recordings)
-        self.unknowns = tuple(unknowns)
-        self.noise = tuple(noise)
-        self.workers = workers
+    bench: Bench
+    recordings: Sequence[Observed]
+    unknowns: Sequence[Unknown]
+    noise: Sequence[ChannelNoise]
+    workers: int = field(default=1, compare=False)
+    settings: Mapping[str, float] = field(default_factory=dict)
+    recent: RecentSimulations = field(default_factory=RecentSimulations, compare=False)
+
+    def __post_init__(self) -> None:
+        self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
         self._white_recordings = [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
@@ -303,7 +290,7 @@ class SimulatedSignals:
             for i, unknown in enumerate(self.unknowns)
             if unknown.recording in (None, seen.name)
         }
-        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known} | self.settings
+        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known, **self.settings}
         matrix = self.bench.vector(**(known | settings))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
@@ -326,6 +313,14 @@ class SimulatedSignals:
         for i, part in enumerate(np.split(white, np.cumsum(sizes)[:-1], axis=1)):
             self._whiten_into(part, points, i)
         return white
+
+    def by_recording(self, white: FloatArray) -> list[FloatArray]:
+        """Whitened residuals (N,) of one point as views by recording, each of shape (c, n − p)."""
+        ends = np.cumsum([seen.size for seen in self._white_recordings])
+        return [
+            part.reshape(len(seen.signals), -1)
+            for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
+        ]
 
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
@@ -385,7 +380,7 @@ def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> Float
     A bench's own start angle of the motor is that of a relaxed shaft. The encoder also shows twist,
     gap and its own error: half a radian of the motor, and something else on the other tooth flank.
     """
-    if not np.any(matrix[:, _WITH_MOTOR_ANGLE]):
+    if not turn_with_the_motor(matrix):
         return matrix
     matrix = matrix.copy()
     relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
@@ -409,15 +404,4 @@ def _repeats(matrix: FloatArray, seen: Observed) -> bool:
     turns = rotation_period_s(matrix) * seen.sampling_hz
     if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
         return False
-    if np.any(matrix[:, Slot.friction_drift__rate_nm_per_s] != 0.0):
-        return False
-    on = [
-        (matrix[:, Slot.motor_torque_ripple__torque_nm], Slot.motor_torque_ripple__order),
-        (matrix[:, Slot.gear_transmission_error__angle_rad], Slot.gear_transmission_error__order),
-        (matrix[:, Slot.encoder_eccentricity__angle_rad], None),
-    ]
-    for amplitude, order in on:
-        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
-        if np.any((amplitude != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
-            return False
-    return True
+    return repeat_each_rotation(matrix)

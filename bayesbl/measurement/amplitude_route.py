@@ -22,7 +22,6 @@ from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Fit, nominal_speed_rpm
-from bayesbl.ringing.memory import Forgetful
 from bayesbl.ringing.second_sampler import require_second_sampler
 
 
@@ -107,8 +106,8 @@ class AmplitudeMeasurer:
                 seed,
                 task.config.joint.gear_ratio,
                 earlier_of(recording.name, earlier),
-                Forgetful() if task.checkpoint is None else task.checkpoint.part(recording.name),
                 check,
+                task.work,
             )
             for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True)
         ]

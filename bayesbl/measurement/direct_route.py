@@ -40,7 +40,7 @@ from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, Recording
 from bayesbl.ringing.estimator import Fit
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 FALSE_ALARM = 0.01
 """Of the predictive check, over all channels and bands of a run."""
@@ -106,14 +106,18 @@ class DirectMeasurer:
 
     def measure(self, task: Task) -> Measurement:
         """Match the bench with all recordings at once, and read the amplitudes beside."""
-        found = fit_directly(
+        problem = (
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
             self.estimator.sampler,
             task.seeds.direct,
-            self.config.run.workers,
-            task.progress,
+        )
+        found = task.work.get(
+            "direct match",
+            problem,
+            lambda: fit_directly(*problem, self.config.run.workers, task.progress),
+            DirectMatch,
         )
         beside = self._by_amplitude(task)
         return Measurement(
@@ -145,7 +149,7 @@ class DirectMeasurer:
         progress = task.progress
         for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
             gear_ratio = self.config.joint.gear_ratio
-            job = FitJob(self.estimator, self.curve, recording, seed, gear_ratio)
+            job = FitJob(self.estimator, self.curve, recording, seed, gear_ratio, work=task.work)
             try:
                 fits.append(job.run(None if progress is None else partial(_beside, progress)))
             except UserError as refusal:

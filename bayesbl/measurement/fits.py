@@ -13,12 +13,13 @@ from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.change import Gap, MeasuredRinging, gaps
 from bayesbl.measurement.task import StageProgress, Task
+from bayesbl.processes import processes
 from bayesbl.recording.types import Recording
-from bayesbl.ringing.estimator import Estimator, Fit
-from bayesbl.ringing.memory import Forgetful, Memory
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.ringing.warm_start import EarlierOptimum
-from bayesbl.runs.processes import processes
+from bayesbl.sampling.chains import Progress
 
 FEWEST_PER_PROCESS = 2
 """Fits for which a process is started: it takes as long to start as one fit takes."""
@@ -34,21 +35,26 @@ class FitJob:
     seed: np.random.SeedSequence
     gear_ratio: float | None
     earlier: EarlierOptimum | None = None
-    memory: Memory = field(default_factory=Forgetful)
     check: bool = False
+    work: WorkStore = field(default=NOTHING_KEPT, compare=False)
 
     def run(self, progress: StageProgress | None = None) -> Fit:
-        """Fit the recording."""
-        return self.estimator.fit(
+        """Fit the recording, or restore the fit that an unfinished run had finished."""
+        step = None if progress is None else partial(progress, self.recording.name)
+        finished = self.work.get("fit", self, partial(self._finished, step), FinishedFit)
+        return self.estimator.restored(finished, self.recording, self.gear_ratio)
+
+    def _finished(self, progress: Progress | None) -> FinishedFit:
+        fit = self.estimator.fit(
             self.recording,
             self.seed,
             self.gear_ratio,
-            None if progress is None else partial(progress, self.recording.name),
+            progress,
             partial(likeliest_branch, self.curve, self.estimator),
             earlier=self.earlier,
-            memory=self.memory,
             check=self.check,
         )
+        return fit.finished
 
 
 def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:

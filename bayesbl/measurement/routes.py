@@ -19,8 +19,8 @@ from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
 from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
 from bayesbl.measurement.tree import measurement_tree
-from bayesbl.results.checkpoint import Checkpoint
 from bayesbl.results.variables import Group
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
@@ -49,21 +49,21 @@ def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
 def measure(
     config: SnapshotConfig,
     progress: StageProgress | None = None,
-    checkpoint: Checkpoint | None = None,
+    work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
     Parameters
     ----------
-    checkpoint
+    work
         Keeps what is finished, and gives back what an earlier run had finished.
     say
         Called with a sentence on what each search started from, if from an earlier optimum.
 
     Returns
     -------
-    The whole result; nothing is written but the checkpoint.
+    The whole result; nothing is written but finished work.
 
     Raises
     ------
@@ -79,5 +79,5 @@ def measure(
     for recording in recordings:
         measurer.require_usable(recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, checkpoint, say)
+    task = Task(config, recordings, seeds, progress, work, say)
     return measurement_tree(measurer.measure(task), task)

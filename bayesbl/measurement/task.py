@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -16,11 +15,10 @@ from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.checkpoint import Checkpoint, Problem, problem_of
-from bayesbl.results.provenance import file_sha256
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.ringing.symbols import DisturbanceModel
+from bayesbl.sampling.chains import SamplerSettings
 
 StageProgress = Callable[[str, int, int], None]
 """Called with (recording, steps made, steps allowed)."""
@@ -49,7 +47,7 @@ class Task:
 
     Attributes
     ----------
-    checkpoint
+    work
         Keeps what is finished, and gives back what an earlier run had finished.
     say
         Called with a sentence on what each search started from, if from an earlier optimum.
@@ -59,28 +57,13 @@ class Task:
     recordings: tuple[Recording, ...]
     seeds: Seeds
     progress: StageProgress | None = None
-    checkpoint: Checkpoint | None = None
+    work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
 
     @property
     def names(self) -> list[str]:
         """Of the recordings, in their order."""
         return [recording.name for recording in self.recordings]
-
-
-def inputs_of(config: SnapshotConfig) -> dict[str, str]:
-    """Every file that the numbers come from, with the SHA-256 of its bytes."""
-    files: list[Path | str | None] = [entry.file for entry in config.recordings]
-    files += [config.curve.source, config.estimator.search.start_from, config.estimator.bench]
-    return {str(file): file_sha256(file) for file in files if file not in (None, PUBLISHED)}
-
-
-def problem_of_run(config: SnapshotConfig) -> Problem:
-    """What decides the numbers of a run: configuration, inputs, versions."""
-    settings = config.model_dump(
-        mode="json", by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
-    )
-    return problem_of(settings, inputs_of(config))
 
 
 def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:

@@ -8,7 +8,6 @@ from dataclasses import asdict
 
 import xarray as xr
 
-from bayesbl.config.loading import dump_config
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.change import changes
 from bayesbl.measurement.compatibility import same_files
@@ -17,8 +16,8 @@ from bayesbl.measurement.measurement import Measurement
 from bayesbl.measurement.shared_groups import change_group
 from bayesbl.measurement.stored_curve import curve_group
 from bayesbl.measurement.stored_snapshot import ALONE
-from bayesbl.measurement.task import Task, inputs_of
-from bayesbl.results.provenance import provenance
+from bayesbl.measurement.task import Task
+from bayesbl.results.provenance import provenance_of
 from bayesbl.results.stacking import stack_snapshots
 
 
@@ -53,7 +52,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         "reason": measured.reason,
         "warnings": [*same_files(task.recordings), *measured.warnings],
         **measured.attributes,
-        **provenance(dump_config(config), config.run.seed, inputs_of(config)),
+        **provenance_of(config),
     }
     if config.joint.limit_rad is not None:
         tree.attrs["limit_rad"] = config.joint.limit_rad

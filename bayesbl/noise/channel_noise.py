@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.errors import RecordingError
+from bayesbl.noise.autoregression import bic
 from bayesbl.recording.types import FloatArray
 
 HIGHEST_ORDER = 10
@@ -82,11 +83,9 @@ def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
     d = residual[:, lag:] - residual[:, :-lag]
     channels = len(d)
     fits = [_autoregression(d, order) for order in range(HIGHEST_ORDER + 1)]
-    bic = [
-        count * np.linalg.slogdet(covariance)[1] + order * channels**2 * np.log(count)
-        for order, (_, covariance) in enumerate(fits)
-    ]
-    coefficients, covariance = fits[int(np.argmin(bic))]
+    determinants = np.array([np.linalg.slogdet(covariance)[1] for _, covariance in fits])
+    best = int(np.argmin(bic(determinants, count, channels**2)))
+    coefficients, covariance = fits[best]
     return ChannelNoise(
         coefficients,
         np.asarray(np.linalg.cholesky(0.5 * covariance), dtype=np.float64),

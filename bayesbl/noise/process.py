@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, signal
 
 from bayesbl.errors import BenchError
-
-FloatArray = NDArray[np.float64]
+from bayesbl.noise.autoregression import autocorrelation
+from bayesbl.recording.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ class NoiseModel:
 
     def autocorrelation(self, lags: int) -> FloatArray:
         """Autocorrelation at lags 0 … ``lags``, shape (lags + 1,)."""
-        return ar_autocorrelation(np.asarray(self.coefficients), lags + 1)
+        return autocorrelation(np.asarray(self.coefficients), lags + 1)
 
     def draw(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Stationary from the first sample on, shape (size,), the channel's unit."""
@@ -99,28 +98,6 @@ class NoiseModel:
 
 
 NO_NOISE = NoiseModel(0.0)
-
-
-def ar_autocorrelation(coefficients: FloatArray, lags: int) -> FloatArray:
-    """ρ(0) … ρ(lags − 1) of an autoregressive process, by the Yule-Walker equations."""
-    p = coefficients.size
-    rho = np.zeros(max(lags, p + 1))
-    rho[0] = 1.0
-    if p:
-        # ρ_k = Σ φ_j ρ_|k−j| for k = 1 … p, with ρ_0 = 1
-        matrix, right = np.eye(p), np.zeros(p)
-        for k in range(1, p + 1):
-            for j, phi in enumerate(coefficients, start=1):
-                if j == k:
-                    right[k - 1] += phi
-                else:
-                    matrix[k - 1, abs(k - j) - 1] -= phi
-        rho[1 : p + 1] = np.linalg.solve(matrix, right)
-    if 0 < p < rho.size - 1:
-        polynomial = np.r_[1.0, -coefficients]
-        state = signal.lfiltic([1.0], polynomial, rho[p:0:-1])
-        rho[p + 1 :] = signal.lfilter([1.0], polynomial, np.zeros(rho.size - p - 1), zi=state)[0]
-    return rho[:lags]
 
 
 def quantised(angle_rad: FloatArray, counts: int) -> FloatArray:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.process import ar_autocorrelation
+from bayesbl.noise.autoregression import autocorrelation, bic, burg, innovations, log_variances
 from bayesbl.noise.quantisation import SpeedSteps
 from bayesbl.noise.tails import tails
 from bayesbl.recording.types import FloatArray
@@ -161,18 +161,16 @@ def estimate_noise(
     differentiated = coarse and steps is not None and steps.differentiated
     series = _summed(d) if differentiated else d
     fits = burg(series, HIGHEST_ORDER)
-    variances = np.array([variance for variance, _ in fits])
-    orders = np.arange(HIGHEST_ORDER + 1)
-    bic = count * np.log(np.maximum(variances, 1e-300)) + orders * math.log(count)
-    bic -= bic.min()
+    evidence = bic(log_variances(fits), count)
+    evidence -= evidence.min()
     if kind == "white":
         best = 0
     elif kind == "ar":
-        best = order if order is not None else 1 + int(np.argmin(bic[1:]))
+        best = order if order is not None else 1 + int(np.argmin(evidence[1:]))
         if best > HIGHEST_ORDER:
             fits = burg(series, best)
     else:
-        best = int(np.argmin(bic))
+        best = int(np.argmin(evidence))
     coefficients = fits[best][1]
     e = innovations(series, coefficients)
     found = tails(e[np.isfinite(e)])
@@ -181,7 +179,7 @@ def estimate_noise(
     return Noise(
         math.sqrt(variance),
         coefficients,
-        bic,
+        evidence,
         count,
         kind == "auto",
         found.degrees_of_freedom if heavy else None,
@@ -195,49 +193,3 @@ def _summed(d: FloatArray) -> FloatArray:
     """Running sum about the mean; NaN where d is."""
     centred = d - np.nanmean(d)
     return np.asarray(np.cumsum(np.nan_to_num(centred)) + 0.0 * centred)
-
-
-def innovations(series: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """x_t − Σ φ_k x_{t−k}, shape (n − p,)."""
-    return np.convolve(series, np.r_[1.0, -coefficients], "valid")
-
-
-def burg(x: FloatArray, highest: int) -> list[tuple[float, FloatArray]]:
-    """Innovation variance and coefficients for every AR order up to ``highest`` (Burg 1975).
-
-    NaN in ``x`` spreads to the predictions that would need it, and those are left out.
-    """
-    forward, backward = x[1:], x[:-1]
-    variance = float(np.nanmean(x**2))
-    coefficients = np.zeros(0)
-    fits = [(variance, coefficients)]
-    for _ in range(highest):
-        product = forward * backward
-        both = np.isfinite(product)
-        power = float(np.sum(forward[both] ** 2 + backward[both] ** 2))
-        reflection = 2.0 * float(product[both].sum()) / power if power > 0.0 else 0.0
-        coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
-        variance *= 1.0 - reflection**2
-        fits.append((variance, coefficients))
-        forward, backward = (
-            (forward - reflection * backward)[1:],
-            (backward - reflection * forward)[:-1],
-        )
-    return fits
-
-
-def innovation_share(coefficients: FloatArray) -> float:
-    """Variance of the innovations over the variance of the process."""
-    rho = autocorrelation(coefficients, coefficients.size + 1)
-    return float(1.0 - coefficients @ rho[1:])
-
-
-def autocorrelation(
-    coefficients: FloatArray, lags: int, differentiated: bool = False
-) -> FloatArray:
-    """ρ(0) … ρ(lags − 1) of an AR process, or of its change from sample to sample."""
-    if not differentiated:
-        return ar_autocorrelation(coefficients, lags)
-    rho = ar_autocorrelation(coefficients, lags + 1)
-    change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
-    return np.asarray(change / change[0])

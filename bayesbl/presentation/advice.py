@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesbl.presentation import diagnosis as diagnosed
-from bayesbl.presentation import wear as worn
-from bayesbl.presentation import words
+from bayesbl.presentation import answer, diagnosis, wear
 from bayesbl.presentation.words import SURE, Summary
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
@@ -28,91 +26,124 @@ class Advice:
     sentences: tuple[str, ...]
 
 
-def advice(summary: Summary) -> Advice:
-    """What to do, whatever the kind of the result."""
-    match summary["kind"]:
-        case "fit" | "compare":
-            return _of_snapshots(summary)
-        case "sweep":
-            return Advice(
-                "note",
-                "Use this curve for recordings of this joint.",
-                (
-                    "Give it to a comparison: bayesbl compare FIRST SECOND --curve result.nc. "
-                    "It holds for a joint like the simulated bench, and for no other.",
-                ),
-            )
-        case "diagnose":
-            return _of_diagnosis(summary)
-        case _:
-            return _of_study(summary)
+def of_sweep(_: Summary) -> Advice:
+    """What the curve of a sweep is for."""
+    return Advice(
+        "note",
+        "Use this curve for recordings of this joint.",
+        (
+            "Give it to a comparison: bayesbl compare FIRST SECOND --curve result.nc. "
+            "It holds for a joint like the simulated bench, and for no other.",
+        ),
+    )
 
 
-def _of_snapshots(summary: Summary) -> Advice:
-    last = words.snapshots(summary)[-1][1]
+def of_study(summary: Summary) -> Advice:
+    """Whether all cases of a study count."""
+    failed = sum(int(row["failed"]) for row in summary["rows"])
+    if failed:
+        why = f"{failed} cases failed and are not in the numbers; result.nc says why."
+        return Advice("watch", "Look at the cases that failed first.", (why,))
+    return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
+
+
+def of_snapshots(summary: Summary) -> Advice:
+    """Whether and when to repair, by the last snapshot."""
+    last = answer.snapshots(summary)[-1][1]
     if last["delta_rad"] is None:
         return Advice(
             "withheld",
             "Do not decide from these recordings.",
             (
-                *(told for label, told in words.reasons(summary) if label == "Withheld"),
-                "Mend that, or record the joint again, longer and at one constant speed; until "
-                "then decide as you would without this measurement.",
+                *(why for label, why in answer.reasons(summary) if label == "Withheld"),
+                "Fix this, or record again, longer and at one constant speed; until then decide "
+                "as you would without this measurement.",
             ),
         )
     head = _by_forecast(summary, last) or _by_limit(summary, last)
     if head is None:
         head = _without_limit(summary)
-    elif words.by_other_machine(summary):
+    elif answer.is_by_other_machine(summary):
         head = _by_other_machine(head)
-    if words.has_shrunk(summary) and head.tone != "act":
+    if answer.has_shrunk(summary) and head.tone != "act":
         title = "Are the files in order, or was the joint repaired?"
         head = Advice("watch", title, head.sentences)
     return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
 
 
+def of_diagnosis(summary: Summary) -> Advice:
+    """Whether the bench can be used, and how it should be completed."""
+    match summary["verdict"]:
+        case "named" if diagnosis.has_augmented_bench(summary):
+            return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+        case "named":
+            names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
+            return Advice(
+                "note",
+                "Complete the bench before you rely on it.",
+                (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
+            )
+        case "parameter_error":
+            wrong = tuple(diagnosis.parameter_errors(summary))
+            if diagnosis.has_augmented_bench(summary):
+                title = f"Go on with {AUGMENTED_BENCH}."
+                return Advice("note", title, (*wrong, *_go_on(summary)))
+            return Advice("note", "Correct the bench before you rely on it.", wrong)
+        case "unexplained":
+            return Advice(
+                "watch",
+                "Look at the residuals before you rely on the bench.",
+                ("No effect of the catalogue explains them; the figures show where they are.",),
+            )
+        case _:
+            return Advice(
+                "fine", "The bench may be used as it is.", ("These recordings show no defect.",)
+            )
+
+
 def _by_other_machine(head: Advice) -> Advice:
     """An order that rests on a limit and another machine's curve never gives the all-clear."""
-    title = f"By the curve of another machine, {head.title[0].lower()}{head.title[1:]}"
+    order = head.title.removesuffix(".")
+    title = f"{order}, if this joint behaves like the paper's test bench."
     return Advice("watch" if head.tone == "fine" else head.tone, title, head.sentences)
 
 
 def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
-    """Until when no repair is due, where the limit is ahead and the time to it is told."""
+    """Until when no repair is due, where the limit is ahead and there is a forecast."""
     above = last.get("probability_above_limit")
-    if above is None or above > 1.0 - SURE or not worn.is_told(summary):
+    if above is None or above > 1.0 - SURE or not wear.has_rate(summary):
         return None
-    wear, told = summary["wear"], tuple(worn.sentences(summary["wear"]))
-    if wear["probability_wear"] < SURE:
-        return Advice("fine", "No repair is due, and no wear is shown.", told)
-    if wear["limit_not_before"] is None:
-        return Advice("fine", "No repair is due for years.", told)
-    if worn.not_straight(wear) and wear["scatter_rad_per_root_year"] is None:
-        return Advice("watch", "Measure again before you plan a repair.", told)
-    passed = wear["probability_limit_before"]
+    found = summary["wear"]
+    sentences = tuple(wear.sentences(found))
+    if found["probability_wear"] < SURE:
+        return Advice("fine", "No repair is due, and no wear is shown.", sentences)
+    if found["limit_not_before"] is None:
+        return Advice("fine", "No repair is due for years.", sentences)
+    if wear.not_straight(found) and found["scatter_rad_per_root_year"] is None:
+        return Advice("watch", "Measure again before you plan a repair.", sentences)
+    passed = found["probability_limit_before"]
     tone: Tone = "fine" if passed is None or passed <= 1.0 - SURE else "watch"
-    return Advice(tone, f"Plan the repair for {wear['limit_not_before']} or before.", told)
+    return Advice(tone, f"Plan the repair for {found['limit_not_before']} or before.", sentences)
 
 
 def _by_limit(summary: Summary, last: Summary) -> Advice | None:
     """Repair or not, by the probability that the last gap is above its limit."""
-    above, told = last.get("probability_above_limit"), words.above_limit(summary)
-    if above is None or told is None:
+    above, why = last.get("probability_above_limit"), answer.above_limit(summary)
+    if above is None or why is None:
         return None
     if above >= SURE:
-        return Advice("act", "The joint is due for repair.", (told,))
+        return Advice("act", "The joint is due for repair.", (why,))
     if above <= 1.0 - SURE:
-        return Advice("fine", "No repair is due.", (told,))
+        return Advice("fine", "No repair is due.", (why,))
     again = "It may be on either side: inspect the joint, or record it again for longer."
-    return Advice("watch", "Look at this joint soon.", (told, again))
+    return Advice("watch", "Look at this joint soon.", (why, again))
 
 
 def _without_limit(summary: Summary) -> Advice:
-    ask = "Give the gap at which it is to be repaired (--limit-rad) to be told whether it is due."
-    if worn.is_told(summary):
-        wear = summary["wear"]
-        if wear["probability_wear"] >= SURE:
-            sentences = tuple(worn.sentences(wear))
+    ask = "To see whether a repair is due, give the gap at which it is (--limit-rad)."
+    if wear.has_rate(summary):
+        if summary["wear"]["probability_wear"] >= SURE:
+            sentences = tuple(wear.sentences(summary["wear"]))
             return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
         return Advice("fine", "No wear is shown: measure again later.", (ask,))
     change = summary.get("change_rad")
@@ -120,26 +151,26 @@ def _without_limit(summary: Summary) -> Advice:
         return Advice("note", "Compare this gap with what the joint may have.", (ask,))
     if change["low"] > 0.0:
         return Advice("watch", "The joint wears: keep measuring it.", (ask,))
-    told = "These recordings do not show that the gap grew."
-    return Advice("fine", "No wear is shown: measure again later.", (told, ask))
+    why = "These recordings do not show that the gap grew."
+    return Advice("fine", "No wear is shown: measure again later.", (why, ask))
 
 
 def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
-    change, wear = summary.get("change_rad"), summary.get("wear")
-    if wear is not None and wear["reason"]:
-        yield wear["reason"]
-    bent = worn.not_straight(wear) if worn.is_told(summary) and wear else None
+    change, found = summary.get("change_rad"), summary.get("wear")
+    if found is not None and found["reason"]:
+        yield found["reason"]
+    bent = wear.not_straight(found) if wear.has_rate(summary) and found else None
     if bent:
         yield bent
-    if wear is not None and len(wear["snapshots"]) == 2:
-        yield "Two snapshots cannot tell whether the wear is steady: take a third."
-    if wear is None and change is not None and change["low"] > 0.0:
+    if found is not None and len(found["snapshots"]) == 2:
+        yield "Two snapshots cannot show whether the wear is steady: take a third."
+    if found is None and change is not None and change["low"] > 0.0:
         yield from _growth_again(last, change["median"])
-    if words.has_shrunk(summary):
-        yield words.SHRANK
-    if words.by_other_machine(summary):
+    if answer.has_shrunk(summary):
+        yield answer.SHRANK
+    if answer.is_by_other_machine(summary):
         yield (
-            "These sizes rest on the gap curve of another machine, the paper's test bench: make a "
+            "These gaps rest on the curve of another machine, the paper's test bench: make a "
             "curve for your joint (bayesbl sweep) before you act on them."
         )
 
@@ -156,51 +187,20 @@ def _growth_again(last: Summary, change_rad: float) -> Iterator[str]:
         where = "beyond" if further_rad > limit_rad else "still below"
     yield (
         f"As much growth again would bring the gap to about {1e3 * further_rad:.2g} mrad, {where} "
-        f"the limit of {1e3 * limit_rad:g} mrad. Give the recordings their dates (--date) to be "
-        "told when it is reached."
+        f"the limit of {1e3 * limit_rad:g} mrad. Give the recordings their dates (--date) for a "
+        "forecast of when it is reached."
     )
-
-
-def _of_diagnosis(summary: Summary) -> Advice:
-    match summary["verdict"]:
-        case "named" if diagnosed.has_augmented_bench(summary):
-            return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
-        case "named":
-            names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
-            return Advice(
-                "note",
-                "Complete the bench before you rely on it.",
-                (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
-            )
-        case "parameter_error":
-            wrong = tuple(diagnosed.parameter_errors(summary))
-            if diagnosed.has_augmented_bench(summary):
-                title = f"Go on with {AUGMENTED_BENCH}."
-                return Advice("note", title, (*wrong, *_go_on(summary)))
-            return Advice("note", "Correct the bench before you rely on it.", wrong)
-        case "unexplained":
-            return Advice(
-                "watch",
-                "Look at what is left before you rely on the bench.",
-                ("No effect of the catalogue explains it; the figures show where it stands.",),
-            )
-        case _:
-            return Advice(
-                "fine",
-                "The bench may be used as it is.",
-                ("These recordings show nothing that it lacks.",),
-            )
 
 
 def _go_on(summary: Summary) -> Iterator[str]:
     """What to do with the bench that the diagnosis wrote."""
     yield (
-        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was named, a bench file as "
+        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was named, a bench file like "
         "any other."
     )
     if any(effect["indistinguishable_from"] for effect in summary["effects"]):
-        yield "Not all of it can be told apart by these recordings."
-        yield from diagnosed.suggestion(summary)
+        yield "These recordings cannot tell all of it apart."
+        yield from diagnosis.suggestion(summary)
     yield (
         "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
         f'(bench = "…/{AUGMENTED_BENCH}"), run bayesbl sweep on it, and give its result to a '
@@ -209,14 +209,4 @@ def _go_on(summary: Summary) -> Iterator[str]:
     yield (
         "To measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
         f"{AUGMENTED_BENCH}"
-    )
-
-
-def _of_study(summary: Summary) -> Advice:
-    failed = sum(int(row["failed"]) for row in summary["rows"])
-    if failed:
-        told = f"{failed} cases failed and are left out of the numbers; result.nc says why."
-        return Advice("watch", "Look at the cases that failed first.", (told,))
-    return Advice(
-        "note", "Read the table below, row by row.", ("No case failed: every one is counted.",)
     )

@@ -1,8 +1,4 @@
-"""A diagnosis in words: what is missing, how sure that is, and what it explains.
-
-The difference between simulation and recording, ``gap`` in ``summary.json``, is called
-disagreement here: the gap is δ to whoever reads this.
-"""
+"""A diagnosis in words: what is missing, how sure that is, and what it explains."""
 
 from __future__ import annotations
 
@@ -10,35 +6,39 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
-from bayesbl.presentation.terminal import add_row, new_table, print_table, say
+from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
 from bayesbl.presentation.words import Summary
 from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
-    from rich.table import Table
 
 FAR_BEYOND_NOISE = 10.0
-"""Standard deviations from nothing above which their number tells a reader no more."""
+"""Standard deviations from zero above which their number is of no use to a reader."""
 
 UNTOLD_SHARE = (
-    "–: before naming, the disagreement is too small beside the noise to tell a share of it."
+    "–: before naming, the disagreement is too small beside the noise to give a share of it."
 )
 
 _USES = {"used": "fitted on", "held_out": "held out"}
 
 
-def print_diagnosis(summary: Summary, console: Console) -> None:
-    """Verdict, one sentence per effect and parameter, the disagreement, what still repeats."""
-    say(console, headline(summary), "bold")
+def blocks(summary: Summary) -> Iterator[Block]:
+    """One sentence per effect and parameter, the disagreement, what still repeats."""
     for sentence in (*effects(summary), *parameter_errors(summary)):
-        say(console, sentence)
-    print_table(_gap_table(summary), console)
-    if any(gap["closed_fraction"] is None for *_, gap in _gaps(summary["gap"])):
-        say(console, UNTOLD_SHARE, "dim")
+        yield Sentence(sentence)
+    yield _disagreement_table(summary)
+    if any(row["closed_fraction"] is None for *_, row in _rows(summary)):
+        yield Sentence(UNTOLD_SHARE, "aside")
     for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
-        say(console, sentence)
+        yield Sentence(sentence)
+
+
+def residual_blocks(tree: xr.DataTree, _: Summary) -> Iterator[Block]:
+    """Residuals in steady rotation, where the result holds them."""
+    for heading, sentences in residuals_in_words(tree):
+        yield Heading(heading)
+        yield from map(Sentence, sentences)
 
 
 def headline(summary: Summary) -> str:
@@ -53,15 +53,12 @@ def headline(summary: Summary) -> str:
         case "unexplained":
             return "Something repeats that no effect of the catalogue explains."
         case _:
-            return "Nothing is missing: what is left does not repeat, or does not generalise."
+            return "Nothing is missing: the residuals do not repeat, or no finding generalises."
 
 
 def has_augmented_bench(summary: Summary) -> bool:
-    """Whether the result's folder holds the bench with what was named: forward diagnoses write it.
-
-    They compare several channels, so that the gap as a whole has no unit.
-    """
-    return summary["gap"]["unit"] is None and summary["verdict"] in ("named", "parameter_error")
+    """Whether the result's folder holds the bench with what was named."""
+    return "augmented_bench" in summary
 
 
 def use_in_words(use: str) -> str:
@@ -70,7 +67,7 @@ def use_in_words(use: str) -> str:
 
 
 def effects(summary: Summary) -> Iterator[str]:
-    """Each named effect with its parameters and what it cannot be told from."""
+    """Each named effect with its parameters and what it cannot be distinguished from."""
     for effect in summary["effects"]:
         parameters = ", ".join(
             _sized(name, interval) for name, interval in effect["parameters"].items()
@@ -78,7 +75,7 @@ def effects(summary: Summary) -> Iterator[str]:
         text = f"{in_words(effect['name'])}: {parameters}; {_beyond_noise(effect['z'])}."
         alike = effect["indistinguishable_from"]
         if alike:
-            text += f" Not told apart from {', '.join(in_words(name) for name in alike)}."
+            text += f" Cannot be told apart from {', '.join(in_words(name) for name in alike)}."
         yield text[0].upper() + text[1:]
 
 
@@ -94,72 +91,58 @@ def parameter_errors(summary: Summary) -> Iterator[str]:
 
 def remaining(summary: Summary) -> Iterator[str]:
     """What still repeats after naming."""
-    unit = summary["gap"]["unit"]
+    from bayesbl.presentation.residuals import unexplained_phrase  # numpy is behind it
+
     for line in summary["remaining"]:
-        if "dependence" in line:
-            yield f"Still there: {_phrase(line)}."
-            continue
-        yield (
-            f"What is left repeats {line['order']:.2f} times per turn of the motor, with "
-            f"{words.significant(line['amplitude'])} {unit}."
-        )
+        yield f"Still there: {unexplained_phrase(line)}."
 
 
-def located(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
-    """What a forward comparison leaves as believed and with what was named: heading, sentences."""
-    from bayesbl.presentation.residuals import located_sentences
+def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
+    """Residuals before naming, and after it if anything was named: heading, sentences."""
+    from bayesbl.presentation.residuals import residual_sentences
 
-    stages = {"located_before": "What the bench as believed leaves"}
+    stages = {"residuals_before": "Residuals of the bench before naming"}
     if tree.attrs.get("augmented_bench"):
-        stages["located_after"] = "What is left with what was named"
+        stages["residuals_after"] = "Residuals with what was named"
     for group, heading in stages.items():
-        # Results of versions before this one hold no entries.
-        if group in tree.children and "unexplained" in tree[group].attrs:
-            yield heading, located_sentences(tree[group].to_dataset())
+        if group in tree.children:
+            yield heading, residual_sentences(tree[group].to_dataset())
 
 
 def wear(summary: Summary) -> Iterator[str]:
-    """The gap with the bench as believed and with what was named: what the effect does to it."""
+    """The gap before and after naming: what the effects do to it."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
     if before is None or after is None:
         return
-    told = words.in_mrad(after)
+    gap = words.in_mrad(after)
     if summary["verdict"] == "unexplained":
         yield (
-            f"With what is unexplained in it the gap would be {told}: do not rely on it before "
-            "you know what it is."
+            f"Fitted in spite of what is unexplained, the gap would be {gap}: do not rely on it."
         )
     elif summary["effects"] or summary["parameter_errors"]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
         size = f"{words.significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
         yield (
-            f"The gap is {told}; the bench as believed gives {1e3 * before['median']:.4g} mrad, "
+            f"The gap is {gap}; the bench before naming gives {1e3 * before['median']:.4g} mrad, "
             f"{size}."
         )
     else:
-        yield f"The gap is {told}."
+        yield f"The gap is {gap}."
 
 
 def suggestion(summary: Summary) -> Iterator[str]:
-    """The recording that would tell apart what these cannot."""
+    """The recording that would separate what these cannot."""
     found = summary["suggested_recording"]
     if found is None:
         return
     load = (
         "" if found["payload_share"] == 1.0 else f" with {found['payload_share']:g} times the load"
     )
-    names = " from ".join(in_words(name) for name in found["separates"][0][:2])
+    names = " and ".join(in_words(name) for name in found["separates"][0][:2])
     yield (
-        f"A recording at {found['reference_speed_rpm']:g} rpm{load} would tell {names} "
+        f"A recording at {found['reference_speed_rpm']:g} rpm{load} would separate {names} "
         f"({found['distance']:.0f} standard deviations apart)."
     )
-
-
-def _phrase(line: dict[str, Any]) -> str:
-    # Imported here: it stands on the compiled simulator, which takes a second.
-    from bayesbl.presentation.residuals import unexplained, unexplained_phrase
-
-    return unexplained_phrase(unexplained(line))
 
 
 def _sized(parameter: str, interval: dict[str, Any]) -> str:
@@ -188,39 +171,35 @@ def _beyond_noise(deviations: float) -> str:
     """How clearly an effect stands out."""
     if deviations > FAR_BEYOND_NOISE:
         return "far beyond noise"
-    return f"{deviations:.0f} standard deviations from nothing"
+    return f"{deviations:.0f} standard deviations from zero"
 
 
-def _gap_table(summary: Summary) -> Table:
-    unit = summary["gap"]["unit"]
-    table = new_table(
-        ("Recording", "left"),
-        ("Use", "left"),
-        (f"Disagreement\nbefore ({unit})" if unit else "Disagreement\nbefore", "right"),
-        (f"after\n({unit})" if unit else "after", "right"),
-        (f"Noise\n({unit})" if unit else "Noise", "right"),
-        ("Removed", "right"),
-    )
-    for name, use, gap in _gaps(summary["gap"]):
-        add_row(
-            table,
+def _disagreement_table(summary: Summary) -> Table:
+    titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
+    rows = [
+        (
             name,
             _USES[use],
-            *(f"{gap[key]:.3g}{_own_unit(gap)}" for key in ("before", "after", "noise_floor")),
-            removed(gap["closed_fraction"]),
+            *(_sized_rms(row, key) for key in ("before", "after", "noise_floor")),
+            removed(row["closed_fraction"]),
         )
-    return table
+        for name, use, row in _rows(summary)
+    ]
+    return table((text("Recording"), text("Use"), *map(numbers, titles)), rows)
 
 
-def _gaps(gap: Summary) -> Iterator[tuple[str, str, Summary]]:
+def _rows(summary: Summary) -> Iterator[tuple[str, str, Summary]]:
     """(recording and channel, use, disagreement) of every row, those over all at the end."""
     from bayesbl.recording.types import CHANNELS  # numpy is behind it
 
-    for recording, channels in gap["recordings"].items():
+    found = summary["disagreement"]
+    recordings = found["recordings"]
+    several = len({channel for channels in recordings.values() for channel in channels}) > 1
+    for recording, channels in recordings.items():
         for channel, uses in channels.items():
-            name = recording if gap["unit"] else f"{recording}, {CHANNELS.get(channel, channel)}"
-            yield from ((name, use, found) for use, found in uses.items())
-    yield from (("all", use, found) for use, found in gap["over_all"].items())
+            name = f"{recording}, {CHANNELS.get(channel, channel)}" if several else recording
+            yield from ((name, use, row) for use, row in uses.items())
+    yield from (("all", use, row) for use, row in found["over_all"].items())
 
 
 def removed(closed: float | None) -> str:
@@ -234,6 +213,7 @@ def removed(closed: float | None) -> str:
     return "100 %" if shown == "100.0" else f"{shown} %"
 
 
-def _own_unit(gap: Summary) -> str:
-    unit = gap.get("unit")
-    return "" if unit is None else " × noise" if unit == "noise" else f" {unit}"
+def _sized_rms(row: Summary, key: str) -> str:
+    """``3.34 rpm``; over all channels ``4.2 × noise``."""
+    unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
+    return f"{row[key]:.3g}{unit}"

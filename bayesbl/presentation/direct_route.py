@@ -1,76 +1,95 @@
-"""What the direct route's results say beyond the answer: the other route, the bound, the check."""
+"""What comes with an answer from simulations of the bench: the bound, the check, the amplitude."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from bayesbl.presentation import words
-from bayesbl.presentation.terminal import add_row, new_table, print_table, say
-from bayesbl.presentation.words import Summary
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+BOUND_EXPLAINED = (
+    "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
+    "can have without prior knowledge of the bench."
+)
+
+CHECK_EXPLAINED = (
+    "Power of the difference between recording and simulation that repeats every rotation, over "
+    "the power expected from noise; the probability that noise alone gives as much."
+)
 
 
-def print_other_route(summary: Summary, console: Console) -> None:
-    """What the amplitude and the gap curve make of the same recordings."""
-    for name, part in words.snapshots(summary):
-        say(console, words.by_amplitude(name, part["amplitude_route"]), "dim")
+def is_direct(summary: words.Summary) -> bool:
+    """Whether the answer comes from simulations of the bench: the amplitude then is beside it."""
+    return "amplitude_route" in summary.get("snapshots", [summary])[0]
 
 
-def print_direct_details(name: str, part: Summary, console: Console) -> None:
+def blocks(part: words.Summary) -> Iterator[Block]:
     """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
-    console.print()
-    say(console, f"Snapshot {name}" if name else "Fit", "bold")
-    print_table(_parameter_table(part), console)
-    say(console, words.BOUND_EXPLAINED, "dim")
-    print_table(_check_table(part), console)
-    say(console, words.CHECK_EXPLAINED, "dim")
+    yield _parameter_table(part)
+    yield Sentence(BOUND_EXPLAINED, "aside")
+    yield _check_table(part)
+    yield Sentence(CHECK_EXPLAINED, "aside")
     lines = {
-        "Noise": words.joint_noise(part),
+        "Noise": joint_noise(part),
         "Sampling": words.sampling(part),
-        "Full simulation": words.corrected(part),
+        "Full simulation": corrected(part),
     }
     for label, sentence in lines.items():
-        say(console, sentence, label=label)
+        yield Sentence(sentence, label=label)
 
 
-def _parameter_table(part: Summary) -> Table:
-    delta = part["delta_rad"]
-    table = new_table(
-        ("Parameter", "left"),
-        ("Optimum", "right"),
-        ("Posterior sd", "right"),
-        ("Cramér-Rao", "right"),
-        (words.short_kind(next(iter(part["parameters"].values()))), "right"),
+def joint_noise(part: words.Summary) -> str:
+    """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
+    found = part["noise"]
+    kind = f"AR({found['order']})" if found["order"] else "white"
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
+    return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
+
+
+def corrected(part: words.Summary) -> str:
+    """How much the surrogate had to be corrected."""
+    found = part["diagnostics"]
+    return (
+        f"{found['effective_after_simulation']:.0f} effective of {found['simulated_draws']} draws, "
+        f"surrogate fitted again {found['surrogate_refits']} times"
     )
-    for name, best in part["optimum"].items():
-        found = delta if name == "delta_rad" else part["parameters"][name]
-        add_row(
-            table,
-            name,
-            "withheld" if found is None else f"{best:.6g}",
-            words.significant(part["posterior_sd"][name], 3),
-            words.significant(part["cramer_rao_sd"][name], 3),
-            "withheld" if found is None else words.bounds(found, places=words.decimals(found)),
-        )
-    return table
 
 
-def _check_table(part: Summary) -> Table:
-    table = new_table(
-        ("Channel", "left"),
-        ("Load orders\nup to", "right"),
-        ("Repeating\nover noise", "right"),
-        ("Probability", "right"),
-    )
-    for entry in part["predictive_check"]:
-        add_row(
-            table,
+def by_amplitude(name: str, route: words.Summary) -> str:
+    """The amplitude's δ, with the curve that it was read from."""
+    whose = f" of {name}" if name else ""
+    source = f"For comparison{whose}, by the ringing's amplitude and the curve {route['curve']}"
+    if route["delta_rad"] is None:
+        return f"{source}: no answer. {route['reason'] or ''}".rstrip()
+    warning = " (that curve belongs to the paper's bench)" if route["curve"] == "published" else ""
+    return f"{source}{warning}: {words.in_mrad(route['delta_rad'])}."
+
+
+def _parameter_table(part: words.Summary) -> Table:
+    kind = words.short_kind(next(iter(part["parameters"].values())))
+    titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
+    rows = [_row(part, name) for name in part["optimum"]]
+    return table((text("Parameter"), *map(numbers, titles)), rows)
+
+
+def _row(part: words.Summary, name: str) -> tuple[str, ...]:
+    found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
+    errors = (words.significant(part[key][name], 3) for key in ("posterior_sd", "cramer_rao_sd"))
+    if found is None:
+        return name, "withheld", *errors, "withheld"
+    best = f"{part['optimum'][name]:.6g}"
+    return name, best, *errors, words.bounds(found, places=words.decimals(found))
+
+
+def _check_table(part: words.Summary) -> Table:
+    titles = ("Load orders\nup to", "Repeating\nover noise", "Probability")
+    rows = [
+        (
             entry["channel"],
-            str(entry["highest_order"] or "mean"),
+            entry["highest_order"] or "mean",
             words.significant(entry["ratio"], 3),
             words.probability(entry["probability"]),
         )
-    return table
+        for entry in part["predictive_check"]
+    ]
+    return table((text("Channel"), *map(numbers, titles)), rows)

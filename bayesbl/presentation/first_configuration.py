@@ -3,40 +3,36 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation.terminal import add_row, new_table, print_table, say
+from bayesbl.presentation.blocks import Block, Sentence, table, text
 from bayesbl.recording.guessing import NO_UNIT
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from bayesbl.recording.guessing import Guess
 
 
-def print_guess(guess: Guess, path: Path, console: Console, *, sound: bool) -> None:
-    """Columns with channel, unit and the reason for it; what to do next, if it can run at all."""
-    say(console, "Guessed from the recording; please confirm:", "bold")
-    table = new_table(("Column", "left"), ("is", "left"), ("in", "left"), ("because", "left"))
-    for column in guess.columns:
-        add_row(table, column.name, column.channel, column.unit, column.reason)
-    print_table(table, console)
+def guessed(guess: Guess) -> Iterator[Block]:
+    """Columns with channel, unit and the reason for it."""
+    yield Sentence("Guessed from the recording; please confirm:", "answer")
+    rows = [(column.name, column.channel, column.unit, column.reason) for column in guess.columns]
+    yield table(map(text, ("Column", "Channel", "Unit", "Reason")), rows)
     if guess.unused:
-        say(console, ", ".join(guess.unused), label="Not used")
+        yield Sentence(", ".join(guess.unused), label="Not used")
     for column in guess.columns:
         if not column.sure:
-            say(
-                console,
-                f"the unit of {column.name} is not stated"
-                + ("." if column.reason == NO_UNIT else f" ({column.reason})."),
-                "yellow",
-                label="Check",
-            )
-    after = (
-        "Correct it there, fill in gear_ratio and limit_rad (the gap at which the joint is to be "
-        f"repaired, in rad), then: bayesbl run {shlex.quote(str(path))}"
-        if sound
-        else "It cannot run as it is; what stands against it:"
+            why = "" if column.reason == NO_UNIT else f" ({column.reason})"
+            unit = f"the unit of {column.name} is not stated{why}."
+            yield Sentence(unit, "warning", "Check")
+
+
+def what_next(path: Path, *, sound: bool) -> str:
+    """Where the configuration is, and what to do with it."""
+    if not sound:
+        return f"Written to {path}. It cannot run yet:"
+    return (
+        f"Written to {path}. Correct it there, fill in gear_ratio and limit_rad (the gap at which "
+        f"the joint is to be repaired, in rad), then: bayesbl run {shlex.quote(str(path))}"
     )
-    console.print(f"Written to {path}. {after}", soft_wrap=True)

@@ -1,38 +1,40 @@
-"""Prints the table of a study, which has as many columns as its study file gives."""
+"""A study in words: how much of it, and its table, whose columns its study file gives."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
-from bayesbl.presentation.terminal import add_row, new_table, print_rows
-
-if TYPE_CHECKING:
-    from rich.console import Console
+from bayesbl.presentation.blocks import Block, Table, numbers, table, text
+from bayesbl.presentation.words import Summary
 
 
-def print_study(
-    lines: Sequence[Mapping[str, Any]], columns: Sequence[str], console: Console
-) -> None:
-    """One line a row where the terminal is wide enough, else one block a row; all values whole.
+def headline(summary: Summary) -> str:
+    """Which study, and how much of it."""
+    rows = summary["rows"]
+    cases = sum(int(row["cases"]) for row in rows)
+    return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
+
+
+def blocks(summary: Summary) -> Iterator[Block]:
+    """The table with the time that each row took; commits are in the files."""
+    from bayesbl.runs.study import table_columns
+
+    yield study_table(summary["rows"], [*table_columns(summary["rows"])[:-1], "seconds"])
+
+
+def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
+    """One line a row, all values whole; what a row lacks stays empty.
 
     Parameters
     ----------
     lines
-        The rows of the study, column to value; what a row lacks stays empty.
+        The rows of the study, column to value.
     columns
         What is shown, in this order; the first one names the row.
     """
     from bayesbl.runs.study import cell
 
-    table = new_table(*((c, "right" if i else "left") for i, c in enumerate(columns)))
-    for line in lines:
-        add_row(table, *(cell(line.get(column)) for column in columns))
-    print_rows(table, console)
-
-
-def study_headline(summary: Mapping[str, Any]) -> str:
-    """Which study, and how much of it."""
-    rows = summary["rows"]
-    cases = sum(int(row["cases"]) for row in rows)
-    return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
+    first, *others = columns
+    rows = [[cell(line.get(column)) for column in columns] for line in lines]
+    return table((text(first), *map(numbers, others)), rows)

@@ -1,55 +1,93 @@
-"""Prints what a sweep found; what is said stands in ``words``."""
+"""A sweep in words: the curve, how sure it is, and how well each degree describes it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
-from bayesbl.presentation import words
-from bayesbl.presentation.terminal import add_row, new_table, print_table, say
-from bayesbl.presentation.words import Summary
+from bayesbl.presentation.answer import GAP_EXPLAINED
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+from bayesbl.presentation.words import Summary, percent, significant, source_in_words
 from bayesbl.units import number
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+DEGREES_EXPLAINED = (
+    "Departure of δ from the polynomial alone, fitted with relative weights. The log evidence is "
+    "that of the polynomial with a smooth lack of fit."
+)
+
+_KINDS = {1: "straight line", 2: "parabola", 3: "cubic"}
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def print_sweep(summary: Summary, console: Console) -> None:
-    """The curve in words, its polynomial, and how well each degree describes the sweep."""
-    say(console, words.swept(summary), "bold")
-    for sentence in words.curve_quality(summary):
-        say(console, sentence)
-    print_table(_coefficient_table(summary), console)
-    say(console, words.GAP_EXPLAINED, "dim")
-    say(console, words.polynomial(summary), "dim")
-    print_table(_degree_table(summary), console)
-    say(console, words.DEGREES_EXPLAINED, "dim")
+def headline(summary: Summary) -> str:
+    """Over which gaps the bench was swept, and how it then rings."""
+    first, last = (f"{1e3 * gap:g}" for gap in summary["gap_rad"])
+    low, high = (f"{amplitude:.1f}" for amplitude in summary["amplitude_rpm"])
+    return (
+        f"As the gap grows from {first} to {last} mrad, the amplitude A of the ringing grows from "
+        f"{low} to {high} rpm."
+    )
+
+
+def blocks(summary: Summary) -> Iterator[Block]:
+    """The curve in words, its polynomial, and other degrees beside it."""
+    for sentence in curve_quality(summary):
+        yield Sentence(sentence)
+    yield _coefficient_table(summary)
+    yield Sentence(GAP_EXPLAINED, "aside")
+    yield Sentence(polynomial(summary), "aside")
+    yield _degree_table(summary)
+    yield Sentence(DEGREES_EXPLAINED, "aside")
+
+
+def curve_quality(summary: Summary) -> Iterator[str]:
+    """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
+    degree = summary["degree"]
+    found = summary["degrees"].get(str(degree))
+    if found is not None:
+        yield (
+            f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
+            f"within {percent(found['largest_departure'])} "
+            f"({percent(found['rms_departure'])} RMS)."
+        )
+    ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
+    each = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
+    yield f"Largest standard deviation of δ along the curve, by source: {each}."
+    yield (
+        "At a given gap, A differs from that of the paper's eq. 4 by at most "
+        f"{percent(summary['largest_departure_from_published'])}."
+    )
+
+
+def polynomial(summary: Summary) -> str:
+    """What the coefficients are, and what they lack."""
+    return (
+        "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
+        f"{percent(summary['largest_correction'])}. The stored curve includes the correction; the "
+        "coefficients alone are off by as much."
+    )
 
 
 def _coefficient_table(summary: Summary) -> Table:
-    table = new_table(("Term", "left"), ("Coefficient", "right"), ("Unit", "left"))
+    rows = []
     for power, value in enumerate(summary["coefficients"]):
-        term, unit = words.power_of_amplitude(power)
-        add_row(table, term, f"{value:.6e}".replace("-", "−"), unit)
-    return table
+        raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
+        term, unit = (f"A{raised}", f"rad/rpm{raised}") if power else ("1", "rad")
+        rows.append((term, f"{value:.6e}".replace("-", "−"), unit))
+    return table((text("Term"), numbers("Coefficient"), text("Unit")), rows)
 
 
 def _degree_table(summary: Summary) -> Table:
-    table = new_table(
-        ("Degree", "right"),
-        ("RMS\ndeparture (%)", "right"),
-        ("Largest\ndeparture (%)", "right"),
-        ("Log evidence\nbelow best", "right"),
-        ("", "left"),
-    )
+    titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
     best = max(found["log_evidence"] for found in summary["degrees"].values())
-    for degree, found in summary["degrees"].items():
-        add_row(
-            table,
+    rows = [
+        (
             degree,
-            words.significant(100.0 * found["rms_departure"]),
-            words.significant(100.0 * found["largest_departure"]),
+            significant(100.0 * found["rms_departure"]),
+            significant(100.0 * found["largest_departure"]),
             number(best - found["log_evidence"], 1),
             "used" if int(degree) == summary["degree"] else "",
         )
-    return table
+        for degree, found in summary["degrees"].items()
+    ]
+    return table((*map(numbers, titles), text("")), rows)

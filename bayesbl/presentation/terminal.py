@@ -1,15 +1,30 @@
-"""Sentences and tables as the terminal gets them: plain text, never wider than it."""
+"""Prints on the terminal: plain text, never wider than it.
+
+rich is imported where it prints, so that ``bayesbl --help`` does not wait for it. Everything is
+printed as plain :class:`rich.text.Text`: names and messages may hold brackets, which rich would
+take for markup.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import words
+from bayesbl.errors import UserError
+from bayesbl.presentation.blocks import Block, Heading, Sentence, Table
+from bayesbl.presentation.words import glued
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
+
+_STYLES = {
+    "": "",
+    "answer": "bold",
+    "withheld": "bold yellow",
+    "aside": "dim",
+    "warning": "yellow",
+}
 
 _BETWEEN = 2
 """What a table takes between two columns."""
@@ -20,59 +35,44 @@ _NARROWEST_NAME = 12
 _INDENT = "  "
 
 
-def say(console: Console, sentence: str, style: str = "", *, label: str = "") -> None:
-    """A sentence, broken between words; its label in bold before it."""
+def make_console(*, stderr: bool = False) -> Console:
+    """A console that prints what it is given, in colour on a terminal only."""
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+
+def error(console: Console, problem: UserError) -> None:
+    """One message, never wrapped: paths in it can be copied, and scripts can search it."""
     from rich.text import Text
 
-    whole = f"{label}: {sentence}" if label else sentence
-    text = Text(words.wrapped(whole, console.width), style=style)
-    if label:
-        text.stylize("bold", 0, len(label) + 1)
-    console.print(text, soft_wrap=True)
+    text = Text("Error: ", style="bold red")
+    console.print(text.append(str(problem), style="not bold default"), soft_wrap=True)
 
 
-def new_table(*headers: tuple[str, str]) -> Table:
-    """An empty table; headers with their justification. Only the first column may fold."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for i, (title, justify) in enumerate(headers):
-        table.add_column(
-            Text(title),
-            justify=justify,  # type: ignore[arg-type]
-            overflow="fold",
-            no_wrap=i > 0,
-        )
-    return table
+def print_blocks(blocks: Iterable[Block], console: Console) -> None:
+    """Headings after an empty line, sentences broken between words, tables between empty lines."""
+    for block in blocks:
+        match block:
+            case Heading():
+                console.print()
+                _print_text(block.text, "", "bold", console)
+            case Sentence():
+                _print_text(block.text, block.label, _STYLES[block.tone], console)
+            case Table():
+                console.print()
+                print_table(block, console)
+                console.print()
 
 
 def print_table(table: Table, console: Console) -> None:
-    """A table with an empty line on either side."""
-    console.print()
-    print_rows(table, console)
-    console.print()
-
-
-def print_rows(table: Table, console: Console) -> None:
     """One line a row where the terminal is wide enough, else one block a row; all values whole."""
-    from rich.text import Text
-
-    columns = [[str(text) for text in (c.header, *c.cells)] for c in table.columns]
+    columns = list(zip(*([c.title for c in table.columns], *table.rows), strict=True))
     name, *others = (max(map(len, "\n".join(column).splitlines())) for column in columns)
     if min(name, _NARROWEST_NAME) + sum(others) + _BETWEEN * len(others) <= console.width:
-        console.print(table)
-        return
-    heads, *rows = zip(*columns, strict=True)
-    titles = [head.replace("\n", " ") for head in heads]
-    # A name speaks for itself, a number does not.
-    first = f"{titles[0]} " if table.columns[0].justify == "right" else ""
-    for row in rows:
-        console.print(Text(first + row[0], style="bold"), soft_wrap=True)
-        pairs = [f"{title} {cell}" for title, cell in zip(titles[1:], row[1:], strict=True) if cell]
-        for line in filled(pairs, console.width - len(_INDENT)):
-            console.print(Text(_INDENT + line), soft_wrap=True)
+        _print_lines(table, console)
+    else:
+        _print_row_by_row(table, console)
 
 
 def filled(pairs: Sequence[str], width: int) -> list[str]:
@@ -87,8 +87,45 @@ def filled(pairs: Sequence[str], width: int) -> list[str]:
     return lines
 
 
-def add_row(table: Table, *cells: str) -> None:
-    """A row of plain text."""
+def wrapped(sentence: str, width: int) -> str:
+    """Broken into lines of ``width``, but never between a number and its sign or unit."""
+    lines = textwrap.wrap(glued(sentence), width, break_on_hyphens=False)
+    return "\n".join(lines).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def _print_text(sentence: str, label: str, style: str, console: Console) -> None:
     from rich.text import Text
 
-    table.add_row(*(Text(cell) for cell in cells))
+    whole = f"{label}: {sentence}" if label else sentence
+    text = Text(wrapped(whole, console.width), style=style)
+    if label:
+        text.stylize("bold", 0, len(label) + 1)
+    console.print(text, soft_wrap=True)
+
+
+def _print_lines(table: Table, console: Console) -> None:
+    """Only the first column may fold."""
+    from rich import box
+    from rich.table import Table as Lines
+    from rich.text import Text
+
+    lines = Lines(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for i, column in enumerate(table.columns):
+        justify: Literal["left", "right"] = "right" if column.numeric else "left"
+        lines.add_column(Text(column.title), justify=justify, overflow="fold", no_wrap=i > 0)
+    for row in table.rows:
+        lines.add_row(*map(Text, row))
+    console.print(lines)
+
+
+def _print_row_by_row(table: Table, console: Console) -> None:
+    from rich.text import Text
+
+    titles = [column.title.replace("\n", " ") for column in table.columns]
+    # A name speaks for itself, a number does not.
+    first = f"{titles[0]} " if table.columns[0].numeric else ""
+    for row in table.rows:
+        console.print(Text(first + row[0], style="bold"), soft_wrap=True)
+        pairs = [f"{title} {cell}" for title, cell in zip(titles[1:], row[1:], strict=True) if cell]
+        for line in filled(pairs, console.width - len(_INDENT)):
+            console.print(Text(_INDENT + line), soft_wrap=True)

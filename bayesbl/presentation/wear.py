@@ -1,46 +1,41 @@
-"""Wear in time as the console tells it: how fast, how long until the limit, and how sure."""
+"""Wear in time in words: how fast, how long until the limit, and how sure."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from datetime import date
-from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.terminal import add_row, new_table, print_table, say
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.presentation.words import Summary
 from bayesbl.units import number
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
 MODEL = (
     "Wear is taken as linear in time since the last repair, and never as healing: draws in which "
-    "the gap shrinks are left out of rate and time, so these are no sign of wear by themselves."
+    "the gap shrinks are not used for rate and date, which therefore are no evidence of wear."
 )
 
 
-def print_wear(summary: Summary, console: Console) -> None:
+def blocks(summary: Summary) -> Iterator[Block]:
     """Sentences and table of ``wear`` of a summary of a dated comparison."""
     wear = summary["wear"]
     if spans_repair(summary):
-        say(console, repaired(wear))
+        yield Sentence(repaired(wear))
     if wear["reason"]:
-        say(console, wear["reason"], "yellow", label="No rate of wear")
+        yield Sentence(wear["reason"], "warning", "No rate of wear")
         return
     bent = not_straight(wear)
     if bent:
-        say(console, bent, "yellow", label="Warning")
+        yield Sentence(bent, "warning", "Warning")
     for sentence in sentences(wear):
-        say(console, sentence)
-    print_table(_table(wear), console)
+        yield Sentence(sentence)
+    yield _table(wear)
     for sentence in notes(wear):
-        say(console, sentence, "dim")
+        yield Sentence(sentence, "aside")
 
 
-def is_told(summary: Summary) -> bool:
-    """Whether a summary tells how fast the gap grows."""
+def has_rate(summary: Summary) -> bool:
+    """Whether a summary says how fast the gap grows."""
     wear = summary.get("wear")
     return wear is not None and not wear["reason"]
 
@@ -50,20 +45,10 @@ def spans_repair(summary: Summary) -> bool:
     return len(summary["wear"]["snapshots"]) < len(summary["snapshots"])
 
 
-def answer(summary: Summary) -> Iterator[str]:
-    """What a fit or a comparison leads with: the wear where it is told, else gap or change."""
-    if not is_told(summary):
-        yield words.headline(summary)
-        return
-    yield headline(summary)
-    if not spans_repair(summary):
-        yield words.headline(summary)
-
-
 def headline(summary: Summary) -> str:
     """How large the gap is now and how fast it grows: the answer of dated snapshots."""
     wear, last = summary["wear"], summary["snapshots"][-1]["delta_rad"]
-    now = "" if last is None else f"is {in_mrad(last)} mrad now and "
+    now = "" if last is None else f"is {median_in_mrad(last)} mrad now and "
     if wear["probability_wear"] < words.SURE:
         return (
             f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "
@@ -72,26 +57,26 @@ def headline(summary: Summary) -> str:
     rate = wear["rate_rad_per_year"]
     places = words.decimals(rate, 1e3)
     return (
-        f"The gap {now}grows by {in_mrad(rate)} mrad a year "
+        f"The gap {now}grows by {median_in_mrad(rate)} mrad a year "
         f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})."
     )
 
 
-def in_mrad(interval: Summary) -> str:
+def median_in_mrad(interval: Summary) -> str:
     """The median in mrad, with as many digits as its interval bears."""
     return number(1e3 * interval["median"], words.decimals(interval, 1e3))
 
 
 def month(value: str | None) -> str:
-    """``Nov 2026`` of a date of ISO: a forecast is never known to the day."""
+    """``Nov 2026`` of an ISO date: a forecast is never known to the day."""
     return day(value) if value is None else date.fromisoformat(value).strftime("%b %Y")
 
 
 def repaired(wear: Summary) -> str:
-    """What a repair between the snapshots means for all that is said of them."""
+    """What a repair between the snapshots means for what they show."""
     return (
-        f"The joint was repaired before {wear['snapshots'][0]}: the change from first to last "
-        "spans the repair, and only the snapshots since tell how the joint wears."
+        f'The joint was repaired before "{wear["snapshots"][0]}": the change from first to last '
+        "spans the repair, and only the snapshots since then show how the joint wears."
     )
 
 
@@ -102,8 +87,8 @@ def sentences(wear: Summary) -> Iterator[str]:
     share = words.probability(wear["level"])
     rate = 1e3 * wear["rate_at_most_rad_per_year"]
     yield (
-        f"Since {wear['first_date']} the gap grew with a probability of "
-        f"{words.probability(wear['probability_wear'])}; with {share} probability by at most "
+        f"The gap has grown since {wear['first_date']} (probability "
+        f"{words.probability(wear['probability_wear'])}); with {share} probability by at most "
         f"{words.significant(rate)} mrad a year."
     )
     if wear["years_to_limit"] is None:
@@ -113,8 +98,8 @@ def sentences(wear: Summary) -> Iterator[str]:
         yield f"The gap passed {limit} before {wear['last_date']}."
     elif wear["limit_not_before"] == wear["last_date"]:
         yield (
-            f"The gap may have passed {limit} before {wear['last_date']}: that it had not is less "
-            f"than {share} probable."
+            f"The gap may have passed {limit} before {wear['last_date']}: the probability that it "
+            f"had not is below {share}."
         )
     elif wear["limit_not_before"] is None:
         yield (
@@ -141,55 +126,54 @@ def not_straight(wear: Summary) -> str | None:
     if line is None or line["is_straight"]:
         return None
     side = "above" if line["excess_rad"] > 0.0 else "below"
-    told = (
+    finding = (
         f"The gaps do not lie on a straight line ({line['snapshot']} lies "
         f"{words.significant(1e3 * abs(line['excess_rad']))} mrad {side} that of the others, "
         f"{line['standard_deviations']:.1f} standard deviations; a test that errs in "
         f"{100.0 * FALSE_ALARM:g} % of cases)"
     )
     if wear["scatter_rad_per_root_year"] is None:
-        return f"{told}: the rate and any date are not to be relied on."
+        return f"{finding}: do not rely on the rate or any date."
     return (
-        f"{told}. Rate and date allow for wear that is irregular, but not for wear that speeds up "
-        "or for a recording that is off: look at the gaps before you rely on them."
+        f"{finding}. Rate and date allow for irregular wear, but not for wear that speeds up or "
+        "for a recording that is off: look at the gaps before you rely on them."
     )
 
 
 def notes(wear: Summary) -> Iterator[str]:
-    """The model, and what so many snapshots cannot tell."""
+    """The model, and what so few snapshots cannot show."""
     from bayesbl.measurement.wear import FEWEST_FOR_SCATTER
 
     yield MODEL
     count = len(wear["snapshots"])
     if count == 2:
         yield (
-            "Two snapshots cannot tell whether wear is steady: the rate is that of the time "
+            "Two snapshots cannot show whether wear is steady: the rate is that of the time "
             "between them, and the forecast is only as good as the line. Take a third."
         )
     elif count < FEWEST_FOR_SCATTER:
         yield (
             f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
-            "wear from measuring; none is assumed."
+            "wear from measurement errors; none is assumed."
         )
 
 
 def _table(wear: Summary) -> Table:
     rate, scatter = wear["rate_rad_per_year"], wear["scatter_rad_per_root_year"]
-    table = new_table(
-        ("Wear", "left"), ("Median", "right"), (words.short_kind(rate), "right"), ("Unit", "left")
-    )
-    rows = [("rate", rate, 1e3, "mrad/year")]
+    rows = [_row("rate", rate, 1e3, "mrad/year")]
     if scatter is not None:
-        rows.append(("irregular wear", scatter, 1e3, "mrad/√year"))
+        rows.append(_row("irregular wear", scatter, 1e3, "mrad/√year"))
     if wear["years_to_limit"] is not None and not has_passed(wear, "high"):
-        rows.append(("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
-    for name, found, scale, unit in rows:
-        low, middle, high = (_cell(scale * found[k]) for k in ("low", "median", "high"))
-        add_row(table, name, middle, f"{low} to {high}", unit)
+        rows.append(_row("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
     if wear["limit_date"] is not None:
-        middle, bounds = limit_dates(wear, day)
-        add_row(table, "date of the limit", middle, bounds, "")
-    return table
+        rows.append(("date of the limit", *limit_dates(wear, day), ""))
+    kind = words.short_kind(rate)
+    return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
+
+
+def _row(name: str, found: Summary, scale: float, unit: str) -> tuple[str, ...]:
+    low, middle, high = (_cell(scale * found[key]) for key in ("low", "median", "high"))
+    return name, middle, f"{low} to {high}", unit
 
 
 def has_passed(wear: Summary, end: str) -> bool:
@@ -197,10 +181,10 @@ def has_passed(wear: Summary, end: str) -> bool:
     return bool(wear["years_to_limit"][end] == 0.0)
 
 
-def limit_dates(wear: Summary, told: Callable[[str | None], str]) -> tuple[str, str]:
-    """When the limit is reached, and between which dates; of the past only that it is past."""
+def limit_dates(wear: Summary, shown: Callable[[str | None], str]) -> tuple[str, str]:
+    """When the limit is reached, and between which dates; a past date is given only as past."""
     low, middle, high = (
-        f"before {wear['last_date']}" if has_passed(wear, end) else told(wear["limit_date"][end])
+        f"before {wear['last_date']}" if has_passed(wear, end) else shown(wear["limit_date"][end])
         for end in ("low", "median", "high")
     )
     return middle, low if low == high else f"{low} to {high}"
@@ -215,5 +199,5 @@ def _cell(value: float) -> str:
 
 
 def day(value: str | None) -> str:
-    """A date of ISO, or that it is too far to be told."""
+    """An ISO date, or that it is too far ahead to be given."""
     return "far ahead" if value is None else value

@@ -12,12 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.errors import RecordingError, UserError
-from bayesbl.recording.csv_table import dated, shortened
-from bayesbl.recording.timestamps import (
-    is_date,
-    seconds_of_calendar,
-)
+from bayesbl.errors import RecordingError, UserError, shortened
+from bayesbl.recording.timestamps import is_date, seconds_of_calendar, seconds_of_dates
 from bayesbl.recording.types import FloatArray
 
 AnyArray = NDArray[Any]
@@ -51,7 +47,7 @@ class ArrayTable:
         return self.units.get(self.columns[column])
 
     def place(self, row: int, column: int) -> str:
-        """Where a value stands, in words."""
+        """Where a value is, in words."""
         return f'sample {row + 1}, column "{self.columns[column]}"'
 
     def timestamps(self, column: int) -> FloatArray | None:
@@ -70,7 +66,7 @@ class ArrayTable:
         texts = [_text(value) for value in values.tolist()]
         if not is_date(next((text for text in texts if text), "")):
             return None
-        return dated(texts, self.file, lambda row: self.place(row, column))
+        return seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """Values of some columns, shape (n, len(columns)); missing ones are NaN.
@@ -100,8 +96,7 @@ class ArrayTable:
             filled = np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan)
             return np.asarray(filled, dtype=np.float64)
         if values.dtype.kind == "m":
-            lasted = np.asarray(values / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
-            return lasted
+            return np.asarray(values / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
         if values.dtype.kind == "O":
             return self._number_of_objects(values, column)
         kinds = {"M": "dates", "c": "complex numbers", "S": "text", "U": "text"}
@@ -118,22 +113,18 @@ class ArrayTable:
         for row, value in enumerate(values.tolist()):
             if _text(value) == "":
                 continue
-            if isinstance(value, str | bytes):
-                number = None
-            else:
-                try:
-                    number = float(value)
-                except (TypeError, ValueError, OverflowError):
-                    number = None
-            if number is None:
+            try:
+                if isinstance(value, str | bytes):  # float() would read text too
+                    raise TypeError
+                numbers[row] = float(value)
+            except (TypeError, ValueError, OverflowError):
                 raise RecordingError(
-                    "Text stands in a column of numbers.",
+                    "There is text in a column of numbers.",
                     file=self.file,
                     where=self.place(row, column),
                     found=repr(shortened(str(value))),
                     expected="a number",
-                )
-            numbers[row] = number
+                ) from None
         return numbers
 
 
@@ -149,11 +140,11 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
     except UserError:
         raise
     except Exception as error:
-        told = str(error).strip().splitlines()
+        lines = str(error).strip().splitlines()
         raise RecordingError(
             f"The file cannot be read as {kind}.",
             file=file,
-            found=shortened(told[0] if told else type(error).__name__, 160),
+            found=shortened(lines[0] if lines else type(error).__name__, 160),
             expected=f"a whole {kind} file" + (f"; {hint}" if hint else ""),
         ) from None
 
@@ -164,7 +155,7 @@ def missing_library(file: Path, kind: str, library: str) -> RecordingError:
         f"Reading {kind} needs {library}, which is not installed.",
         file=file,
         found=f"no module {library}",
-        expected='it beside the package: pip install "bayesbl[formats]"',
+        expected='pip install "bayesbl[formats]"',
     )
 
 

@@ -33,10 +33,6 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
 """Channels the package knows by name, with their long names."""
 
 
-SUFFIXES = frozenset({".csv", ".tsv", ".txt", ".nc", ".mat", ".parquet"})
-"""Of the files that can be read as recordings."""
-
-
 @dataclass(frozen=True, slots=True)
 class ColumnSpec:
     """The column of a file that holds a channel.

@@ -2,7 +2,7 @@
 
 A recording that passes :mod:`bayesbl.recording.readers` is sound as a file; whether it holds what
 a fit needs is asked here. Every function raises :class:`RecordingError`; only
-:func:`ready_for_fit` changes anything, and returns what it changed.
+:func:`ready_for_fit` changes anything, and returns the changed recording.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ MINIMUM_SAMPLING_HZ = 100.0
 """The ringing is near 10 Hz and lasts 0.2 s: below this a pulse is too few samples."""
 
 MINIMUM_ROTATIONS = 1.95
-"""Noise is told from misfit by what two rotations do not share; a little of the second may lack."""
+"""Two rotations tell noise from misfit; a little of the second may be missing."""
 
 BLOCK_S = 0.25
 BLOCKS_COMPARED = 4
 LARGEST_DEPARTURE = 0.2
 SMALLEST_STEP = 0.02
 STEP_OVER_SCATTER = 6.0
-STRETCHES_TOLD = 6
+MOST_STRETCHES = 6
 """Of :func:`require_one_speed`."""
 
 STANDSTILL_RPM = 1.0
@@ -63,7 +63,7 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     Raises
     ------
     RecordingError
-        If anything that a fit needs is not there.
+        If anything that a fit needs is missing.
     """
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
@@ -187,8 +187,8 @@ def require_alive(recording: Recording, channels: Sequence[str]) -> None:
                 "that was filled in.",
                 where=f"[columns] {channel}",
                 found=_all_alike(recording, channel),
-                expected="a measured signal; take its line out of [columns] to do without it, or "
-                "rename the file's column where that is itself called so",
+                expected="a measured signal; remove its line from [columns] to do without it, or "
+                "rename the column in the file if that is its name there",
             )
 
 
@@ -204,7 +204,7 @@ def _all_alike(recording: Recording, channel: str) -> str:
 
 
 def _of_dead_channels(recording: Recording) -> list[str]:
-    """A sentence for each channel that a fit of the speed does without and that never changes."""
+    """A sentence for each channel that never changes and that a fit of the speed does not use."""
     return [
         f"The {CHANNELS[channel]} ({channel}) never changes ({_all_alike(recording, channel)}): a "
         "dead sensor, or a value that was filled in. It is not used here, and the direct route "
@@ -215,14 +215,14 @@ def _of_dead_channels(recording: Recording) -> list[str]:
 
 
 def require_turning(recording: Recording) -> None:
-    """The motor does not stand still, whatever its sensor's noise."""
+    """The motor turns: its mean speed is not only the sensor's noise."""
     means, _ = _block_means(recording)
     fastest = float(np.abs(means).max())
     if fastest >= STANDSTILL_RPM:
         return
     raise _error(
         recording,
-        "The motor stands still.",
+        "The motor does not turn.",
         where=MOTOR_SPEED,
         found=f"at most {fastest:.2g} rpm in means over {BLOCK_S:g} s",
         expected="a motor that turns at one speed; is the speed in rpm?",
@@ -230,7 +230,7 @@ def require_turning(recording: Recording) -> None:
 
 
 def require_one_speed(recording: Recording) -> None:
-    """The joint turns at one speed from begin to end.
+    """The joint turns at one speed from start to end.
 
     Two things are looked for in means over a quarter of a second, which average the ringing out:
     a mean that is off their median by more than a fifth, and a step between one second and the
@@ -251,10 +251,10 @@ def require_one_speed(recording: Recording) -> None:
         (size > SMALLEST_STEP * abs(usual)) & (size > STEP_OVER_SCATTER * scatter)
     )
     if steps.size:
-        # One change is seen from several places; each is told where it is sharpest.
+        # One change is seen from several places; each is reported where it is sharpest.
         changes = np.split(steps, np.flatnonzero(np.diff(steps) > BLOCKS_COMPARED) + 1)
         cuts = [int(change[np.argmax(size[change])]) + BLOCKS_COMPARED for change in changes]
-        where = "near " + ", ".join(f"{edges_s[cut]:.4g}" for cut in cuts[:STRETCHES_TOLD])
+        where = "near " + ", ".join(f"{edges_s[cut]:.4g}" for cut in cuts[:MOST_STRETCHES])
         found = _stretches(means, [0, *cuts, count], edges_s)
     elif departs.any():
         begin, end = (edge[0] for edge in runs(departs))
@@ -265,19 +265,19 @@ def require_one_speed(recording: Recording) -> None:
         return
     raise _error(
         recording,
-        "The speed changes: a fit takes one constant speed.",
+        "The speed changes: a fit needs one constant speed.",
         where=f"{MOTOR_SPEED} {where} s",
         found=found,
-        expected="one speed; cut the file there into a recording for each speed, two rotations of "
-        "the load or more",
+        expected="one speed; split the file there into one recording per speed, each of two "
+        "load rotations or more",
     )
 
 
 def require_no_drift(recording: Recording) -> None:
-    """No slow change stands out of the speed; what a fit asks that found no rotation twice.
+    """The speed does not drift; asked by a fit that did not find the rotations.
 
     A drift is a parabola through means over a quarter of a second. In a recording of one rotation
-    the load angle's wave looks like one, so a fit that finds its rotations does without asking.
+    the load angle's wave looks like one, so a fit that finds its rotations does not ask.
     """
     means, edges_s = _block_means(recording)
     x = np.linspace(-1.0, 1.0, means.size)
@@ -286,7 +286,7 @@ def require_no_drift(recording: Recording) -> None:
     if size <= max(LARGEST_DRIFT * usual, DRIFT_OVER_SCATTER * float(np.std(means - drift))):
         return
     begin, end = sorted((int(np.argmin(drift)), int(np.argmax(drift))))
-    # The last block is told by its end, as the recording's.
+    # The last block is named by its end, which is the recording's.
     times = edges_s[begin], edges_s[end if end + 1 < means.size else -1]
     raise _error(
         recording,
@@ -311,12 +311,12 @@ def _block_means(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: FloatArray) -> str:
     """Speed and time range of each stretch between cuts (numbers of blocks), in words."""
-    told = [
+    parts = [
         f"{np.median(means[begin:end]):.5g} rpm from {edges_s[begin]:.4g} to {edges_s[end]:.4g} s"
         for begin, end in itertools.pairwise(cuts)
     ]
-    more = len(told) - STRETCHES_TOLD
-    return ", ".join(told[:STRETCHES_TOLD]) + (f" and {more} more" if more > 0 else "")
+    more = len(parts) - MOST_STRETCHES
+    return ", ".join(parts[:MOST_STRETCHES]) + (f" and {more} more" if more > 0 else "")
 
 
 def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) -> None:
@@ -369,7 +369,7 @@ def _require_same_speed(
         return
     raise _error(
         recording,
-        f"Motor speed and {CHANNELS[channel]} do not belong together."
+        f"Motor speed and {CHANNELS[channel]} do not agree."
         + _other_unit(speed / other, channel, tolerance),
         where=f"{MOTOR_SPEED}, {channel}",
         found=f"a mean speed of {speed:.6g} rpm, but a {CHANNELS[channel]} {verb} {other:.6g} rpm",
@@ -398,7 +398,7 @@ def _time_in_ms(recording: Recording) -> str:
 
 
 def in_file(recording: Recording, error: RecordingError) -> RecordingError:
-    """An error of a step that saw the samples alone, with the recording's file put to it."""
+    """An error of a step that saw only the samples, with the recording's file added."""
     if error.file is not None:
         return error
     return _error(
@@ -414,5 +414,6 @@ def _error(
     found: str | None = None,
     expected: str | None = None,
 ) -> RecordingError:
-    file = recording.source.file if recording.source else recording.name
-    return RecordingError(problem, file=file, where=where, found=found, expected=expected)
+    return RecordingError(
+        problem, file=recording.place, where=where, found=found, expected=expected
+    )

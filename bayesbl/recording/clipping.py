@@ -2,8 +2,8 @@
 
 A rail that the signal only jumps to (a dropout to 0, an overflow to 65535) says nothing about the
 speed, and leaving it out costs nothing. A limit that cuts the peaks of the ringing off is another
-matter: the fit of what is left means another amplitude, as the waveform is not exact (1 to 3
-standard deviations off on the example recordings, clipped samples left out).
+matter: fitted without the clipped samples the amplitude changes, as the waveform is not exact (by 1
+to 3 standard deviations on the example recordings).
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import CHANNELS
-from bayesbl.recording.lost_samples import LONGEST_GAP_S, MOST_LOST, runs
+from bayesbl.recording.lost_samples import LONGEST_LOSS_S, MOST_LOST, runs
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
 
 DETACHED_RANGES = 1.0
-"""A rail lies farther from all other values than they from one another, by this factor."""
+"""A rail lies farther from the other values than these lie from one another, by this factor."""
 
 
 def without_rails(recording: Recording, channel: str) -> Recording:
@@ -27,7 +27,7 @@ def without_rails(recording: Recording, channel: str) -> Recording:
     Raises
     ------
     RecordingError
-        If a rail holds for longer than a gap may be, or for too many samples.
+        If the signal stays at a rail for too long, or for too many samples.
     """
     values = recording.channels[channel]
     at_rail = np.zeros(values.size, dtype=bool)
@@ -46,13 +46,13 @@ def without_rails(recording: Recording, channel: str) -> Recording:
     name = CHANNELS.get(channel, channel)
     rail_text = " and ".join(f"{rail:.6g}" for rail in rails)
     length = float(ends[longest] - begins[longest]) * recording.sampling_period_s
-    if length > LONGEST_GAP_S or at_rail.mean() > MOST_LOST:
+    if length > LONGEST_LOSS_S or at_rail.mean() > MOST_LOST:
         raise RecordingError(
-            f"The {name} stands at a limit, far from all its other values.",
-            file=recording.source.file if recording.source else recording.name,
+            f"The {name} sits at a limit, far from all its other values.",
+            file=recording.place,
             where=f"{channel} from {recording.time_s[begins[longest]]:.6g} s",
             found=f"{at_rail.sum()} samples at {rail_text}, up to {length:.3g} s in a row",
-            expected=f"at most {LONGEST_GAP_S:g} s in a row and {100.0 * MOST_LOST:g} % in all",
+            expected=f"at most {LONGEST_LOSS_S:g} s in a row and {100.0 * MOST_LOST:g} % in all",
         )
     repaired = values.copy()
     repaired[at_rail] = np.interp(
@@ -60,7 +60,7 @@ def without_rails(recording: Recording, channel: str) -> Recording:
     )
     excluded = at_rail if recording.excluded is None else recording.excluded | at_rail
     note = (
-        f"{at_rail.sum()} samples of the {name} stand at {rail_text}, far from all others, "
+        f"{at_rail.sum()} samples of the {name} are at {rail_text}, far from all others, "
         f"the first at {recording.time_s[begins[0]]:.6g} s: left out of the fit."
     )
     return replace(
@@ -92,8 +92,8 @@ def require_unclipped(recording: Recording, channel: str) -> None:
             extreme = values.max() if side == "largest" else values.min()
             first, *_, last = recording.time_s[values == extreme]
             raise RecordingError(
-                f"The {CHANNELS.get(channel, channel)} is cut off, or stands still.",
-                file=recording.source.file if recording.source else recording.name,
+                f"The {CHANNELS.get(channel, channel)} is cut off, or does not change.",
+                file=recording.place,
                 where=f"{channel} from {first:.6g} to {last:.6g} s",
                 found=f"{count} samples exactly at the {side} value, {extreme:.6g}",
                 expected="a signal that does not reach the limit of its sensor; record again with "

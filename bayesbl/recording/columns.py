@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from bayesbl.errors import RecordingError
+from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
-from bayesbl.recording.csv_table import shortened
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import accepted_units, conversion_factor, is_unit, spelled
 
@@ -23,7 +22,7 @@ class Table(Protocol):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names as they stand in the file."""
+        """Names as in the file."""
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """Values of some columns, shape (samples, len(columns)); missing ones are NaN."""
@@ -35,14 +34,14 @@ class Table(Protocol):
         """The unit that the file states for a column."""
 
     def place(self, row: int, column: int) -> str:
-        """Where a value stands, in words."""
+        """Where a value is, in words."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column of the file, the channel it becomes, and the unit it comes in.
 
-    ``note`` tells of a unit that nobody stated but the column's name.
+    ``note`` says so where only the column's name states the unit.
     """
 
     index: int
@@ -68,7 +67,7 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
         raise _missing_column(path, names, TIME)
     if len(channels) == 1:
         raise RecordingError(
-            "No column but time has a name that is known.",
+            "No column but time has a known name.",
             file=path,
             where="header",
             found=_listed(names),

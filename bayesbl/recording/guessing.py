@@ -39,14 +39,14 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
         MOTOR_TORQUE: "torque tau trq moment drehmoment",
     }
 )
-"""Channel to the words by which files call it, in small letters."""
+"""Channel to the words that files use for it, in small letters."""
 
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output arm"
 _MOTOR = "motor mot m"
 
 NO_UNIT = "no unit found: check it"
-"""Why a unit is a guess that nothing supports."""
+"""Reason for a unit that nothing in the file supports."""
 
 _USUAL_RATES_HZ = (100.0, 1e5)
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
@@ -83,7 +83,7 @@ class _Named:
     unit: str | None
 
     def is_called(self, words: str) -> bool:
-        """Whether any of these words stands in its name."""
+        """Whether its name has any of these words."""
         return not self.words.isdisjoint(words.split())
 
 
@@ -113,7 +113,7 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(table, chosen, held)
-    columns = tuple(_told(_stated(channel, chosen[channel]), units) for channel in held)
+    columns = tuple(_completed(_stated(channel, chosen[channel]), units) for channel in held)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -122,8 +122,8 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     )
 
 
-def _told(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
-    """With the unit that the numbers tell, where the file states none."""
+def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
+    """With the unit that the numbers suggest, where the file states none."""
     if stated.sure or stated.channel not in units:
         return stated
     unit, reason = units[stated.channel]
@@ -186,14 +186,14 @@ def _stated(channel: str, column: _Named) -> GuessedColumn:
     if column.unit in accepted_units(channel):
         return GuessedColumn(channel, column.name, str(column.unit), "stated in the file", True)
     if column.name == channel:
-        return GuessedColumn(channel, column.name, own, "named so in the file", True)
+        return GuessedColumn(channel, column.name, own, "the name says so", True)
     return GuessedColumn(channel, column.name, own, NO_UNIT, False)
 
 
 def _units(
     table: Table, chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> dict[str, tuple[str, str]]:
-    """Channel to (unit, reason), where numbers tell it."""
+    """Channel to (unit, reason), where the numbers show it."""
     found: dict[str, tuple[str, str]] = {}
     time = _time_unit(table, chosen[TIME], values[TIME])
     if time is not None:
@@ -206,7 +206,7 @@ def _units(
         rate = abs(angle[-1] - angle[0]) / (seconds[-1] - seconds[0])
         pair = _agreeing(chosen, speed, float(rate), MOTOR_POSITION, RPM_PER_RAD_PER_S)
         if pair:
-            found |= {channel: (unit, "speed and position agree so") for channel, unit in pair}
+            found |= {channel: (unit, "speed and position then agree") for channel, unit in pair}
     if REFERENCE_SPEED in values:
         asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
         if MOTOR_SPEED in found:
@@ -215,7 +215,7 @@ def _units(
             pair = _agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0)[1:]
         else:
             pair = _agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0)
-        found |= {channel: (unit, "speed and reference agree so") for channel, unit in pair}
+        found |= {channel: (unit, "speed and reference then agree") for channel, unit in pair}
     return found
 
 
@@ -252,12 +252,12 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
 
 
 def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
-    """Values of a column that no recording can do without, shape (n,); NaN where one is missing.
+    """Values of a column that every recording needs, shape (n,); NaN where one is missing.
 
     Raises
     ------
     RecordingError
-        If it holds text, or hardly a number.
+        If it holds text, or fewer than two numbers.
     """
     values = table.timestamps(column.index)
     if values is None:
@@ -265,7 +265,7 @@ def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
     count = int(np.isfinite(values).sum())
     if count < 2:
         raise RecordingError(
-            "This column does not hold a series of numbers.",
+            "This column is not a series of numbers.",
             file=path,
             where=f'column "{column.name}"',
             found=f"{count} finite numbers in {values.size} samples",

@@ -1,7 +1,7 @@
 """Lost samples: found as NaN or as holes in time, bridged where that is safe, else refused.
 
-A bridged sample keeps the sampling even, so that everything behind can count in samples, and is
-marked as excluded, so that a fit does not take it for a measurement.
+A bridged sample keeps the sampling even, so that later steps can count in samples, and is
+marked as excluded, so that a fit does not use it as a measurement.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import BoolArray, FloatArray
 
-LONGEST_GAP_S = 0.1
-"""Half the ringing of an impact: a longer gap could hide one from all but its ends."""
+LONGEST_LOSS_S = 0.1
+"""Half the ringing of an impact: a longer loss could hide one but for its ends."""
 
 MOST_LOST = 0.05
-"""Largest share of lost samples. More than this is a fault of the logger that wants mending."""
+"""Largest share of lost samples. With more, the logger is at fault."""
 
 GRID_TOLERANCE = 0.45
 """Largest distance of a time stamp from its point of an even grid, in sampling periods."""
 
 _MOST_GROWTH = 100
-"""A recording with holes longer than this many times its samples is taken for uneven."""
+"""A recording with holes longer than this many times its samples counts as uneven."""
 
 IntArray = NDArray[np.int64]
 
 Place = Callable[[int, int | None], str]
-"""Where a value stands in the file, by row and column; no column is that of time."""
+"""Where a value is in the file, by row and column; ``None`` for the column of time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     Raises
     ------
     RecordingError
-        If a run is longer than :data:`LONGEST_GAP_S`, or more than :data:`MOST_LOST` of all
+        If a run is longer than :data:`LONGEST_LOSS_S`, or more than :data:`MOST_LOST` of all
         samples are lost. The message says where.
     """
     whole = ~np.isnan(values).any(axis=1)
@@ -136,11 +136,11 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     full = np.full((lost.size, values.shape[1]), np.nan)
     full[at] = values
     for column in full.T:
-        gap = np.isnan(column)
-        column[gap] = np.interp(full_time[gap], full_time[~gap], column[~gap])
+        missing = np.isnan(column)
+        column[missing] = np.interp(full_time[missing], full_time[~missing], column[~missing])
     note = (
         f"{lost.sum()} of {lost.size} samples are missing, in {begins.size} "
-        f"{'gap' if begins.size == 1 else 'gaps'} of at most {(ends - begins).max()} samples, "
+        f"{'run' if begins.size == 1 else 'runs'} of at most {(ends - begins).max()} samples, "
         f"the first after {full_time[begins[0] - 1]:.6g} s: bridged, and left out of the fit."
     )
     return Bridged(full_time, full, lost, (*notes, note))
@@ -154,13 +154,13 @@ def _cut_note(cut: int) -> tuple[str, ...]:
 
 def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) -> None:
     share = lost.mean()
-    if longest_s > LONGEST_GAP_S:
+    if longest_s > LONGEST_LOSS_S:
         raise RecordingError(
             "Samples are missing for too long.",
             file=file,
             where=where,
             found=f"nothing for {longest_s:.4g} s",
-            expected=f"gaps of at most {LONGEST_GAP_S:g} s; use the part before or after",
+            expected=f"at most {LONGEST_LOSS_S:g} s in a row; use the part before or after",
         )
     if share > MOST_LOST:
         raise RecordingError(
@@ -168,7 +168,7 @@ def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) 
             file=file,
             where=f"longest {where}",
             found=f"{lost.sum()} of {lost.size} samples, {100.0 * share:.3g} %",
-            expected=f"at most {100.0 * MOST_LOST:g} %; a column that is not needed can be renamed",
+            expected=f"at most {100.0 * MOST_LOST:g} %; rename a column that is not needed",
         )
 
 

@@ -7,9 +7,8 @@ Only what any task needs is checked here; rotations, sampling and the like are i
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,8 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
-from bayesbl.recording.csv_table import read_csv
+from bayesbl.recording.formats import formats
 from bayesbl.recording.lost_samples import bridge
-from bayesbl.recording.matlab import read_matlab
-from bayesbl.recording.netcdf import read_netcdf
-from bayesbl.recording.parquet import read_parquet
 from bayesbl.recording.types import FloatArray, Recording, Source
 
 MINIMUM_SAMPLES = 16
@@ -29,18 +25,6 @@ MINIMUM_SAMPLES = 16
 
 LATEST_START_S = 1e6
 """Time that begins later, as seconds since 1970 do, is counted from its first stamp."""
-
-
-_FORMATS: Mapping[str, Callable[[Path, bytes], Table]] = MappingProxyType(
-    {
-        ".csv": read_csv,
-        ".tsv": read_csv,
-        ".txt": read_csv,
-        ".nc": read_netcdf,
-        ".mat": read_matlab,
-        ".parquet": read_parquet,
-    }
-)
 
 
 def read_recording(
@@ -54,7 +38,7 @@ def read_recording(
     Parameters
     ----------
     path
-        The file; its suffix tells the format.
+        The file; its suffix decides the format.
     name
         Short name for results and figures; the file's name without suffix by default.
     columns
@@ -70,7 +54,7 @@ def read_recording(
     """
     path = Path(path)
     data = _read_bytes(path)
-    table = _format_of(path)(path, data)
+    table = _parsed(path, data)
     time_column, *others = choose_columns(path, table, columns or {})
     stamps, values = _values(path, table, time_column, others)
     _check_length(path, values)
@@ -105,7 +89,7 @@ def read_recording(
 
 
 def read_table(path: str | Path) -> Table:
-    """The columns of a file as they stand in it, before anything is mapped.
+    """The columns of a file, before anything is mapped.
 
     Raises
     ------
@@ -113,7 +97,7 @@ def read_table(path: str | Path) -> Table:
         If the file cannot be read or is no table.
     """
     path = Path(path)
-    return _format_of(path)(path, _read_bytes(path))
+    return _parsed(path, _read_bytes(path))
 
 
 def _values(
@@ -153,7 +137,7 @@ def _wrong_time_unit(
     path: Path, table: Table, column: Column, found: str, expected: str
 ) -> RecordingError:
     return RecordingError(
-        "Time does not come in the unit that was stated for it.",
+        "Time is not in the unit that was stated for it.",
         file=path,
         where=f'column "{table.columns[column.index]}"',
         found=found,
@@ -215,16 +199,16 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _format_of(path: Path) -> Callable[[Path, bytes], Table]:
-    reader = _FORMATS.get(path.suffix.lower())
-    if reader is None:
+def _parsed(path: Path, data: bytes) -> Table:
+    known = formats()
+    if path.suffix.lower() not in known:
         raise RecordingError(
-            "This kind of file is not known as a recording.",
+            "Files of this kind cannot be read as recordings.",
             file=path,
             found=f'"{path.suffix}"' if path.suffix else "no suffix",
-            expected=" or ".join(_FORMATS),
+            expected=" or ".join(known),
         )
-    return reader
+    return known[path.suffix.lower()].read(path, data)
 
 
 def _check_length(path: Path, values: FloatArray) -> None:
@@ -242,7 +226,7 @@ def _check_finite(path: Path, table: Table, others: Sequence[Column], values: Fl
     for column, series in zip(others, values.T, strict=True):
         if np.isnan(series).all():
             raise RecordingError(
-                "This column does not hold a single number.",
+                "This column holds no number.",
                 file=path,
                 where=f'column "{table.columns[column.index]}"',
                 found=f"NaN, infinite or empty in all {len(values)} samples",
@@ -258,7 +242,7 @@ def _check_time(
         return
     row = int(backward[0]) + 1
     before, after = time[row - 1], time[row]
-    problem = "Time stands still" if after == before else "Time runs backwards"
+    problem = "Time does not advance" if after == before else "Time runs backwards"
     raise RecordingError(
         f"{problem} ({backward.size} times in all; this is the first).",
         file=path,

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.types import FloatArray
-
-EXPECTED_DATE = "a date with a time, as 2026-03-01T12:00:00.250"
-
-
-class NotADate(ValueError):
-    """The text in one row is no date, or has a time zone where the first has none."""
-
-    def __init__(self, row: int) -> None:
-        self.row = row
-        super().__init__(f"row {row}")
 
 
 def is_date(text: str) -> bool:
@@ -26,13 +17,13 @@ def is_date(text: str) -> bool:
     return "-" in text[1:] and _date(text) is not None
 
 
-def seconds_of_dates(texts: Sequence[str]) -> FloatArray:
+def seconds_of_dates(texts: Sequence[str], file: str, place: Callable[[int], str]) -> FloatArray:
     """Seconds since the first date, to a microsecond, shape (n,); empty texts are NaN.
 
     Raises
     ------
-    NotADate
-        At the first text that is no date like the first one.
+    RecordingError
+        At the first text that is no date like the first one; ``place`` says where a row is.
     """
     first: datetime | None = None
     seconds = np.full(len(texts), np.nan)
@@ -41,7 +32,13 @@ def seconds_of_dates(texts: Sequence[str]) -> FloatArray:
             continue
         date = _date(text)
         if date is None or (first is not None and (date.tzinfo is None) != (first.tzinfo is None)):
-            raise NotADate(row)
+            raise RecordingError(
+                "This is not a date like those before it.",
+                file=file,
+                where=place(row),
+                found=repr(shortened(text)),
+                expected="a date with a time, as 2026-03-01T12:00:00.250",
+            )
         first = first or date
         seconds[row] = (date - first).total_seconds()
     return seconds

@@ -80,6 +80,11 @@ class Recording:
     notes: tuple[str, ...] = ()
 
     @property
+    def place(self) -> str:
+        """The file it was read from, or its name: where an error in it is."""
+        return self.source.file if self.source else self.name
+
+    @property
     def samples(self) -> int:
         """Number of samples n."""
         return int(self.time_s.size)

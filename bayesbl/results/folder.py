@@ -1,26 +1,17 @@
-"""An output folder appears whole or not at all.
-
-A run writes into a hidden sibling of its output folder and renames it when everything is there. A
-run that is killed leaves at most such siblings, which the next run clears away: one that is still
-being written is told by a lock that the system drops with the process.
-"""
+"""An output folder appears whole or not at all, and what a user put there is never deleted."""
 
 from __future__ import annotations
 
 import os
 import shutil
-import sys
-import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
+from bayesbl.results.atomic import sibling, staging
 
-if sys.platform != "win32":
-    import fcntl
-
-RESULT_FILE = "result.nc"
 SUMMARY_FILE = "summary.json"
 CONFIG_FILE = "config.toml"
 FIGURES = "figures"
@@ -31,7 +22,6 @@ OWN_NAMES = frozenset(
 )
 """What a result consists of; anything else in its folder is the user's."""
 
-_STAGING = ".staging"
 _REPLACED = ".replaced"
 
 
@@ -50,7 +40,7 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
     ------
     ResultError
         If it holds a finished result and ``force`` is not given, if it holds anything that is not
-        part of a result (which is never deleted), or if a file stands there or above.
+        part of a result (which is never deleted), or if there is a file at this path or above it.
     """
     path = _absolute(path)
     _undo_half_replacement(path)
@@ -100,18 +90,12 @@ def new_result(
     """
     path = _absolute(path)
     require_free(path, force=force, also=also)
-    _clear_leftovers(path)
-    staging, lock = _new_staging(path)
-    try:
-        yield staging
+    if path.exists():
+        shutil.rmtree(_aside(path), ignore_errors=True)
+    with staging(path) as folder:
+        yield folder
         require_free(path, force=force, also=also)
-        _put_in_place(staging, path)
-    except BaseException:
-        shutil.rmtree(staging, ignore_errors=True)
-        raise
-    finally:
-        if lock is not None:
-            os.close(lock)
+        _put_in_place(folder, path)
 
 
 def _listed(names: Collection[str]) -> str:
@@ -122,54 +106,16 @@ def _absolute(path: str | Path) -> Path:
     return Path(os.path.abspath(path))
 
 
-def _new_staging(path: Path) -> tuple[Path, int | None]:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
-        # mkdtemp keeps its folders private; a result is as readable as any folder made here.
-        staging.chmod(0o777 & ~_umask())
-    except OSError as error:
-        raise ResultError(
-            "The output folder cannot be made.",
-            file=path,
-            found=error.strerror,
-            expected="a place that can be written to",
-        ) from None
-    return staging, _lock(staging)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _lock(folder: Path) -> int | None:
-    """An open, locked handle on a folder; ``None`` if another process holds it, or cannot tell."""
-    if sys.platform == "win32":
-        return None  # folders cannot be locked there: leftovers stay, and do no harm
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
-
-
-def _put_in_place(staging: Path, path: Path) -> None:
+def _put_in_place(folder: Path, path: Path) -> None:
     """Rename; a folder that is in the way steps aside first, and back if that fails."""
     if not path.exists():
-        staging.rename(path)
+        folder.rename(path)
         return
     aside = _aside(path)
     shutil.rmtree(aside, ignore_errors=True)
     path.rename(aside)
     try:
-        staging.rename(path)
+        folder.rename(path)
     except BaseException:
         aside.rename(path)
         raise
@@ -177,7 +123,7 @@ def _put_in_place(staging: Path, path: Path) -> None:
 
 
 def _aside(path: Path) -> Path:
-    return path.with_name(f".{path.name}{_REPLACED}")
+    return sibling(path, _REPLACED)
 
 
 def _undo_half_replacement(path: Path) -> None:
@@ -185,17 +131,3 @@ def _undo_half_replacement(path: Path) -> None:
     if not os.path.lexists(path) and _aside(path).is_dir():
         with suppress(OSError):
             _aside(path).rename(path)
-
-
-def _clear_leftovers(path: Path) -> None:
-    """Delete what killed runs left beside this output folder, and nothing of living ones."""
-    if not path.parent.is_dir():
-        return
-    if path.exists():
-        shutil.rmtree(_aside(path), ignore_errors=True)
-    for entry in path.parent.iterdir():
-        if entry.name.startswith(f".{path.name}.") and entry.name.endswith(_STAGING):
-            handle = _lock(entry)
-            if handle is not None:
-                shutil.rmtree(entry, ignore_errors=True)
-                os.close(handle)

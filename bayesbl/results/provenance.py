@@ -14,6 +14,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import bayesbl
+from bayesbl.config.loading import dump_config
+from bayesbl.config.sections import RunConfig
 
 DEPENDENCIES = (
     "numpy",
@@ -56,13 +58,30 @@ def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[s
     }
 
 
+def provenance_of(config: RunConfig) -> dict[str, str | int]:
+    """Attributes for the root of the result of a configuration."""
+    return provenance(dump_config(config), config.run.seed, inputs_of(config.model_dump()))
+
+
 def file_sha256(path: str | Path) -> str:
     """SHA-256 of a file's bytes."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
+def inputs_of(config: object) -> dict[str, str]:
+    """SHA-256 of the bytes of every file that a configuration's tables name, by path."""
+    match config:
+        case Path() if config.is_file():
+            return {str(config): file_sha256(config)}
+        case Mapping():
+            return inputs_of(list(config.values()))
+        case list() | tuple():
+            return {file: digest for item in config for file, digest in inputs_of(item).items()}
+    return {}
+
+
 def code_versions() -> dict[str, str]:
-    """All that may make the same problem come out otherwise: this code, Python, dependencies."""
+    """All that may change the numbers of the same problem: this code, Python, dependencies."""
     own = f"{bayesbl.__version__}, commit {git_commit()}"
     return {"bayesbl": own, "python": platform.python_version(), **dependency_versions()}
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shlex
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
-from bayesbl.recording.channels import SUFFIXES, did_you_mean_file
-from bayesbl.recording.netcdf import FORMAT
-from bayesbl.results.folder import RESULT_FILE
+from bayesbl.recording.channels import did_you_mean_file
+from bayesbl.recording.formats import formats
+from bayesbl.recording.formats.netcdf import RESULT_MARK
+from bayesbl.results.atomic import replacing
 
 FORMAT_VERSION = 1
 
@@ -37,20 +36,18 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     result.
     """
     marked = tree.copy()
-    marked.attrs = {**tree.attrs, FORMAT: FORMAT_VERSION}
-    with replacing(Path(path)) as temporary:
+    marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
+    with replacing(path) as temporary:
         marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
 
 
-def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
+def read_tree(path: str | Path) -> xr.DataTree:
     """Read a tree into memory and close its file.
 
     Parameters
     ----------
     path
         A NetCDF file that :func:`write_tree` wrote, or the output folder that holds it.
-    unfinished
-        Whether a file without outcome is wanted too, as when a run is resumed.
 
     Raises
     ------
@@ -72,7 +69,7 @@ def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
             file=file,
             expected=f"the output folder of a run; `bayesbl run {quoted}` makes it",
         )
-    if file.suffix.lower() in SUFFIXES - {".nc"}:
+    if file.suffix.lower() in formats().keys() - {".nc"}:
         raise ResultError(
             "This is a recording, not a result.",
             file=file,
@@ -90,7 +87,7 @@ def read_tree(path: str | Path, *, unfinished: bool = False) -> xr.DataTree:
             expected="a result.nc that bayesbl wrote",
         ) from error
     _require_ours(tree, file)
-    if not unfinished and tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
+    if tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
         raise ResultError(
             "The run that wrote this result has not finished.",
             file=file,
@@ -114,21 +111,8 @@ def texts(attribute: str | Iterable[object] | None) -> list[str]:
 
 def write_text(text: str, path: str | Path) -> None:
     """Write a text file that appears whole or not at all."""
-    with replacing(Path(path)) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file in the same folder that takes the name ``path`` on success."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
-        yield folder / path.name
-        os.replace(folder / path.name, path)
-    finally:
-        (folder / path.name).unlink(missing_ok=True)
-        folder.rmdir()
 
 
 def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
@@ -144,19 +128,19 @@ def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def _require_ours(tree: xr.DataTree, file: Path) -> None:
-    version = tree.attrs.get(FORMAT)
+    version = tree.attrs.get(RESULT_MARK)
     if not isinstance(version, int | np.integer):
         raise ResultError(
             "This file was not written by bayesbl.",
             file=file,
-            found=f"no attribute {FORMAT}",
+            found=f"no attribute {RESULT_MARK}",
             expected="a result.nc that bayesbl wrote",
         )
     if version > FORMAT_VERSION:
         raise ResultError(
             "This result was written by a later version of bayesbl.",
             file=file,
-            found=f"{FORMAT} {version}",
+            found=f"{RESULT_MARK} {version}",
             expected=f"at most {FORMAT_VERSION}",
         )
 

@@ -16,11 +16,11 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import matmul_toeplitz
 from scipy.stats import chi2, poisson
 
+from bayesbl.noise.autoregression import innovations
 from bayesbl.noise.rotation_noise import (
     Noise,
     bridged,
     estimate_noise,
-    innovations,
     rotation_difference,
 )
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording

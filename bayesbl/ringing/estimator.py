@@ -14,22 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.errors import ConfigError, RecordingError, ResultError
 from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.cleaning import FINDERS
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
-from bayesbl.ringing.memory import Forgetful, Memory, pack_optimum, unpack_optimum
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
-from bayesbl.ringing.posterior import Posterior, Progress, SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import Posterior, sample_posterior
 from bayesbl.ringing.second_sampler import SamplerCheck, check_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
+from bayesbl.sampling.chains import Progress, SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
+
+AGREEMENT = 1e-9
+"""Largest relative difference between a stored sum of squares and the same one evaluated again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,40 @@ class Fit:
     point: PointEstimate
     posterior: Posterior
     check: SamplerCheck | None = None
+
+    @property
+    def finished(self) -> FinishedFit:
+        """What of the fit is kept."""
+        point = self.point
+        mended = point.recording if point.mended else None
+        return FinishedFit(
+            point.optimum,
+            self.posterior,
+            self.check,
+            point.notes,
+            point.start,
+            point.contenders,
+            mended,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedFit:
+    """What of a fit takes time, and what is said of it; :meth:`Estimator.restored` makes the rest.
+
+    Attributes
+    ----------
+    mended
+        The recording that was fitted, where faults were taken out of the one given.
+    """
+
+    optimum: Optimum
+    posterior: Posterior
+    check: SamplerCheck | None
+    notes: tuple[str, ...]
+    start: str
+    contenders: tuple[Contender, ...] | None
+    mended: Recording | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +287,6 @@ class Estimator:
         choose: Callable[[PointEstimate], PointEstimate] | None = None,
         *,
         earlier: EarlierOptimum | None = None,
-        memory: Memory | None = None,
         check: bool = False,
     ) -> Fit:
         """Optimum and posterior; one child seed for each.
@@ -261,8 +297,6 @@ class Estimator:
             Picks among the optimum and its rivals; the optimum itself by default.
         earlier
             Optimum to start from.
-        memory
-            Keeps what is finished; what it recalls is not computed again.
         check
             Whether a nested sampler samples the posterior too.
 
@@ -270,21 +304,11 @@ class Estimator:
         ------
         RecordingError
             As :meth:`estimate`.
-        ResultError
-            If ``memory`` recalls an optimum that does not agree with the recording.
         """
-        memory = Forgetful() if memory is None else memory
         search_seed, sample_seed, check_seed = seed.spawn(3)
-        point = self._recalled(recording, gear_ratio, memory)
-        if point is None:
-            point = self.estimate(recording, search_seed, gear_ratio, earlier)
-            if choose is not None:
-                point = choose(point)
-            if not point.mended:  # else the recording behind the optimum would have to be kept too
-                memory.remember(
-                    "optimum",
-                    pack_optimum(point.optimum, point.notes, point.start, point.contenders),
-                )
+        point = self.estimate(recording, search_seed, gear_ratio, earlier)
+        if choose is not None:
+            point = choose(point)
         posterior = sample_posterior(
             point.objective,
             point.optimum,
@@ -293,27 +317,46 @@ class Estimator:
             sample_seed,
             progress,
             contenders=point.contenders,
-            memory=memory,
         )
         if not check:
             return Fit(point, posterior)
-        second = check_sampler(
-            point.objective, point.optimum, point.spread, posterior, check_seed, memory
-        )
+        second = check_sampler(point.objective, point.optimum, point.spread, posterior, check_seed)
         return Fit(point, posterior, second)
 
-    def _recalled(
-        self, recording: Recording, gear_ratio: float | None, memory: Memory
-    ) -> PointEstimate | None:
-        """The point estimate around a remembered optimum, evaluated again."""
-        stored = memory.recall("optimum")
-        if stored is None:
-            return None
-        recording = ready_for_fit(recording, gear_ratio)
+    def restored(
+        self, finished: FinishedFit, recording: Recording, gear_ratio: float | None = None
+    ) -> Fit:
+        """The whole fit around a finished optimum, which is evaluated again.
+
+        Parameters
+        ----------
+        recording, gear_ratio
+            As :meth:`fit` had them.
+
+        Raises
+        ------
+        ResultError
+            If the recording gives another sum of squares at the optimum.
+        """
+        optimum = finished.optimum
+        recording = finished.mended or ready_for_fit(recording, gear_ratio)
         objective = self._objective(recording)
-        optimum, notes, start, contenders = unpack_optimum(stored, objective)
-        point = self.around(recording, objective, optimum)
-        return replace(point, notes=notes, start=start, contenders=contenders)
+        found = float(objective.sum_of_squares(optimum.searched[None])[0])
+        if not abs(found - optimum.sum_of_squares) <= AGREEMENT * optimum.sum_of_squares:
+            raise ResultError(
+                "The optimum that an unfinished run stored does not agree with the recording.",
+                found=f"a sum of squares of {found:.12g} rpm² where "
+                f"{optimum.sum_of_squares:.12g} rpm² was stored",
+                expected="the same value; --force starts over",
+            )
+        point = replace(
+            self.around(recording, objective, optimum),
+            notes=finished.notes,
+            start=finished.start,
+            contenders=finished.contenders,
+            mended=finished.mended is not None,
+        )
+        return Fit(point, finished.posterior, finished.check)
 
 
 def nominal_speed_rpm(recording: Recording) -> float:

@@ -9,17 +9,24 @@ nonlinearly; A, v_t and the baseline are linear, integrated out exactly and draw
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.covariance import Covariance, signal_to_noise
-from bayesbl.ringing.memory import Forgetful, Memory
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
+from bayesbl.sampling.chains import (
+    BOUND_TOLERANCE_SD,
+    STEPS_BETWEEN_CHECKS,
+    Progress,
+    SamplerSettings,
+    burn_in,
+    thinned,
+)
 from bayesbl.sampling.convergence import (
     STEPS_PER_AUTOCORRELATION,
     Contender,
@@ -29,33 +36,6 @@ from bayesbl.sampling.convergence import (
     rank_r_hat_and_ess,
 )
 from bayesbl.sampling.ensemble import Ensemble
-
-STEPS_BETWEEN_CHECKS = 250
-BURN_IN_AUTOCORRELATIONS = 5.0
-DRAWS_KEPT = 1000
-BOUND_TOLERANCE_SD = 0.05
-"""Interval bounds count as stable when they move less than this many standard deviations."""
-
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class SamplerSettings:
-    """How the posterior is sampled; never part of what A means.
-
-    Attributes
-    ----------
-    ensembles
-        Independent emcee ensembles; these are the chains.
-    max_steps
-        Upper limit of steps per ensemble; the sampler stops by itself when converged.
-    level
-        Interval level whose bounds must be stable.
-    """
-
-    ensembles: int = 4
-    max_steps: int = 20000
-    level: float = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +85,6 @@ def sample_posterior(
     progress: Progress | None = None,
     *,
     contenders: Sequence[Contender] | None = None,
-    memory: Memory | None = None,
 ) -> Posterior:
     """Sample until converged or ``settings.max_steps`` is reached.
 
@@ -119,10 +98,7 @@ def sample_posterior(
     contenders
         Other optima to weigh against this one; if ``None``, the optimum's rivals by their
         likelihood.
-    memory
-        Keeps every stretch of steps; what it recalls is not run again.
     """
-    memory = Forgetful() if memory is None else memory
     *ensemble_seeds, linear_seed = seed.spawn(settings.ensembles + 1)
     target = LogPosterior(objective, optimum, spread.scale)
     searched = np.array([spread.names.index(n) for n in objective.searched])
@@ -134,7 +110,8 @@ def sample_posterior(
     last: FloatArray | None = None
     while steps < settings.max_steps:
         count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
-        _go_on(ensembles, count, f"steps-{steps:07d}", memory)
+        for ensemble in ensembles:
+            ensemble.run(count)
         steps += count
         chains = [e.chain[steps // 4 :] for e in ensembles]
         tau = max(integrated_time(chain) for chain in chains)
@@ -191,32 +168,6 @@ def _other_answer(
     sd = math.sqrt(spread.sandwich[0, 0])
     others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
     return max(others, key=lambda c: c.log_odds, default=None)
-
-
-def _go_on(ensembles: Sequence[Ensemble], count: int, stage: str, memory: Memory) -> None:
-    """Every ensemble by a number of steps, recalled where they were already made."""
-    stored = memory.recall(stage)
-    if stored is None:
-        made = [ensemble.run(count) for ensemble in ensembles]
-        memory.remember(
-            stage, {f"{key}_{i}": x for i, m in enumerate(made) for key, x in m.items()}
-        )
-        return
-    for i, ensemble in enumerate(ensembles):
-        end = f"_{i}"
-        ensemble.put_back({k.removesuffix(end): x for k, x in stored.items() if k.endswith(end)})
-
-
-def burn_in(tau: float, steps: int) -> int:
-    """Steps left out at the start: five autocorrelation times, at most half of all."""
-    half = steps // 2
-    return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
-
-
-def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
-    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
-    flat = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
 
 
 def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:

@@ -16,7 +16,6 @@ import numpy as np
 from bayesbl.errors import ConfigError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.covariance import Covariance
-from bayesbl.ringing.memory import Memory
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum
 from bayesbl.ringing.posterior import (
@@ -99,7 +98,6 @@ def check_sampler(
     spread: Covariance,
     posterior: Posterior,
     seed: np.random.SeedSequence,
-    memory: Memory,
 ) -> SamplerCheck:
     """Sample the posterior again by nested sampling, and compare.
 
@@ -107,19 +105,15 @@ def check_sampler(
     """
     nested_seed, linear_seed = seed.spawn(2)
     target = LogPosterior(objective, optimum, spread.scale)
-    stored = memory.recall("nested")
-    if stored is None:
-        points, evaluations = _nested_over_modes(objective, optimum, target, spread, nested_seed)
-        stored = {"points": points, "evaluations": np.array(evaluations)}
-        memory.remember("nested", stored)
+    points, evaluations = _nested_over_modes(objective, optimum, target, spread, nested_seed)
     generator = np.random.default_rng(linear_seed)
-    nested, _, _ = complete(objective, optimum, spread, stored["points"][None], generator)
+    nested, _, _ = complete(objective, optimum, spread, points[None], generator)
     difference, ratio = {}, {}
     for name, draws in posterior.draws.items():
         sd = float(draws.std())
         difference[name] = float(nested[name].mean() - draws.mean()) / sd
         ratio[name] = float(nested[name].std()) / sd
-    return SamplerCheck(difference, ratio, int(stored["evaluations"]))
+    return SamplerCheck(difference, ratio, evaluations)
 
 
 def _nested_over_modes(

@@ -1,25 +1,15 @@
-"""Finished cases of a study on disk, and the processes or the cluster that run the others.
-
-Cases are kept beside the output folder until the study is whole: a file per row, a line per case,
-each written at once. A study that is killed loses the cases in flight and nothing else.
-"""
+"""One case of a study, and processes that run many of them."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
-import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.errors import UserError
-from bayesbl.results.checkpoint import locked_sibling
-from bayesbl.runs.processes import processes
+from bayesbl.processes import processes
 from bayesbl.runs.study_file import Study, Table, load_study, seed_of_case
 
 
@@ -61,84 +51,14 @@ class Job:
         return f'case {self.index} of row "{self.row}"'
 
 
-class CaseStore:
-    """Finished cases of an unfinished study, by row."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    @classmethod
-    @contextmanager
-    def beside(cls, output: Path, *, fresh: bool = False) -> Iterator[CaseStore]:
-        """The store of an output folder, locked; ``fresh`` forgets what it holds.
-
-        Raises
-        ------
-        ResultError
-            If another run of the same study is under way, or no folder can be made there.
-        """
-        with locked_sibling(output, ".cases") as folder:
-            if fresh:
-                for file in folder.glob("*.jsonl"):
-                    file.unlink()
-            yield cls(folder)
-
-    def take_over(self, row: str, definition: str) -> dict[int, Case] | None:
-        """Finished cases of a row by index; ``None``, and forgotten, if it was defined otherwise.
-
-        A row that is new to the store is entered.
-        """
-        file = self._file(row)
-        lines = _whole_lines(file)
-        if lines and json.loads(lines[0])["definition"] == definition:
-            cases = [Case(**json.loads(line)) for line in lines[1:]]
-            return {case.index: case for case in cases}
-        file.unlink(missing_ok=True)
-        self._append(file, {"row": row, "definition": definition})
-        return None if lines else {}
-
-    def add(self, row: str, case: Case) -> None:
-        """Keep a finished case."""
-        self._append(self._file(row), asdict(case))
-
-    def clear(self) -> None:
-        """Delete the store; the result holds everything."""
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _file(self, row: str) -> Path:
-        return self._folder / f"{hashlib.sha256(row.encode()).hexdigest()[:16]}.jsonl"
-
-    @staticmethod
-    def _append(file: Path, content: Mapping[str, object]) -> None:
-        with open(file, "ab", buffering=0) as stream:
-            stream.write(json.dumps(content).encode() + b"\n")
-
-
-def run_cases(
-    study: Study,
-    jobs: Sequence[Job],
-    workers: int,
-    commit: str,
-    scheduler: str | None = None,
-    say: Callable[[str], None] = print,
+def run_in_processes(
+    study: Study, jobs: Sequence[Job], commit: str, workers: int
 ) -> Iterator[tuple[Job, Case]]:
-    """Run cases in processes of their own, or on the cluster of a Dask scheduler.
+    """Run cases in processes of their own; yields them as they end, in any order.
 
-    Yields them as they end, in any order. One worker is a process of its own too: linear algebra
-    on one thread rounds otherwise than on many, and the numbers must not depend on the workers.
-
-    Raises
-    ------
-    ClusterError
-        As :func:`bayesbl.runs.cluster.run_on_cluster`.
+    One worker is a process of its own too: linear algebra on one thread rounds differently than on
+    many, and the numbers must not depend on the workers.
     """
-    if not jobs:
-        return
-    if scheduler is not None:
-        from bayesbl.runs.cluster import run_on_cluster
-
-        yield from run_on_cluster(study, jobs, commit, scheduler, say)
-        return
     with processes(min(workers, len(jobs)), _load, study.path) as pool:
         futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
         for future in as_completed(futures):
@@ -171,14 +91,3 @@ def _load(path: Path) -> None:
 def _run_loaded(job: Job, commit: str) -> Case:
     assert _loaded is not None
     return run_job(_loaded, job, commit)
-
-
-def _whole_lines(file: Path) -> list[bytes]:
-    """Lines of a file; one that was cut by a kill is taken off the file first."""
-    if not file.exists():
-        return []
-    data = file.read_bytes()
-    whole = data[: data.rfind(b"\n") + 1]
-    if len(whole) < len(data):
-        os.truncate(file, len(whole))
-    return whole.splitlines()

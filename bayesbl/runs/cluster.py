@@ -65,7 +65,7 @@ class Common:
         return cls(str(study.path), tuple(code_versions().items()), code_sha256(), files)
 
     def differences(self) -> list[str]:
-        """What this process, which is a worker's, has otherwise, in words."""
+        """What differs in this process, which is a worker's, in words."""
         own = code_versions()
         found = [
             f"{name} {own.get(name)} in place of {version}"
@@ -82,7 +82,7 @@ class Common:
                 found.append(f"{path} cannot be read there ({error.strerror})")
         every = os.environ.get(_LINEAR_ALGEBRA[0])
         if any(os.environ.get(name, every) != "1" for name in _LINEAR_ALGEBRA):
-            found.append("linear algebra on many threads rounds otherwise; set OMP_NUM_THREADS=1")
+            found.append("linear algebra on many threads rounds differently; set OMP_NUM_THREADS=1")
         return found
 
 
@@ -175,7 +175,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Dask logs a traceback for what is then raised, and told in a sentence."""
+    """Dask logs a traceback for what is then raised as a sentence."""
     log = logging.getLogger("distributed.client")
     before = log.level
     log.setLevel(logging.CRITICAL)

@@ -1,75 +1,66 @@
-"""Recordings and the bench believed behind them in; what is missing, and both gaps, out."""
+"""Recordings and the bench believed behind them in; what is missing, and the model error, out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 
 import xarray as xr
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.config.loading import dump_config
-from bayesbl.diagnosis.closed_loop.problem import forward_diagnosis, forward_problem
-from bayesbl.diagnosis.problem import Problem
-from bayesbl.diagnosis.rigid.naming import Settings, diagnose
-from bayesbl.diagnosis.rigid.problem import rigid_problem
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.groups import diagnosis_tree
+from bayesbl.diagnosis.methods import method_named
+from bayesbl.diagnosis.task import Progress, Task
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
-from bayesbl.results.diagnosis import diagnosis_tree
-from bayesbl.results.provenance import file_sha256, provenance
-
-Progress = Callable[[str, int, int], None]
+from bayesbl.results.provenance import provenance_of
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.runs.workflow import Options, Plan, Summary, run_into_folder, settings_of
 
 FEWEST_SAMPLES = 200
 
 
-def run_diagnose(config: DiagnoseConfig, progress: Progress | None = None) -> xr.DataTree:
-    """Diagnose as configured; nothing is written.
+def run(config: DiagnoseConfig, options: Options) -> Summary:
+    """Diagnose, and write the output folder."""
+    return run_into_folder(
+        config, options, lambda work: run_diagnose(config, options.progress, work)
+    )
+
+
+def run_diagnose(
+    config: DiagnoseConfig, progress: Progress | None = None, work: WorkStore = NOTHING_KEPT
+) -> xr.DataTree:
+    """Diagnose as configured; nothing is written but finished work.
 
     Raises
     ------
     UserError
         If bench or recordings cannot be used for this comparison.
     """
-    if config.comparison.method == "forward":
-        tree = forward_diagnosis(
-            config,
-            load_bench(config.bench),
-            list(_recordings(config)),
-            None if progress is None else partial(progress, "candidates"),
-        )
-    else:
-        problem = problem_of(config)
-        settings = Settings(config.candidates.max_effects, config.candidates.false_alarm)
-        found = diagnose(
-            problem.comparison, problem.bench, settings, problem.remaining, problem.notes, progress
-        )
-        tree = diagnosis_tree(found, config.interval.level)
-    inputs = {str(entry.file): file_sha256(entry.file) for entry in config.recordings}
-    inputs[str(config.bench)] = file_sha256(config.bench)
-    tree.attrs |= provenance(dump_config(config), config.run.seed, inputs)
+    method, task = method_named(config.comparison.method), task_of(config, work)
+    found = work.get(
+        "diagnosis",
+        (settings_of(config), task.bench, task.recordings),
+        lambda: method.diagnose(task, progress),
+        Diagnosis,
+    )
+    tree = diagnosis_tree(found, config.interval.level, config.interval.kind)
+    tree.attrs |= provenance_of(config)
     return tree
 
 
-def problem_of(config: DiagnoseConfig) -> Problem:
-    """Recordings read and checked, and put beside a rigid bench."""
-    bench = load_bench(config.bench)
-    return rigid_problem(config, bench, list(_recordings(config)))
-
-
-def describe_problem(config: DiagnoseConfig) -> str:
+def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared, without comparing it."""
-    if config.comparison.method == "forward":
-        bench, recordings = load_bench(config.bench), list(_recordings(config))
-        used, held_out, unknowns, _ = forward_problem(config, bench, recordings)
-        free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
-        return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
-    comparison = problem_of(config).comparison
-    names = ", ".join(candidate.name for candidate in comparison.candidates)
-    return f"{config.comparison.method}, {comparison.pieces[0].channel}; candidates {names}"
+    method = method_named(config.comparison.method)
+    plan.add("comparison", lambda: method.describe(task_of(config)))
+
+
+def task_of(config: DiagnoseConfig, work: WorkStore = NOTHING_KEPT) -> Task:
+    """Bench and recordings, read and long enough to be compared."""
+    return Task(config, load_bench(config.bench), tuple(_recordings(config)), work)
 
 
 def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.simulate import SimulatedRecording, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
+from bayesbl.results.atomic import replacing
+from bayesbl.runs.workflow import Plan
 
 
 def run_simulate(
@@ -80,6 +82,15 @@ def run_simulate(
         contents.append(_truth(bench, seed, config.recordings, recordings, contents))
     _write_all(targets, contents)
     return targets
+
+
+def describe(path: Path, plan: Plan) -> None:
+    """Which recordings would be made, and on which bench."""
+    config = load_simulation(path)
+    plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")
+    for entry in config.recordings:
+        text = f"{entry.file}, gap {entry.gap_rad:g} rad, {entry.rotations:g} rotations"
+        plan.lines.append((f"recording {entry.name}", text))
 
 
 def recording_csv(recording: Recording) -> str:
@@ -163,18 +174,13 @@ def _truth(
 
 
 def _write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
-    """Under temporary names first: a run that is killed leaves no half-written recording."""
-    partial = [target.with_name(f".{target.name}.partial") for target in targets]
+    """None before all are written: a run that is killed leaves no half-written recording."""
     try:
-        for path, content in zip(partial, contents, strict=True):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content, encoding="utf-8", newline="\n")
-        for path, target in zip(partial, targets, strict=True):
-            os.replace(path, target)
+        with ExitStack() as stack:
+            for target, content in zip(targets, contents, strict=True):
+                temporary = stack.enter_context(replacing(target))
+                temporary.write_text(content, encoding="utf-8", newline="\n")
     except OSError as error:
         raise ResultError(
             "The recordings cannot be written.", file=error.filename, found=error.strerror
         ) from None
-    finally:
-        for path in partial:
-            path.unlink(missing_ok=True)

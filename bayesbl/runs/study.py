@@ -1,6 +1,6 @@
 """Studies: many independent cases in rows, over processes or a cluster, resumed where left.
 
-What a study is stands in :mod:`bayesbl.runs.study_file`. ``result.nc`` holds all cases, a
+For what a study is, see :mod:`bayesbl.runs.study_file`. ``result.nc`` holds all cases, a
 group per row; ``table.csv`` a line per row.
 """
 
@@ -9,34 +9,28 @@ from __future__ import annotations
 import csv
 import io
 import json
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.loading import dump_config
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ResultError
 from bayesbl.results.folder import (
-    CONFIG_FILE,
-    FIGURES,
-    RESULT_FILE,
-    SUMMARY_FILE,
     is_finished,
-    new_result,
     require_free,
 )
-from bayesbl.results.provenance import git_commit, provenance
-from bayesbl.results.store import OUTCOME, read_tree, write_json, write_text, write_tree
-from bayesbl.runs.cases import Case, CaseStore, Job, run_cases
+from bayesbl.results.provenance import git_commit, provenance_of
+from bayesbl.results.store import OUTCOME, read_tree
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.cases import Case, Job, run_in_processes
+from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
-
-if TYPE_CHECKING:
-    from bayesbl.measurement.task import StageProgress
+from bayesbl.runs.workflow import Options, Plan, Summary, write_result
 
 TABLE_FILE = "table.csv"
 
@@ -68,29 +62,17 @@ class Row:
             Job(self.table, index, seed) for index in range(self.count) if index not in self.cases
         ]
 
+    def address(self, index: int) -> tuple[str, int]:
+        """What decides the numbers of a case."""
+        return self.definition, index
 
-def run_study(
-    config: StudyConfig,
-    *,
-    force: bool = False,
-    progress: StageProgress | None = None,
-    say: Callable[[str], None] = print,
-) -> dict[str, Any]:
+
+def run(config: StudyConfig, options: Options) -> Summary:
     """Run what is not finished of a study, write its output folder, and return the summary.
 
     A finished result is added to: its rows keep their cases, and the commit that made them. Where
-    one of them would be lost, because it was defined otherwise or is gone from the configuration,
-    the run is refused.
-
-    Parameters
-    ----------
-    force
-        Start over: every case is run again, and a finished result replaced.
-    progress
-        Called with (row, finished cases, all cases).
-    say
-        Told in a sentence what is taken over, what is run again, and on how many workers of a
-        cluster.
+    one of them would be lost, because it is now defined differently or is gone from the
+    configuration, the run is refused. ``options.force`` starts over: every case is run again.
 
     Raises
     ------
@@ -99,24 +81,32 @@ def run_study(
     """
     study, rows = prepare(config)
     output = config.run.output
-    add = not force and is_finished(output)
+    add = not options.force and is_finished(output)
     if add:
         _take_from_result(study, rows, output)
-    require_free(output, force=force or add, also={TABLE_FILE})
-    with CaseStore.beside(output, fresh=force) as store:
+    require_free(output, force=options.force or add, also={TABLE_FILE})
+    with WorkStore.beside(output, fresh=options.force) as work:
+        # A case keeps the commit that made it, as in a finished result that is added to.
+        kept = replace(work, code="")
         for row in rows:
-            _take_from_store(row, store, say)
-        _finish(study, rows, config, store, progress, say)
+            _take_from_store(row, kept, options.say)
+        _finish(study, rows, config, kept, options)
         tree = _tree(study, rows, config)
         summary = summarise_study(tree)
-        with new_result(output, force=force or add, also={TABLE_FILE}) as folder:
-            write_tree(tree, folder / RESULT_FILE)
-            write_json(summary, folder / SUMMARY_FILE)
-            write_text(table_csv(summary["rows"]), folder / TABLE_FILE)
-            write_text(dump_config(config), folder / CONFIG_FILE)
-            _draw(study, tree, folder / FIGURES)
-        store.clear()
+        replaced = replace(options, draw=partial(draw_study, study), force=options.force or add)
+        table = {TABLE_FILE: table_csv(summary["rows"])}
+        write_result(tree, summary, config, replaced, table, work)
     return summary
+
+
+def describe(config: StudyConfig, plan: Plan) -> None:
+    """What would run, in words."""
+    plan.add("study", partial(_in_words, config))
+
+
+def _in_words(config: StudyConfig) -> str:
+    study, rows = prepare(config)
+    return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
 
 
 def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
@@ -132,12 +122,6 @@ def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
         Row(table, study.count(table), study.definition(table, config.run.seed))
         for table in config.rows
     ]
-
-
-def describe(config: StudyConfig) -> str:
-    """What would run, in words."""
-    study, rows = prepare(config)
-    return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
 
 
 def summarise_study(tree: xr.DataTree) -> dict[str, Any]:
@@ -182,12 +166,6 @@ def cell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def draw_study(tree: xr.DataTree, folder: Path) -> list[Path]:
-    """Draw the study's own figure again, if its file has one."""
-    config = tomllib.loads(tree.attrs["config"])
-    return _draw(load_study(config["study"]), tree, folder)
-
-
 def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.Dataset]]:
     """Lines of a result's table, and the cases of each row by its name."""
     groups = _groups(tree)
@@ -208,7 +186,7 @@ def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
             "This folder holds a finished result with rows that this run would lose.",
             file=output,
             found=", ".join(
-                f'"{name}" ' + ("defined otherwise" if name in definitions else "not asked for")
+                f'"{name}" ' + ("defined differently" if name in definitions else "not asked for")
                 for name in lost
             ),
             expected="the rows as they were and others beside them, another folder (--out), or "
@@ -221,36 +199,38 @@ def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
             row.cases = _cases_of(stored[row.name])
 
 
-def _take_from_store(row: Row, store: CaseStore, say: Callable[[str], None]) -> None:
+def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
     """Give a row the cases that an earlier, unfinished run stored."""
     if row.cases:
         return
-    found = store.take_over(row.name, row.definition)
-    if found is None:
-        say(f'Row "{row.name}" is defined otherwise than before: its cases are run again.')
-    elif found:
-        say(f'Row "{row.name}" goes on after {len(found)} of {row.count} cases.')
-    row.cases = found or {}
+    last = work.recall("definition of a row", row.name, str)
+    if last not in (None, row.definition):
+        say(f'Row "{row.name}" is defined differently than before: its cases are run again.')
+    work.keep("definition of a row", row.name, row.definition)
+    stored = (work.recall("case", row.address(index), Case) for index in range(row.count))
+    row.cases = {case.index: case for case in stored if case is not None}
+    if row.cases:
+        say(f'Row "{row.name}" goes on after {len(row.cases)} of {row.count} cases.')
 
 
 def _finish(
-    study: Study,
-    rows: Sequence[Row],
-    config: StudyConfig,
-    store: CaseStore,
-    progress: StageProgress | None,
-    say: Callable[[str], None],
+    study: Study, rows: Sequence[Row], config: StudyConfig, work: WorkStore, options: Options
 ) -> None:
     """Run all cases that lack, each stored as soon as it ends."""
     by_name = {row.name: row for row in rows}
     jobs = [job for row in rows for job in row.jobs(config.run.seed)]
-    run = config.run
-    for job, case in run_cases(study, jobs, run.workers, git_commit(), run.scheduler, say):
+    if not jobs:
+        return
+    if config.run.scheduler is None:
+        ended = run_in_processes(study, jobs, git_commit(), config.run.workers)
+    else:
+        ended = run_on_cluster(study, jobs, git_commit(), config.run.scheduler, options.say)
+    for job, case in ended:
         row = by_name[job.row]
-        store.add(row.name, case)
+        work.keep("case", row.address(case.index), case)
         row.cases[case.index] = case
-        if progress is not None:
-            progress(row.name, len(row.cases), row.count)
+        if options.progress is not None:
+            options.progress(row.name, len(row.cases), row.count)
 
 
 def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree:
@@ -261,7 +241,7 @@ def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree
         "study": study.name,
         "study_sha256": study.sha256,
         OUTCOME: "done",
-        **provenance(dump_config(config), config.run.seed, {str(study.path): study.sha256}),
+        **provenance_of(config),
     }
     return tree
 
@@ -328,7 +308,8 @@ def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
     return [tree[name].to_dataset() for name in names]
 
 
-def _draw(study: Study, tree: xr.DataTree, folder: Path) -> list[Path]:
+def draw_study(study: Study, tree: xr.DataTree, folder: Path) -> list[Path]:
+    """Draw the study's own figure, if its file has one; the files written."""
     if study.figure is None:
         return []
     figure = study.figure(*stored_rows(tree))

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Table = Mapping[str, Any]
-"""A row as it stands in the configuration."""
+"""A row as the configuration has it."""
 
 REQUIRED = ("count", "run_case", "summarise")
 RESERVED = ("failed", "message", "seconds", "commit")

@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import xarray as xr
 
+    from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
-    Summary = FitSummary | ComparisonSummary | SweepSummary
+    Summary = FitSummary | ComparisonSummary | SweepSummary | DiagnosisSummary
 
 _SUMMARISE = {
     "fit": ("bayesbl.measurement.summary", "summarise_fit"),
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
-    "diagnose": ("bayesbl.results.diagnosis", "summarise_diagnosis"),
+    "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
 }
 """Kind to module and function, imported only where it is used."""
 

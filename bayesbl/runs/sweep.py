@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,24 +12,18 @@ import xarray as xr
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import dump_bench, load_bench
-from bayesbl.config.loading import dump_config
 from bayesbl.config.sweep import SweepConfig
 from bayesbl.curve.bench_draws import SweptDraws
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
 from bayesbl.curve.swept_curve import departures, swept_curve
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.measurement.stored_curve import GAP_CURVE, curve_group, curve_to_dataset
+from bayesbl.processes import processes
 from bayesbl.recording.types import Recording
-from bayesbl.results.provenance import (
-    code_sha256,
-    dependency_versions,
-    file_sha256,
-    provenance,
-)
-from bayesbl.results.store import replacing
+from bayesbl.results.provenance import provenance_of
+from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
-from bayesbl.runs.processes import processes
 from bayesbl.runs.sweep_groups import (
     BENCH_DRAWS,
     degree_group,
@@ -40,70 +31,57 @@ from bayesbl.runs.sweep_groups import (
     example_group,
     sweep_group,
 )
-
-Progress = Callable[[str, int, int], None]
+from bayesbl.runs.workflow import Options, Plan, Progress, Summary, run_into_folder
 
 CACHE = ".sweep-cache"
 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What decides the numbers of every row."""
+    """What decides the numbers of every row, and where finished rows of all sweeps are kept."""
 
     bench: Bench
     model: DisturbanceModel
     settings: SweepSettings
+    seed: int
+    work: WorkStore
 
-    def key(self, bench: Bench, what: str) -> str:
-        """Content address of a row."""
-        content = {
-            "what": what,
-            "bench": bench.fingerprint(),
-            "model": [self.model.baseline_harmonics, sorted(self.model.fixed.items())],
-            "ranges": sorted(self.model.ranges.items()),
-            "settings": asdict(self.settings),
-            "code": [code_sha256(), dependency_versions()],
-        }
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+    def row(self, drawn: Bench | None, make: Callable[[], SweepRow]) -> SweepRow:
+        """The row of the bench, or of one drawn around it, if no earlier sweep has made it."""
+        benches = (self.bench.fingerprint(), None if drawn is None else drawn.fingerprint())
+        inputs = (*benches, self.model, self.settings, self.seed)
+        return self.work.get("sweep row", inputs, partial(_finite, make), SweepRow)
 
 
-@dataclass(frozen=True, slots=True)
-class _Cache:
-    """Rows of earlier sweeps by their content address.
+def _finite(make: Callable[[], SweepRow]) -> SweepRow:
+    row = make()
+    if not np.all(np.isfinite(row.amplitude_rpm)):
+        raise BenchError(
+            "A simulated recording could not be fitted.",
+            found="an amplitude that is not a number",
+            expected="a bench whose gap shows in the motor speed",
+        )
+    return row
 
-    Attributes
-    ----------
-    fresh
-        Rows are made anew, and kept, whatever is there.
-    """
 
-    folder: Path
-    fresh: bool
+def run(config: SweepConfig, options: Options) -> Summary:
+    """Sweep, and write the output folder; the rows are kept for other sweeps."""
+    return run_into_folder(
+        config, options, lambda _: run_sweep(config, options.progress, fresh=options.force)
+    )
 
-    def row(self, key: str, make: Callable[[], SweepRow]) -> SweepRow:
-        """The row kept under this address, or one that is made and put there whole."""
-        path = self.folder / f"{key}.npz"
-        kept = None if self.fresh else _read_row(path)
-        if kept is not None:
-            return kept
-        row = make()
-        if not np.all(np.isfinite(row.amplitude_rpm)):
-            raise BenchError(
-                "A simulated recording could not be fitted.",
-                found="an amplitude that is not a number",
-                expected="a bench whose gap shows in the motor speed",
-            )
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file,
-                gap_rad=row.gap_rad,
-                start_angle_rad=row.start_angle_rad,
-                searched=row.searched,
-                amplitude_rpm=row.amplitude_rpm,
-                rmse_rpm=row.rmse_rpm,
-                names=np.array(row.names),
-            )
-        return row
+
+def describe(config: SweepConfig, plan: Plan) -> None:
+    """Which bench would be swept, and over which gaps."""
+    bench = load_bench(config.bench)
+    plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
+    plan.add("gaps", partial(_gaps, config, bench))
+
+
+def _gaps(config: SweepConfig, bench: Bench) -> str:
+    require_drawable(config, bench)
+    gap = config.sweep.gap_rad
+    return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
 
 
 def run_sweep(
@@ -125,13 +103,13 @@ def run_sweep(
     """
     bench = load_bench(config.bench)
     require_drawable(config, bench)
-    problem = _Problem(bench, _model(config), _settings(config))
-    cache = _Cache(config.run.output.parent / CACHE, fresh)
+    work = WorkStore(config.run.output.parent / CACHE, fresh)
+    problem = _Problem(bench, _model(config), _settings(config), config.run.seed, work)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
-    nominal = cache.row(
-        problem.key(bench, f"nominal, seed {config.run.seed}"),
+    nominal = problem.row(
+        None,
         lambda: sweep_nominal(
             bench,
             problem.model,
@@ -140,7 +118,7 @@ def run_sweep(
             config.run.workers,
         ),
     )
-    swept = _sweep_draws(config, problem, nominal, draw_seed, cache, progress)
+    swept = _sweep_draws(config, problem, nominal, draw_seed, progress)
     recording = _sampled(config, bench)
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(
@@ -174,9 +152,7 @@ def run_sweep(
         "lack_of_fit_length": regression.lack_of_fit_length,
         "degree": config.sweep.degree,
         "bench": dump_bench(bench),
-        **provenance(
-            dump_config(config), config.run.seed, {str(config.bench): file_sha256(config.bench)}
-        ),
+        **provenance_of(config),
     }
     return tree
 
@@ -224,7 +200,6 @@ def _sweep_draws(
     problem: _Problem,
     nominal: SweepRow,
     seed: np.random.SeedSequence,
-    cache: _Cache,
     progress: Progress | None,
 ) -> SweptDraws | None:
     """Sweeps of benches drawn within the tolerances, over processes."""
@@ -236,7 +211,7 @@ def _sweep_draws(
     shifts = np.array(
         [[(b.value(n) - problem.bench.value(n)) / tolerances[n] for n in names] for b in benches]
     )
-    jobs = [(problem, nominal, b, cache, config.run.seed) for b in benches]
+    jobs = [(problem, nominal, b) for b in benches]
     rows = []
     for row in _mapped(_drawn_row, jobs, config.run.workers):
         rows.append(departures(row, nominal, problem.model))
@@ -245,13 +220,9 @@ def _sweep_draws(
     return SweptDraws(names, shifts, np.array(rows))
 
 
-def _drawn_row(job: tuple[_Problem, SweepRow, Bench, _Cache, int]) -> SweepRow:
-    problem, nominal, bench, cache, seed = job
-    nominal_key = problem.key(problem.bench, f"nominal, seed {seed}")
-    return cache.row(
-        problem.key(bench, f"drawn around {nominal_key}"),
-        lambda: sweep_like(bench, nominal, problem.model, problem.settings),
-    )
+def _drawn_row(job: tuple[_Problem, SweepRow, Bench]) -> SweepRow:
+    problem, nominal, drawn = job
+    return problem.row(drawn, lambda: sweep_like(drawn, nominal, problem.model, problem.settings))
 
 
 def _mapped(
@@ -263,19 +234,3 @@ def _mapped(
         return
     with processes(workers) as pool:
         yield from pool.map(function, jobs)
-
-
-def _read_row(path: Path) -> SweepRow | None:
-    """A row as it was kept; ``None`` if there is none, or it is torn."""
-    try:
-        with np.load(path) as stored:
-            return SweepRow(
-                stored["gap_rad"],
-                stored["start_angle_rad"],
-                stored["searched"],
-                stored["amplitude_rpm"],
-                stored["rmse_rpm"],
-                tuple(str(n) for n in stored["names"]),
-            )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None

@@ -1,4 +1,4 @@
-"""One emcee ensemble that goes on in stretches, each of which can be stored and put back."""
+"""One emcee ensemble that goes on in stretches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.memory import Arrays
 
 FEWEST_WALKERS = 32
 START_SPREAD = 1.5
@@ -56,49 +55,18 @@ class Ensemble:
         )
         bits = np.random.MT19937(walk_seed)
         self._state: Any = emcee.State(start, random_state=np.random.RandomState(bits).get_state())
-        self._stretches: list[FloatArray] = []
-        self._accepted = 0.0
 
-    def run(self, steps: int) -> Arrays:
-        """Go on for a number of steps; the stretch and the state after it, for :meth:`put_back`."""
-        self._sampler.reset()
+    def run(self, steps: int) -> None:
+        """Go on for a number of steps."""
         self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
-        stretch = np.array(self._sampler.get_chain())
-        accepted = float(np.sum(self._sampler.backend.accepted))
-        self._stretches.append(stretch)
-        self._accepted += accepted
-        _, key, position, has_gauss, cached = self._state.random_state
-        return {
-            "stretch": stretch,
-            "accepted": np.array(accepted),
-            "coords": self._state.coords,
-            "log_prob": self._state.log_prob,
-            "random_key": key,
-            "random_place": np.array([position, has_gauss]),
-            "random_cached": np.array(cached),
-        }
-
-    def put_back(self, stored: Arrays) -> None:
-        """Go on from the end of a stored stretch, as if it had just been run."""
-        import emcee
-
-        position, has_gauss = (int(x) for x in stored["random_place"])
-        cached = float(stored["random_cached"])
-        self._state = emcee.State(
-            stored["coords"],
-            log_prob=stored["log_prob"],
-            random_state=("MT19937", stored["random_key"], position, has_gauss, cached),
-        )
-        self._stretches.append(stored["stretch"])
-        self._accepted += float(stored["accepted"])
 
     @property
     def chain(self) -> FloatArray:
         """All steps so far, shape (step, walker, d)."""
-        return np.concatenate(self._stretches)
+        return np.asarray(self._sampler.get_chain())
 
     @property
     def acceptance(self) -> float:
         """Share of proposals that were accepted."""
-        steps = sum(len(stretch) for stretch in self._stretches)
-        return self._accepted / float(steps * self._sampler.nwalkers)
+        backend = self._sampler.backend
+        return float(np.sum(backend.accepted)) / float(backend.iteration * self._sampler.nwalkers)

@@ -1,4 +1,4 @@
-"""One law for each effect of the catalogue, and the catalogue's own order."""
+"""One law for each effect of the catalogue."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from bayesbl.bench import kernel
 from bayesbl.bench.bench import BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECT_BY_NAME, EFFECTS, effect_named
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import CURRENT, POSITION, RPM, SPEED, STATES, Slot
 from bayesbl.bench.simulation import simulate_channels, simulate_states
 from bayesbl.config.bench import reference_bench
@@ -281,16 +281,6 @@ def test_backlash_is_the_gap_itself() -> None:
     assert np.array_equal(channels(), channels(gap_rad=0.0, backlash__gap_rad=GAP))
 
 
-def test_effects_at_their_neutral_values_change_nothing() -> None:
-    # Shape parameters alone switch to the general right-hand side, which must agree.
-    shapes = {
-        f"{effect.name}__{item.name}": item.neutral
-        for effect in EFFECTS
-        for item in effect.parameters
-    }
-    assert np.max(np.abs(channels(**shapes)[SPEED] - channels()[SPEED])) < 1e-3
-
-
 def test_a_bench_carries_effects_by_name() -> None:
     effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0, 0.4)})
     bench = BENCH.with_effects(effect)
@@ -306,14 +296,3 @@ def test_a_bench_carries_effects_by_name() -> None:
         effect_named("friction")
     with pytest.raises(BenchError, match="no such parameter"):
         BENCH.with_effects(BenchEffect("backlash", {"size": EffectParameterValue(1.0)}))
-
-
-def test_catalogue_and_parameter_vector_hold_the_same_effects() -> None:
-    slots = [slot for effect in EFFECTS for slot in effect.slots.values()]
-    assert slots == [slot for slot in Slot if "__" in slot.name]
-    assert len(EFFECT_BY_NAME) == len(EFFECTS) == 20
-    for effect in EFFECTS:
-        assert effect.sentence.endswith(".")
-        assert any(not item.shape_only for item in effect.parameters)
-        for item in effect.parameters:
-            assert item.low <= item.neutral <= item.high or item.name == "gap_rad"

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 from scipy.optimize import minimize_scalar
 
 from bayesbl.config.bench import reference_bench
 
-RECORDINGS = Path(__file__).parents[2] / "configs" / "recordings"
 BENCH = reference_bench()
 
 

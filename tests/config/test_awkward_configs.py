@@ -10,6 +10,7 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.bench import load_bench
@@ -17,7 +18,6 @@ from bayesbl.config.loading import load_config
 from bayesbl.config.simulate import load_simulation
 from bayesbl.errors import UserError
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 BENCH = (CONFIGS / "bench.toml").read_text()
 SWEEP = 'schema = 1\nkind = "sweep"\nbench = "bench.toml"\n[sweep]\n'
 SIMULATE = 'schema = 1\nkind = "simulate"\nbench = "bench.toml"\n[[recordings]]\n'
@@ -49,7 +49,7 @@ REFUSED = {
         "line 4, [[recordings]] 1 file",
         "no such file",
     ),
-    "a recording that is none": (FIT, "bench.toml", "not known as a recording"),
+    "a recording that is none": (FIT, "bench.toml", "cannot be read as recordings"),
     "a name with a slash": (FIT + 'name = "a/b"\n', "line 5", "cannot be a name"),
     "a date that is text": (FIT + 'date = "March"\n', "line 5", "a date"),
     "time mapped in kilometres": (

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from contextlib import suppress
 from datetime import date
 from operator import attrgetter
@@ -12,8 +10,10 @@ from pathlib import Path
 
 import pytest
 import tomli_w
+from fresh_process import loaded_by
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import BEFORE, CONFIGS
 from pydantic import ValidationError
 
 from bayesbl.config.loading import (
@@ -27,8 +27,6 @@ from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.measurement.task import estimator_of
 from bayesbl.recording.channels import ColumnSpec
-
-CONFIGS = Path(__file__).parents[2] / "configs"
 
 COMPARE = """schema = 1
 kind = "compare"
@@ -68,7 +66,7 @@ def test_the_shipped_configurations_load(name: str) -> None:
 
 def test_the_shipped_fit_writes_out_exactly_the_defaults(folder: Path) -> None:
     written = load_config(CONFIGS / "fit_example.toml")
-    bare = config_from_options("fit", [CONFIGS / "recordings" / "wear_before.csv"])
+    bare = config_from_options("fit", [BEFORE])
     assert isinstance(written, FitConfig)
     assert isinstance(bare, FitConfig)
     for section in ("estimator", "posterior", "interval", "curve"):
@@ -519,12 +517,8 @@ def test_recordings_with_the_same_file_name_are_numbered(folder: Path) -> None:
 
 
 def test_importing_the_configuration_loads_no_numerical_library() -> None:
-    code = (
-        "import sys, bayesbl.config.loading;"
-        "print([m for m in ('numpy', 'scipy', 'numba', 'xarray') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    numerical = {"numpy", "scipy", "numba", "xarray"}
+    assert not loaded_by("import bayesbl.config.loading") & numerical
 
 
 KEYS = st.sampled_from(

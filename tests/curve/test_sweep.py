@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
@@ -39,7 +40,6 @@ from bayesbl.runs.run import check
 from bayesbl.runs.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
-EXAMPLES = Path(__file__).parents[2] / "configs" / "recordings"
 TOLERANT = (
     "shaft_stiffness_nm_per_rad",
     "speed_gain_nm_s_per_rad",
@@ -50,9 +50,7 @@ TOLERANT = (
 
 @pytest.fixture(scope="session")
 def nominal() -> SweepRow:
-    return sweep_nominal(
-        reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1), workers=2
-    )
+    return sweep_nominal(reference_bench(), DisturbanceModel(), SETTINGS, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="session")
@@ -131,7 +129,9 @@ def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: Gap
 
 def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve) -> None:
     truths = (6.8539e-4, 9.5394e-4)
-    points = [point(read_recording(EXAMPLES / f"wear_{name}.csv")) for name in ("before", "after")]
+    points = [
+        point(read_recording(RECORDINGS / f"wear_{name}.csv")) for name in ("before", "after")
+    ]
     rng = np.random.default_rng(1)
     ringing = [
         MeasuredRinging(
@@ -396,19 +396,25 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
 ) -> None:
     config = sweep_config(tmp_path, draws=0)
     first = run_sweep(config)
-    (kept,) = (tmp_path / "out" / ".sweep-cache").iterdir()
-    with np.load(kept) as stored:
-        rows = dict(stored)
-    rows["amplitude_rpm"] = rows["amplitude_rpm"] * 2.0
-    np.savez(kept, **rows)
-    stale = run_sweep(config)["sweep"]["amplitude_rpm"].values
-    np.testing.assert_array_equal(stale, 2.0 * first["sweep"]["amplitude_rpm"].values)
+    made: list[str] = []
+
+    def counted(*arguments: object) -> SweepRow:
+        made.append("row")
+        return sweep_nominal(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("bayesbl.runs.sweep.sweep_nominal", counted)
+    run_sweep(config)
+    assert not made
     with monkeypatch.context() as edited:
-        edited.setattr("bayesbl.runs.sweep.code_sha256", lambda: "another code")
+        edited.setattr("bayesbl.results.work.code_sha256", lambda: "another code")
         other = run_sweep(config)
-    np.testing.assert_array_equal(other["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+    assert len(made) == 1
     anew = run_sweep(config, fresh=True)
-    np.testing.assert_array_equal(anew["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
+    assert len(made) == 2
+    for swept in (other, anew):
+        np.testing.assert_array_equal(
+            swept["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"]
+        )
 
 
 def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]

@@ -82,10 +82,10 @@ def test_a_diagnosis_leaves_a_whole_result_in_the_words_of_the_contract(
     assert interval["low"] < 0.5 < interval["high"]
     assert coulomb["probability"] > 0.999
     assert "load_coulomb_friction" in coulomb["indistinguishable_from"]
-    gap = summary["gap"]
-    assert set(gap["recordings"]) == {"a", "b"}
-    assert set(gap["recordings"]["b"][MOTOR_TORQUE]) == {"used", "held_out"}
-    held_out = gap["over_all"]["held_out"]
+    disagreement = summary["disagreement"]
+    assert set(disagreement["recordings"]) == {"a", "b"}
+    assert set(disagreement["recordings"]["b"][MOTOR_TORQUE]) == {"used", "held_out"}
+    held_out = disagreement["over_all"]["held_out"]
     assert held_out["after"] < 0.15 < held_out["before"]
     assert held_out["closed_fraction"] > 0.95
     assert summary["parameter_errors"] == []
@@ -94,7 +94,7 @@ def test_a_diagnosis_leaves_a_whole_result_in_the_words_of_the_contract(
     first = signals.isel(piece=0)
     rest = (first["measured"] - first["after"]).values
     assert np.sqrt(np.nanmean(rest**2)) == pytest.approx(
-        gap["recordings"]["a"][MOTOR_TORQUE]["used"]["after"]
+        disagreement["recordings"]["a"][MOTOR_TORQUE]["used"]["after"]
     )
     drawn = sorted(path.name for path in (folder / "out" / "figures").glob("*.png"))
     assert drawn == ["diagnosis_a.png", "diagnosis_b.png"]
@@ -124,18 +124,18 @@ def test_lost_and_stray_samples_count_nowhere(folder: Path) -> None:
     coulomb = found["motor_coulomb_friction"]["torque_nm"]
     assert coulomb["low"] < 0.5 < coulomb["high"]
     # The noise is 0.1 N m; a bridge of 80 ms alone would leave 0.2.
-    for gap in summary["gap"]["recordings"]["b"][MOTOR_TORQUE].values():
-        assert gap["after"] == pytest.approx(0.1, rel=0.15)
+    for found in summary["disagreement"]["recordings"]["b"][MOTOR_TORQUE].values():
+        assert found["after"] == pytest.approx(0.1, rel=0.15)
 
 
-def test_a_recording_with_more_gaps_than_motion_is_refused(
+def test_a_recording_with_more_lost_than_kept_is_refused(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = np.loadtxt(folder / "b.csv", delimiter=",", skiprows=1)
     spoiled(folder, np.delete(table, np.arange(40, 2000, 40), axis=0))
     assert status(["run", str(folder / "config.toml")]) == 2
     told = " ".join(capsys.readouterr().err.split())
-    assert "Too little is left" in told
+    assert "Too little remains" in told
     assert "b.csv" in told
 
 
@@ -176,7 +176,7 @@ def test_effects_that_the_bench_has_are_not_missing(folder: Path) -> None:
     assert status(["run", str(folder / "config.toml")]) == 0
     summary = json.loads((folder / "out" / "summary.json").read_text())
     assert summary["verdict"] == "nothing_missing"
-    assert summary["gap"]["over_all"]["held_out"]["before"] < 0.15
+    assert summary["disagreement"]["over_all"]["held_out"]["before"] < 0.15
 
 
 def test_current_says_as_much_as_torque_and_speed_as_much_as_position(folder: Path) -> None:

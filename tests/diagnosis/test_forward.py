@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,15 +14,19 @@ from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
 from bayesbl.config.loading import load_config
-from bayesbl.diagnosis.closed_loop import problem as forward
+from bayesbl.diagnosis.closed_loop import method as forward
 from bayesbl.diagnosis.closed_loop.diagnosis import (
-    ForwardDiagnosis,
+    Findings,
     ForwardSettings,
-    diagnose_forward,
+    diagnosis_of,
     estimates,
+    search,
 )
 from bayesbl.diagnosis.closed_loop.motor_orders import order_peaks
-from bayesbl.diagnosis.report import Estimate
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
+from bayesbl.diagnosis.groups import diagnosis_tree
+from bayesbl.diagnosis.summary import summarise_diagnosis
+from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import (
@@ -35,16 +38,13 @@ from bayesbl.matching.signals import (
     observed,
     start_angle_unknown,
 )
-from bayesbl.presentation.diagnosis import located
+from bayesbl.presentation.diagnosis import residuals_in_words
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
-from bayesbl.results.diagnosis import summarise_diagnosis
-from bayesbl.results.forward_diagnosis import forward_tree
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.runs.diagnose import run_diagnose
+from bayesbl.sampling.chains import SamplerSettings
 
-FILE = Path(__file__).parents[2] / "experiments" / "independent_bench.py"
 BENCH = reference_bench()
 BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
 GAP_RAD = 8e-4
@@ -52,16 +52,6 @@ HELD_OUT_RPM = 1600.0
 FRICTION_NM = 15.0
 SURE = 4.0
 """Standard deviations: one estimate in 16,000 is farther off."""
-
-
-@pytest.fixture(scope="module")
-def independent():
-    spec = importlib.util.spec_from_file_location("independent_bench", FILE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
 
 
 def recorded(independent, speeds_rpm, seed, hidden=None, rotations=3.0, **truth) -> list[Recording]:
@@ -91,17 +81,29 @@ def recorded(independent, speeds_rpm, seed, hidden=None, rotations=3.0, **truth)
     return made
 
 
-def diagnosed(recordings, effects, held_out=()) -> ForwardDiagnosis:
+class Found(NamedTuple):
+    """What the search found, and the answer that it makes."""
+
+    findings: Findings
+    answer: Diagnosis
+
+
+def diagnosed(recordings, effects, held_out=()) -> Found:
     used, checked = (
         [observed(r, BENCH, float(r.name.removesuffix(" rpm"))) for r in some]
         for some in (recordings, held_out)
     )
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
-    return diagnose_forward(BENCH, used, checked, unknowns, ForwardSettings(effects))
+    findings = search(BENCH, used, checked, unknowns, ForwardSettings(effects))
+    return Found(findings, diagnosis_of(findings))
 
 
-def names(found: ForwardDiagnosis) -> list[str]:
-    return [effect.name for effect in found.naming.effects]
+def names(found: Found) -> list[str]:
+    return [effect.name for effect in (*found.answer.effects, *found.answer.parameter_errors)]
+
+
+def fitted(found: Found, name: str) -> dict[str, Estimate]:
+    return estimates(found.findings.final, name)
 
 
 def near(estimate: Estimate, truth: float) -> bool:
@@ -109,25 +111,26 @@ def near(estimate: Estimate, truth: float) -> bool:
 
 
 @pytest.fixture(scope="module")
-def friction(independent) -> ForwardDiagnosis:
+def friction(independent) -> Found:
     hidden = {"load_coulomb_friction__torque_nm": FRICTION_NM}
     *used, held_out = recorded(independent, (2000.0, -2000.0, HELD_OUT_RPM), 1, hidden)
     effects = ("motor_coulomb_friction", "load_coulomb_friction", "gear_mesh_friction")
     return diagnosed(used, effects, [held_out])
 
 
-def test_a_hidden_effect_is_named_with_its_size(friction: ForwardDiagnosis) -> None:
-    assert friction.verdict == "named"
+def test_a_hidden_effect_is_named_with_its_size(friction: Found) -> None:
+    assert friction.answer.verdict == "named"
     assert names(friction) == ["load_coulomb_friction"]
-    assert not friction.naming.effects[0].indistinguishable
-    size = estimates(friction.final, "load_coulomb_friction")["torque_nm"]
+    assert not friction.answer.effects[0].indistinguishable_from
+    size = fitted(friction, "load_coulomb_friction")["torque_nm"]
     assert near(size, FRICTION_NM)
     assert size.sd < 0.1 * FRICTION_NM
 
 
-def test_intervals_are_those_of_the_draws_that_are_stored(friction: ForwardDiagnosis) -> None:
-    posterior = sample_direct(friction.final.fit, SamplerSettings(), np.random.SeedSequence(1))
-    tree = forward_tree(friction, posterior, BENCH, "", 0.9, "equal_tailed")
+def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> None:
+    settings = SamplerSettings(ensembles=2)
+    posterior = sample_direct(friction.findings.final.fit, settings, np.random.SeedSequence(1))
+    tree = diagnosis_tree(diagnosis_of(friction.findings, posterior), 0.9, "equal_tailed")
     summary = summarise_diagnosis(tree)
     assert summary["diagnostics"]["outcome"] == "converged"
     for told, draws in (
@@ -140,49 +143,52 @@ def test_intervals_are_those_of_the_draws_that_are_stored(friction: ForwardDiagn
         assert [told["low"], told["high"]] == pytest.approx(np.quantile(draws, [0.05, 0.95]))
     # Where recordings say as much as these, the posterior is nearly normal; 1000 draws scatter by
     # 0.03 sd in the mean and 2.3 % in the sd.
-    laplace, log_gap = friction.delta_after, np.log(tree["posterior"]["delta_rad"])
+    laplace, log_gap = friction.answer.delta_after, np.log(tree["posterior"]["delta_rad"])
     assert laplace is not None
     assert abs(float(log_gap.mean()) - laplace.value) < 0.2 * laplace.sd
     assert float(log_gap.std()) == pytest.approx(laplace.sd, rel=0.1)
 
 
-def test_a_stored_diagnosis_says_where_what_was_left_repeats(
-    friction: ForwardDiagnosis, tmp_path: Path
+def test_a_stored_diagnosis_says_with_what_the_residuals_repeat(
+    friction: Found, tmp_path: Path
 ) -> None:
     posterior = sample_direct(
-        friction.final.fit, SamplerSettings(), np.random.SeedSequence(2), corrected=False
+        friction.findings.final.fit,
+        SamplerSettings(ensembles=2),
+        np.random.SeedSequence(2),
+        corrected=False,
     )
-    augmented = dump_bench(friction.bench)
     path = tmp_path / "result.nc"
-    write_tree(forward_tree(friction, posterior, BENCH, augmented, 0.9, "equal_tailed"), path)
-    before, after = (sentences for _, sentences in located(read_tree(path)))
+    tree = diagnosis_tree(diagnosis_of(friction.findings, posterior), 0.9, "equal_tailed")
+    write_tree(tree, path)
+    before, after = (sentences for _, sentences in residuals_in_words(read_tree(path)))
     assert any(s.startswith("Motor current: ") and "with the load angle" in s for s in before)
     assert after[0].startswith("Nothing repeats")
 
 
-def test_naming_what_was_missing_rights_the_gap(friction: ForwardDiagnosis) -> None:
-    before, after = friction.delta_before, friction.delta_after
+def test_naming_what_was_missing_rights_the_gap(friction: Found) -> None:
+    before, after = friction.answer.delta_before, friction.answer.delta_after
     assert before is not None
     assert after is not None
     assert not near(before, math.log(GAP_RAD))
     assert near(after, math.log(GAP_RAD))
 
 
-def test_the_gap_closes_on_what_was_not_fitted(friction: ForwardDiagnosis) -> None:
-    closed = {gap.use: gap.closed_fraction for gap in friction.overall}
-    assert closed["used"] > 0.95
-    assert closed["held_out"] > 0.9
-    held_out = [gap for gap in friction.gaps if gap.use == "held_out"]
-    assert {gap.channel for gap in held_out} == {MOTOR_SPEED, MOTOR_CURRENT}
-    assert all(gap.after < gap.before for gap in held_out)
+def test_the_disagreement_closes_on_what_was_not_fitted(friction: Found) -> None:
+    table = friction.answer.disagreement
+    assert table.overall["used"].closed_fraction > 0.95
+    assert table.overall["held_out"].closed_fraction > 0.9
+    held_out = {piece.channel: piece for piece in table.pieces if piece.use == "held_out"}
+    assert set(held_out) == {MOTOR_SPEED, MOTOR_CURRENT}
+    assert all(found.after < found.before for found in held_out.values())
 
 
 def test_the_augmented_bench_is_a_bench_file_that_simulates(
-    friction: ForwardDiagnosis, tmp_path: Path
+    friction: Found, tmp_path: Path
 ) -> None:
-    assert friction.bench is not None
+    assert friction.answer.augmented_bench is not None
     file = tmp_path / "bench.toml"
-    file.write_text(dump_bench(friction.bench))
+    file.write_text(dump_bench(friction.answer.augmented_bench))
     bench = load_bench(file)
     assert [effect.name for effect in bench.effects] == ["load_coulomb_friction"]
     with_it = bench.simulate_many(GAP_RAD, rotations=1.0)
@@ -195,11 +201,11 @@ def test_where_nothing_is_missing_nothing_is_named(independent) -> None:
         recorded(independent, (2000.0, -1200.0), 2),
         ("motor_coulomb_friction", "load_coulomb_friction", "current_loop_lag"),
     )
-    assert found.verdict == "nothing_missing"
-    assert not found.naming.effects
-    assert not found.remaining
-    assert found.bench is None
-    assert near(found.delta_after, math.log(GAP_RAD))
+    assert found.answer.verdict == "nothing_missing"
+    assert not names(found)
+    assert not found.answer.remaining
+    assert found.answer.augmented_bench is None
+    assert near(found.answer.delta_after, math.log(GAP_RAD))
 
 
 def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
@@ -208,12 +214,13 @@ def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
         recorded(independent, (2000.0, -1200.0), 3, shaft_stiffness_nm_per_rad=true),
         ("load_coulomb_friction", "stiffness_hardening", "current_loop_lag"),
     )
-    assert found.verdict == "parameter_error"
+    assert found.answer.verdict == "parameter_error"
     assert names(found) == ["shaft_stiffness_nm_per_rad"]
-    fitted = estimates(found.final, "shaft_stiffness_nm_per_rad")
-    assert near(fitted["shaft_stiffness_nm_per_rad"], true)
-    assert found.bench is not None
-    assert found.bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
+    (error,) = found.answer.parameter_errors
+    assert near(error.fitted, true)
+    bench = found.answer.augmented_bench
+    assert bench is not None
+    assert bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
 
 
 def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
@@ -222,10 +229,10 @@ def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
         recorded(independent, (2000.0, -1200.0), 6, hidden, gap_rad=2.7e-3),
         ("shaft_hysteresis",),
     )
-    assert abs(found.delta_before.value - math.log(2.7e-3)) > 1.0
+    assert abs(found.answer.delta_before.value - math.log(2.7e-3)) > 1.0
     assert names(found) == ["shaft_hysteresis"]
-    assert near(estimates(found.final, "shaft_hysteresis")["torque_nm"], 40.0)
-    assert near(found.delta_after, math.log(2.7e-3))
+    assert near(fitted(found, "shaft_hysteresis")["torque_nm"], 40.0)
+    assert near(found.answer.delta_after, math.log(2.7e-3))
 
 
 def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(independent) -> None:
@@ -239,8 +246,8 @@ def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(in
     )
     assert sorted(names(found)) == ["load_coulomb_friction", "motor_coulomb_friction"]
     for name, size in (("motor_coulomb_friction", 0.2), ("load_coulomb_friction", FRICTION_NM)):
-        assert near(estimates(found.final, name)["torque_nm"], size)
-    assert near(found.delta_after, math.log(2.7e-3))
+        assert near(fitted(found, name)["torque_nm"], size)
+    assert near(found.answer.delta_after, math.log(2.7e-3))
 
 
 def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> None:
@@ -254,9 +261,9 @@ def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> 
         recorded(independent, (2000.0, -1200.0), 8, hidden),
         ("load_torque_offset", "motor_torque_ripple"),
     )
-    assert 6.0 not in [round(p.order) for p in order_peaks(found.naming.nominal.fit)]
+    assert 6.0 not in [round(p.order) for p in order_peaks(found.findings.naming.nominal.fit)]
     assert sorted(names(found)) == ["load_torque_offset", "motor_torque_ripple"]
-    ripple = estimates(found.final, "motor_torque_ripple")
+    ripple = fitted(found, "motor_torque_ripple")
     assert ripple["order"].value == 6.0
     assert near(ripple["torque_nm"], 0.05)
 
@@ -266,10 +273,10 @@ def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None
         recorded(independent, (2000.0, -1200.0), 4, {"outside__belt_torque_nm": 0.2}),
         ("motor_coulomb_friction", "load_coulomb_friction", "motor_torque_ripple"),
     )
-    assert found.verdict == "unexplained"
-    assert not found.naming.effects
-    assert found.bench is None
-    orders = [e.lowest_order for e in found.remaining if e.dependence == "motor angle"]
+    assert found.answer.verdict == "unexplained"
+    assert not names(found)
+    assert found.answer.augmented_bench is None
+    orders = [e.lowest_order for e in found.answer.remaining if e.dependence == "motor angle"]
     assert any(abs(order - 1.0 / 1.37) < 0.02 for order in orders)
 
 
@@ -278,10 +285,10 @@ def test_a_torque_in_time_is_no_wrong_parameter(independent) -> None:
         recorded(independent, (2000.0, -2000.0, 1200.0), 8, {"outside__time_torque_nm": 0.3}),
         (),
     )
-    assert found.verdict == "unexplained"
-    assert not found.naming.effects
-    assert found.bench is None
-    assert any(abs(e.frequency_hz - 7.3) < 0.05 for e in found.remaining)
+    assert found.answer.verdict == "unexplained"
+    assert not names(found)
+    assert found.answer.augmented_bench is None
+    assert any(abs(e.frequency_hz - 7.3) < 0.05 for e in found.answer.remaining)
 
 
 def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
@@ -290,11 +297,12 @@ def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
         recorded(independent, (2000.0,), 5, {"motor_coulomb_friction__torque_nm": 0.2}),
         (*sorted(alike), "load_coulomb_friction"),
     )
-    assert found.verdict == "named"
-    assert set(found.naming.effects[0].members) >= alike
-    assert found.suggestion is not None
-    assert found.suggestion.reference_speed_rpm < 0.0
-    assert found.suggestion.distance > 5.0
+    assert found.answer.verdict == "named"
+    (effect,) = found.answer.effects
+    assert {effect.name, *effect.indistinguishable_from} >= alike
+    assert found.answer.suggestion is not None
+    assert found.answer.suggestion.reference_speed_rpm < 0.0
+    assert found.answer.suggestion.distance > 5.0
 
 
 @pytest.mark.parametrize("turns", [0, 1, -1])
@@ -320,8 +328,7 @@ def explained(seen: Observed, bench: Bench) -> float:
     return fit.chi_square / fit.residual.size
 
 
-@pytest.mark.parametrize("start", [0.5, 1.6, 4.7])
-@pytest.mark.parametrize("lost", [0, 20])
+@pytest.mark.parametrize(("start", "lost"), [(0.5, 0), (1.6, 20), (4.7, 0), (4.7, 20)])
 def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
     independent, tmp_path: Path, start: float, lost: int
 ) -> None:
@@ -342,7 +349,7 @@ def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
     (tmp_path / "config.toml").write_text(CONFIG.replace('method = "forward"', known))
     config = load_config(tmp_path / "config.toml", kind="diagnose")
     recording = read_recording(file, name="forward")
-    used, held_out, _, notes = forward.forward_problem(config, bench, [recording])
+    used, held_out, _, notes = forward.forward_problem(Task(config, bench, (recording,)))
     assert len(notes) == (3 if lost else 0)
     assert all("left out of the fit" in note for note in notes)
     # 13,000 residuals scatter by 1.2 %; a half without a phase of its own leaves 5 or more.

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from places import CONFIGS, RECORDINGS
 
 from bayesbl.cli import status
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-MEASURED = Path(os.environ.get("BAYESBL_MEASURED", CONFIGS / "recordings" / "measured"))
+MEASURED = Path(os.environ.get("BAYESBL_MEASURED", RECORDINGS / "measured"))
 
 
 def run(name: str, folder: Path, *changes: tuple[str, str]) -> dict[str, Any]:
@@ -45,8 +45,8 @@ def named(summary: dict[str, Any]) -> list[str]:
     return [effect["name"] for effect in summary["effects"]]
 
 
-def gap(summary: dict[str, Any], use: str) -> dict[str, float]:
-    found: dict[str, float] = summary["gap"]["over_all"][use]
+def disagreement(summary: dict[str, Any], use: str) -> dict[str, float]:
+    found: dict[str, float] = summary["disagreement"]["over_all"][use]
     return found
 
 
@@ -58,8 +58,8 @@ def test_kuka_axis_lacks_coulomb_and_viscous_friction_then_a_ripple(tmp_path: Pa
     assert ripple["order"]["median"] == pytest.approx(8.0, abs=0.01)
     assert ripple["torque_nm"]["median"] == pytest.approx(0.5, abs=0.1)
     assert not any("stribeck" in a for e in summary["effects"] for a in e["indistinguishable_from"])
-    assert gap(summary, "held_out")["before"] > 2.7
-    assert gap(summary, "held_out")["after"] < 0.78
+    assert disagreement(summary, "held_out")["before"] > 2.7
+    assert disagreement(summary, "held_out")["after"] < 0.78
 
 
 def test_kuka_axis_with_both_frictions_in_its_bench_is_within_085_on_the_third_recording(
@@ -75,7 +75,7 @@ def test_kuka_axis_with_both_frictions_in_its_bench_is_within_085_on_the_third_r
     (tmp_path / "bench_kuka_axis1.toml").write_text(bench)
     second = run("diagnose_kuka_axis1", tmp_path)
     assert named(second) == ["motor_torque_ripple"]
-    assert gap(second, "held_out")["before"] < 0.85
+    assert disagreement(second, "held_out")["before"] < 0.85
 
 
 def test_kuka_encoders_differ_by_a_skew_and_not_by_backlash(tmp_path: Path) -> None:
@@ -84,14 +84,14 @@ def test_kuka_encoders_differ_by_a_skew_and_not_by_backlash(tmp_path: Path) -> N
     (effect,) = summary["effects"]
     assert effect["parameters"]["position_s"]["median"] == pytest.approx(-3e-3, abs=2e-4)
     assert effect["indistinguishable_from"] == []
-    assert gap(summary, "held_out")["closed_fraction"] > 0.98
+    assert disagreement(summary, "held_out")["closed_fraction"] > 0.98
 
 
 def test_pendulum_is_stopped_by_both_frictions(tmp_path: Path) -> None:
     summary = run("diagnose_pendulum", tmp_path)
     assert set(named(summary)) == {"motor_coulomb_friction", "motor_viscous_friction"}
-    assert gap(summary, "used")["after"] < 0.015
-    assert gap(summary, "held_out")["after"] < 0.045
+    assert disagreement(summary, "used")["after"] < 0.015
+    assert disagreement(summary, "held_out")["after"] < 0.045
 
 
 def test_cogging_is_named_as_torque_ripple(tmp_path: Path) -> None:
@@ -100,4 +100,4 @@ def test_cogging_is_named_as_torque_ripple(tmp_path: Path) -> None:
     ripple = summary["effects"][0]["parameters"]
     assert ripple["order"]["median"] == pytest.approx(7.0, abs=0.1)
     for use in ("used", "held_out"):
-        assert gap(summary, use)["after"] < 0.5 * gap(summary, use)["before"]
+        assert disagreement(summary, use)["after"] < 0.5 * disagreement(summary, use)["before"]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from places import ROOT
 
 from bayesbl.config.loading import load_config
 from bayesbl.runs.study import prepare
 from bayesbl.runs.study_file import load_study
 
-ROOT = Path(__file__).parents[2]
 SMALL = {"name": "small", "cases": 1, "rotations": 2.5, "sampling_hz": 500.0}
 
 

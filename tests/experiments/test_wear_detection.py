@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from places import ROOT
 from scipy.stats import norm
 
 from bayesbl.config.loading import load_config
@@ -16,8 +16,6 @@ from bayesbl.results.store import write_tree
 from bayesbl.runs.study import prepare
 from bayesbl.runs.study_file import load_study
 from bayesbl.runs.sweep import run_sweep
-
-ROOT = Path(__file__).parents[2]
 
 SWEEP = f"""
 schema = 1

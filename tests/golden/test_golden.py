@@ -13,7 +13,7 @@ scientist would defend can be held:
 * named effects, verdicts and kinds of noise exactly;
 * nothing of diagnostics, probabilities, study cases and single draws.
 
-Each run is made once in a session (under xdist once in each worker that needs it).
+Each run is made once.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from typing import Any
 
 import pytest
 from golden_runs import GOLDEN_FILE, REPOSITORY, RUNS, SECTIONS, Workshop, origin_of_machine
+from quick import without_figures
 
 import bayesbl
 
@@ -40,11 +41,12 @@ SDS_IN_INTERVAL = 3.29
 """Width of a normal 90 % interval in standard deviations; narrower levels are held closer."""
 
 
-@pytest.fixture(scope="session")
-def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
     """Where runs are made, each once."""
     assert Path(bayesbl.__file__).resolve().parents[1] == REPOSITORY
-    return Workshop(tmp_path_factory.mktemp("golden"))
+    with without_figures():
+        yield Workshop(tmp_path_factory.mktemp("golden"))
 
 
 def test_every_run_is_kept() -> None:

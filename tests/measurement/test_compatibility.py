@@ -22,9 +22,9 @@ GEAR_RATIO = BENCH.value("gear_ratio")
 GAP_RAD = 1.2e-3
 
 
-def recorded(folder: Path, speed_rpm: float, rotations: float = 3.0) -> Path:
+def recorded(folder: Path, speed_rpm: float) -> Path:
     made = BENCH.with_parameters(reference_speed_rpm=speed_rpm).simulate(
-        GAP_RAD, rotations=rotations, start_angle_rad=0.4
+        GAP_RAD, rotations=3.0, sampling_hz=500.0, start_angle_rad=0.4
     )
     noise = np.random.default_rng(1).normal(0.0, 0.5, made.samples)
     columns = {"time_s": made.time_s, MOTOR_SPEED: made.motor_speed_rpm + noise}
@@ -56,7 +56,9 @@ def test_snapshots_of_different_speeds_are_not_compared(tmp_path: Path, capsys) 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(tmp_path: Path, capsys) -> None:
+def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(
+    tmp_path: Path, no_figures, capsys
+) -> None:
     file, out = recorded(tmp_path, 1200.0), tmp_path / "out"
     assert status(["fit", str(file), "--out", str(out)]) == 3
     assert json.loads((out / "summary.json").read_text())["delta_rad"] is None
@@ -64,8 +66,8 @@ def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(tmp_path: Path, ca
         assert word in said(capsys) or word in (out / "summary.json").read_text()
 
 
-def test_a_gear_ratio_that_is_not_the_rotations_is_told(tmp_path: Path, capsys) -> None:
-    file = recorded(tmp_path, 2000.0, rotations=5.0)
+def test_a_gear_ratio_that_is_not_the_rotations_is_told(tmp_path: Path, no_figures, capsys) -> None:
+    file = recorded(tmp_path, 2000.0)
     right, wrong = tmp_path / "right", tmp_path / "wrong"
     assert status(["fit", str(file), "--gear-ratio", f"{GEAR_RATIO}", "--out", str(right)]) == 0
     capsys.readouterr()

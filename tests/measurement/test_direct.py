@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
 from scipy.stats import chi2, kstest, truncnorm
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
@@ -36,9 +36,8 @@ from bayesbl.matching.signals import (
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
-from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SETTINGS = SamplerSettings(ensembles=2)
 FRICTION = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0, 0.4)})
 
@@ -121,8 +120,8 @@ def test_the_posterior_is_that_of_full_simulations_on_a_grid():
 def test_without_correction_the_surrogate_alone_agrees_with_full_simulation():
     known = bench(tolerances=True)
     fit = fitted(known, record(known, 8e-4, 4))
-    full = log_gap(sample_direct(fit, SamplerSettings(), np.random.SeedSequence(1)))
-    fast = sample_direct(fit, SamplerSettings(), np.random.SeedSequence(2), corrected=False)
+    full = log_gap(sample_direct(fit, SETTINGS, np.random.SeedSequence(1)))
+    fast = sample_direct(fit, SETTINGS, np.random.SeedSequence(2), corrected=False)
     assert math.isnan(fast.effective)
     # Two sets of 1000 draws: means differ by 0.045 sd; four times that.
     assert log_gap(fast).mean() == pytest.approx(full.mean(), abs=0.18 * full.std())

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
+from quick import two_ensembles
 
 from bayesbl import cli
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
@@ -17,7 +19,6 @@ from bayesbl.results.store import read_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.runs.declared_groups import declared_groups
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
 FRICTION = """
 [[effects]]
@@ -58,6 +59,7 @@ def fit(folder) -> Path:
     """A fit with everything, figures included."""
     file = written(folder, load_bench(KNOWN), 8e-4, 1, "one")
     options = ["--route", "direct", "--bench", KNOWN, "--limit-rad", 1e-3]
+    options += ["--config", two_ensembles(folder, "fit")]
     assert run("fit", file, *options, "--out", folder / "fit") == 0
     return folder / "fit"
 
@@ -72,7 +74,7 @@ def compared(folder) -> Path:
         written(folder, true, 9e-4, 3, "after", current=False),
     ]
     options = ["--route", "direct", "--bench", TOLERANCES, "--out", folder / "compare"]
-    assert run("compare", *files, *options) == 0
+    assert run("compare", *files, *options, "--config", two_ensembles(folder, "compare")) == 0
     return folder / "compare"
 
 
@@ -157,11 +159,12 @@ def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
     assert low < 1e-4 < high
 
 
-def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
+def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures, capsys):
     effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
     file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
-    options = ["--route", "direct", "--bench", KNOWN, "--out", folder / "refused"]
-    assert run("fit", file, *options) == cli.WITHHELD
+    options = ["--route", "direct", "--config", two_ensembles(folder, "fit")]
+    refused = ["--bench", KNOWN, "--out", folder / "refused"]
+    assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")
     assert found["delta_rad"] is None
     assert "motor_current_a of friction" in found["reason"]
@@ -171,8 +174,8 @@ def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, capsys):
 
     completed = folder / "completed.toml"
     completed.write_text(KNOWN.read_text() + FRICTION)
-    options = ["--route", "direct", "--bench", completed, "--out", folder / "answered"]
-    assert run("fit", file, *options) == 0
+    answered = ["--bench", completed, "--out", folder / "answered"]
+    assert run("fit", file, *options, *answered) == 0
     found = summary(folder / "answered")
     sd = found["posterior_sd"]["delta_rad"]
     # Fails by chance in 1 of 10 000.

@@ -26,10 +26,11 @@ from bayesbl.measurement.wear import (
     straightness,
     wear,
 )
-from bayesbl.presentation.figures import wear as wear_figure
 from bayesbl.presentation.figures.style import save
 from bayesbl.presentation.figures.wear import line_band, reached
-from bayesbl.presentation.wear import print_wear
+from bayesbl.presentation.figures.wear import wear as wear_figure
+from bayesbl.presentation.terminal import print_blocks
+from bayesbl.presentation.wear import blocks
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -375,7 +376,7 @@ def compared(
 
 def told(found, count):
     console = Console(file=io.StringIO(), width=80, highlight=False, markup=False)
-    print_wear({"wear": found, "snapshots": [None] * count}, console)
+    print_blocks(blocks({"wear": found, "snapshots": [None] * count}), console)
     return " ".join(console.file.getvalue().split())
 
 
@@ -440,14 +441,14 @@ def test_the_answer_is_told_with_what_few_snapshots_cannot_tell(tmp_path):
     text = told(two, 2)
     assert f"does not reach the limit of 1.2 mrad before {two['limit_not_before']}" in text
     assert "by 2026-01-01" in text
-    assert "Two snapshots cannot tell whether wear is steady" in text
+    assert "Two snapshots cannot show whether wear is steady" in text
     _, three = compared(tmp_path, START + RATE * np.arange(3), [0, 365, 731])
     assert "cannot tell irregular wear" in told(three, 3)
     assert "limit" not in told(three, 3)
     _, five = compared(tmp_path, START + RATE * np.arange(5), [0, 365, 731, 1096, 1461])
     assert "irregular wear" in told(five, 5)
     assert "cannot tell" not in told(five, 5)
-    assert "repaired before s0" in told(five, 6)
+    assert 'repaired before "s0"' in told(five, 6)
 
 
 @pytest.mark.parametrize("count", [3, 5])
@@ -462,8 +463,8 @@ def test_gaps_off_a_line_are_told_where_the_date_stands(count, tmp_path):
     assert bent["line"]["snapshot"] == "s1"
     text = told(bent, count)
     assert re.search(r"\(s1 lies 0\.\d+ mrad above that of the others, \d+\.\d standard", text)
-    assert ("not to be relied on" in text) == (count == 3)
-    assert ("allow for wear that is irregular" in text) == (count == 5)
+    assert ("do not rely on" in text) == (count == 3)
+    assert ("allow for irregular wear" in text) == (count == 5)
 
 
 def test_a_passed_limit_and_one_far_ahead_are_told_so(tmp_path):

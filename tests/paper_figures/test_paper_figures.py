@@ -14,7 +14,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
-from paper_results import FROM_TABLES, GOLDEN, ROOT, SAMPLED, described, make
+from paper_results import FROM_TABLES, GOLDEN, SAMPLED, described, make
+from places import EXPERIMENTS, ROOT
 
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.presentation.figures.calibration import draw_calibration
@@ -23,7 +24,7 @@ from bayesbl.presentation.figures.style import publication_style
 from bayesbl.sampling.calibration_table import calibration_line
 
 SCRIPTS = ROOT / "paper_figures"
-TABLES = ROOT / "experiments/results"
+TABLES = EXPERIMENTS / "results"
 sys.path.insert(0, str(SCRIPTS))
 common = importlib.import_module("common")
 make_all = importlib.import_module("make_all")
@@ -101,7 +102,7 @@ def tolerance(figure: str, path: str, golden: dict, values: np.ndarray) -> float
 def test_the_arrays_of_a_figure_are_those_of_its_golden(shown, name):
     goldens = json.loads(GOLDEN.read_text(encoding="utf-8"))[name]
     found = described(shown[name])
-    assert set(found) == set(goldens), "python tests/paper_results.py makes goldens anew"
+    assert set(found) == set(goldens), "python tests/support/paper_results.py makes goldens anew"
     for path, golden in goldens.items():
         assert found[path]["units"] == golden["units"], path
         old, new = (np.array(part["values"], dtype=float) for part in (golden, found[path]))

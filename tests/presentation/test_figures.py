@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
+from added_module import added_module
 
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
@@ -16,29 +17,24 @@ from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored_curve import curve_from_dataset
-from bayesbl.presentation.figures import (
-    bench_draws,
-    convergence,
-    corner,
-    curve,
-    degrees,
-    disturbance,
-    draw_all,
-    gap,
-    misfit,
-    noise,
-    signal,
-    trace,
-)
-from bayesbl.presentation.figures.bench_draws import standardised_slopes
-from bayesbl.presentation.figures.corner import enclosing_levels
-from bayesbl.presentation.figures.curve import departures_from_curve, source_bands
-from bayesbl.presentation.figures.degrees import departure_of_degree
+from bayesbl.presentation import figures
+from bayesbl.presentation.figures.bench_draws import bench_draws, standardised_slopes
+from bayesbl.presentation.figures.convergence import convergence
+from bayesbl.presentation.figures.corner import corner, enclosing_levels
+from bayesbl.presentation.figures.curve import curve, departures_from_curve, source_bands
+from bayesbl.presentation.figures.degrees import degrees, departure_of_degree
 from bayesbl.presentation.figures.direct_gap import direct_gap
-from bayesbl.presentation.figures.named import named
+from bayesbl.presentation.figures.disturbance import disturbance
+from bayesbl.presentation.figures.draw import caption, draw_all, figures_of
+from bayesbl.presentation.figures.gap import gap
+from bayesbl.presentation.figures.misfit import misfit
+from bayesbl.presentation.figures.named_effects import named_effects
+from bayesbl.presentation.figures.noise import noise
 from bayesbl.presentation.figures.scales import scale_of
+from bayesbl.presentation.figures.signal import signal
 from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import look, publication_style, save
+from bayesbl.presentation.figures.trace import trace
 from bayesbl.presentation.figures.traces import envelope
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
@@ -282,6 +278,35 @@ def test_every_figure_is_there_as_pdf_and_png(drawn):
     assert all(path.stat().st_size < 500_000 for path in drawn.values())
 
 
+A_FIGURE = """
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
+from bayesbl.presentation.figures.style import new_figure
+
+
+@stored_figure("How long each recording is.", 999, holding("observed_data/time_s"))
+def durations(tree):
+    figure = new_figure(3.0, 2.0)
+    figure.add_subplot().plot(tree["observed_data"]["time_s"].max("sample"))
+    return figure
+"""
+
+
+def test_a_file_in_the_folder_of_figures_is_a_figure(tree, tmp_path, monkeypatch):
+    module = tmp_path / "modules" / "durations.py"
+    module.parent.mkdir()
+    module.write_text(A_FIGURE)
+    with added_module(figures, module):
+        assert [figure.name for figure in figures_of(tree)][-1] == "durations"
+        assert caption("durations", figures_of(tree)) == "How long each recording is."
+        only = [figure for figure in figures_of(tree) if figure.name == "durations"]
+        monkeypatch.setattr("bayesbl.presentation.figures.draw.figures_of", lambda _: only)
+        (pdf, png) = draw_all(tree, tmp_path / "figures")
+    assert {pdf.name, png.name} == {"durations.pdf", "durations.png"}
+    assert pdf.stat().st_size > 1000
+    monkeypatch.undo()
+    assert "durations" not in [figure.name for figure in figures_of(tree)]
+
+
 def test_pdf_text_is_embedded_truetype_without_a_date(drawn):
     for name, path in drawn.items():
         if name.endswith(".pdf"):
@@ -298,9 +323,9 @@ def test_a_users_settings_of_matplotlib_change_nothing_and_stay(tree):
     assert figure.axes[0].xaxis.label.get_size() == 7.0
 
 
-def test_a_result_of_another_kind_is_refused(tree, tmp_path):
-    other = tree.copy()
-    other.attrs = {**tree.attrs, "kind": "study"}
+def test_a_result_that_no_figure_shows_is_refused(tmp_path):
+    other = xr.DataTree()
+    other.attrs = {"kind": "study"}
     with pytest.raises(ResultError, match="study"):
         draw_all(other, tmp_path)
 
@@ -544,14 +569,14 @@ def named_result(believed_rad):
 
 
 def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
-    near, far = named(named_result(8e-4)), named(named_result(2e-4))
+    near, far = named_effects(named_result(8e-4)), named_effects(named_result(2e-4))
     for figure in (near, far):
         shown = texts(figure)
         assert re.search(r"\(a\)  0\.80\d* mrad \(", shown)
         assert re.search(r"\(b\)  16\.0\d* N m \(", shown)
         assert "90 % HDI" in shown
         assert beyond(figure) == []
-    assert "before: the bench as believed" in texts(near)
+    assert "before: as in the bench file" in texts(near)
     assert "← before" in texts(far)
 
 

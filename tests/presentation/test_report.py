@@ -22,12 +22,12 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.routes import measure
-from bayesbl.presentation import words
-from bayesbl.presentation.console import error, print_result, print_summary
+from bayesbl.presentation import answer, estimates, words
+from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
 from bayesbl.presentation.progress import progress
-from bayesbl.presentation.study import print_study
-from bayesbl.presentation.terminal import filled
+from bayesbl.presentation.study import study_table
+from bayesbl.presentation.terminal import error, filled, print_table, wrapped
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
 from bayesbl.units import number, quantity_and_unit
@@ -172,8 +172,8 @@ def test_a_reason_of_several_snapshots_is_told_once_and_a_note_is_no_reason():
 
 
 def test_a_gap_that_shrank_without_dates_asks_for_order_and_repair():
-    assert words.SHRANK in flat(printed(comparison(-2.8e-4, -2.1e-4, 0.0)))
-    assert words.SHRANK not in flat(printed(comparison(-1e-4, 2e-4, 0.5)))
+    assert answer.SHRANK in flat(printed(comparison(-2.8e-4, -2.1e-4, 0.0)))
+    assert answer.SHRANK not in flat(printed(comparison(-1e-4, 2e-4, 0.5)))
 
 
 def test_an_interval_tells_its_kind():
@@ -245,7 +245,7 @@ def test_a_pipe_gets_no_colour_codes_and_a_terminal_does():
 
 def test_numbers_stay_with_their_signs_and_units():
     for width in range(20, 60):
-        lines = words.wrapped("probability that it grew: > 99.9 %; by 0.25 mrad", width).split("\n")
+        lines = wrapped("probability that it grew: > 99.9 %; by 0.25 mrad", width).split("\n")
         assert all(len(line) <= width for line in lines)
         assert any("> 99.9 %" in line for line in lines)
         assert any("0.25 mrad" in line for line in lines)
@@ -313,26 +313,27 @@ def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
         assert ("fixed" in row) == symbol.name.startswith("window")
     for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
         assert told in text
-    assert text.startswith(words.headline(_summary(stored)).split(" (")[0])
+    assert text.startswith(answer.headline(_summary(stored)).split(" (")[0])
 
 
 def test_noise_is_told_with_its_evidence():
     found = part()
-    assert words.noise(found) == (
+    assert estimates.noise(found) == (
         "AR(1), standard deviation 1.51 rpm, coefficients 0.600 (log evidence for Student-t: −10)"
     )
-    assert list(words.outliers({"kind": "fit", **found})) == []
+    assert list(answer.outliers({"kind": "fit", **found})) == []
     found["noise"] |= {
         "kind": "student_t",
         "degrees_of_freedom": 3.0,
         "student_t_evidence": 3021.4,
         "repeating_rounding_sd_rpm": 5.98,
     }
-    assert "Student-t with 3 degrees of freedom (log evidence for Student-t: 3021)" in words.noise(
-        found
+    assert (
+        "Student-t with 3 degrees of freedom (log evidence for Student-t: 3021)"
+        in estimates.noise(found)
     )
-    assert words.noise(found).endswith("and rounding of 5.98 rpm that repeats every rotation")
-    (sentence,) = words.outliers({"kind": "fit", **found})
+    assert estimates.noise(found).endswith("and rounding of 5.98 rpm that repeats every rotation")
+    (sentence,) = answer.outliers({"kind": "fit", **found})
     assert "3 degrees of freedom (log evidence against normal noise: 3021)" in sentence
 
 
@@ -435,14 +436,15 @@ def test_significant_digits_are_kept_whatever_the_size():
 
 def diagnosis(*closed):
     """The summary of a diagnosis by several channels with these shares of disagreement removed."""
-    gap = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "rpm"}
-    uses = [{"used": {**gap, "closed_fraction": share}} for share in closed]
+    row = {"before": 2.0, "after": 1.0, "noise_floor": 1.0, "unit": "rpm"}
+    uses = [{"used": {**row, "closed_fraction": share}} for share in closed]
     return {
         "kind": "diagnose",
         "verdict": "nothing_missing",
+        "outcome": "done",
         "effects": [],
         "parameter_errors": [],
-        "gap": {
+        "disagreement": {
             "unit": None,
             "recordings": {f"r{i}": {"motor_speed_rpm": use} for i, use in enumerate(uses)},
             "over_all": {},
@@ -479,7 +481,7 @@ ROWS = [dict(zip(COLUMNS, VALUES, strict=True)), {"name": "[b]", "pairs": 12}]
 
 def study(width):
     target = console(width=width)
-    print_study(ROWS, COLUMNS, target)
+    print_table(study_table(ROWS, COLUMNS), target)
     return target.file.getvalue()
 
 

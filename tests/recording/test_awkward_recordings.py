@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import BEFORE
 from recording_files import write_csv, write_mat5, write_netcdf, write_parquet
 
 from bayesbl import cli
@@ -16,7 +17,6 @@ from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 
-EXAMPLE = Path(__file__).parents[2] / "configs" / "recordings" / "wear_before.csv"
 SAMPLES = 8280  # 2.3 rotations
 TIME, SPEED, POSITION, CURRENT = (
     "time_s",
@@ -30,8 +30,8 @@ RPM = 30.0 / np.pi
 
 @cache
 def _whole() -> Table:
-    names = EXAMPLE.open().readline().strip().split(",")
-    return dict(zip(names, np.loadtxt(EXAMPLE, delimiter=",", skiprows=1).T, strict=True))
+    names = BEFORE.open().readline().strip().split(",")
+    return dict(zip(names, np.loadtxt(BEFORE, delimiter=",", skiprows=1).T, strict=True))
 
 
 def plain(first: int = 0, samples: int = SAMPLES) -> Table:
@@ -73,7 +73,7 @@ def dates(table: Table) -> list[str]:
 
 @pytest.fixture(scope="module")
 def reference() -> PointEstimate:
-    return fitted(read_recording(EXAMPLE), slice(0, SAMPLES))
+    return fitted(read_recording(BEFORE), slice(0, SAMPLES))
 
 
 def fitted(recording: Any, part: slice | None = None) -> PointEstimate:
@@ -374,7 +374,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         ),
         "near 5 s",
         "rpm from 0 to 5 s",
-        "a recording for each speed",
+        "one recording per speed",
     ),
     "a machine that starts up": (
         lambda p: write_csv(
@@ -382,7 +382,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         ),
         "motor_speed_rpm from 0 to",
         "rpm for most of the recording",
-        "cut the file",
+        "split the file",
     ),
     "a speed that goes to and fro": (
         lambda p: write_csv(
@@ -390,7 +390,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         ),
         "motor_speed_rpm near",
         "rpm from 0 to",
-        "cut the file",
+        "split the file",
     ),
     "a speed that drifts": (
         lambda p: write_csv(
@@ -412,7 +412,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
                 motor_speed_rpm=0.1 * np.random.default_rng(1).standard_normal(SAMPLES),
             ),
         ),
-        "The motor stands still",
+        "The motor does not turn",
         "rpm in means over 0.25 s",
         "is the speed in rpm?",
     ),

@@ -5,22 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import BEFORE, RECORDINGS
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording import checks, clipping
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import FloatArray, Recording
 
-FOLDER = Path(__file__).parents[2] / "configs" / "recordings"
-
 
 @pytest.fixture(scope="module")
 def example() -> Recording:
-    return read_recording(FOLDER / "wear_before.csv")
+    return read_recording(BEFORE)
 
 
 def with_speed(recording: Recording, speed: FloatArray) -> Recording:
@@ -34,7 +32,7 @@ def part(recording: Recording, keep: slice | FloatArray) -> Recording:
 
 @pytest.mark.parametrize("name", ["wear_before", "wear_after"])
 def test_the_example_recordings_pass_every_check(name: str) -> None:
-    checks.ready_for_fit(read_recording(FOLDER / f"{name}.csv"), gear_ratio=120.0)
+    checks.ready_for_fit(read_recording(RECORDINGS / f"{name}.csv"), gear_ratio=120.0)
 
 
 def test_the_examples_hold_five_rotations_by_position_and_by_speed(example: Recording) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from added_module import added_module
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_files import write_csv, write_mat5, write_mat73, write_netcdf, write_parquet
 
 from bayesbl.errors import RecordingError, UserError
+from bayesbl.recording import formats
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 
@@ -234,3 +237,35 @@ def test_no_numbers_in_any_format_end_in_a_traceback(
         recording = read_recording(path)
         assert np.all(np.diff(recording.time_s) > 0)
         assert np.all(np.isfinite(recording.motor_speed_rpm))
+
+
+A_FORMAT = """
+import json
+
+import numpy as np
+
+from bayesbl.recording.array_table import ArrayTable
+from bayesbl.recording.formats import Format
+
+
+def read_json(file, data):
+    return ArrayTable(str(file), {n: np.array(v) for n, v in json.loads(data).items()})
+
+
+FORMAT = Format("JSON", (".json",), read_json)
+"""
+
+
+def test_a_file_in_the_folder_of_formats_is_a_format(tmp_path: Path) -> None:
+    module = tmp_path / "modules" / "json_columns.py"
+    module.parent.mkdir()
+    module.write_text(A_FORMAT)
+    path = tmp_path / "joint.json"
+    path.write_text(json.dumps({name: list(values) for name, values in PLAIN.items()}))
+    with pytest.raises(RecordingError, match="cannot be read as recordings"):
+        read_recording(path)
+    with added_module(formats, module):
+        recording = read_recording(path)
+        assert "JSON" in formats.names()
+    np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
+    assert ".json" not in formats.formats()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import BEFORE
 
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 
-EXAMPLE = Path(__file__).parents[2] / "configs" / "recordings" / "wear_before.csv"
 TIME = np.arange(40) * 0.001
 SPEED = 2000.0 + np.sin(TIME * 300.0)
 
@@ -41,7 +41,7 @@ def write(folder: Path, content: str | bytes, name: str = "recording.csv") -> Pa
 
 
 def test_the_example_recording_is_read_whole() -> None:
-    recording = read_recording(EXAMPLE)
+    recording = read_recording(BEFORE)
     assert recording.name == "wear_before"
     assert recording.samples == 18001
     assert set(recording.channels) == {
@@ -50,7 +50,7 @@ def test_the_example_recording_is_read_whole() -> None:
         "motor_current_a",
     }
     assert recording.source is not None
-    assert recording.source.sha256 == hashlib.sha256(EXAMPLE.read_bytes()).hexdigest()
+    assert recording.source.sha256 == hashlib.sha256(BEFORE.read_bytes()).hexdigest()
 
 
 @pytest.mark.parametrize(
@@ -153,22 +153,22 @@ BAD_FILES = {
         "header",
         '"tims_s", "motor_speed_rpm"',
     ),
-    "no channel": (csv_text("time_s,b"), "name that is known", "header", '"time_s", "b"'),
+    "no channel": (csv_text("time_s,b"), "known name", "header", '"time_s", "b"'),
     "text among numbers": (
         lines_with(17, "0.0150,fast"),
-        "Text stands",
+        "There is text",
         'line 17, column "motor_speed_rpm"',
         "'fast'",
     ),
     "units below the header": (
         lines_with(2, "s,rpm"),
-        "Text stands",
+        "There is text",
         'line 2, column "time_s"',
         "'s'",
     ),
     "thousands with underscores": (
         lines_with(3, "0.001,2_000"),
-        "Text stands",
+        "There is text",
         'line 3, column "motor_speed_rpm"',
         "'2_000'",
     ),
@@ -195,7 +195,7 @@ BAD_FILES = {
     "cut in mid-line": (lines_with(41, "0.03"), "one cell for each", "line 41", "1 cells"),
     "NaN everywhere": (
         "time_s,motor_speed_rpm\n" + "".join(f"{t:.3f},nan\n" for t in TIME),
-        "not hold a single number",
+        "holds no number",
         'column "motor_speed_rpm"',
         "all 40 samples",
     ),
@@ -205,9 +205,9 @@ BAD_FILES = {
         'line 12, column "time_s"',
         "0.0085 after 0.009",
     ),
-    "time stands still": (
+    "time does not advance": (
         lines_with(12, "0.009,2000"),
-        "Time stands still",
+        "Time does not advance",
         "line 12",
         "0.009 after 0.009",
     ),
@@ -249,7 +249,7 @@ def test_a_missing_file_a_folder_and_an_unknown_suffix_are_refused(tmp_path: Pat
     for path, problem in (
         (tmp_path / "none.csv", "no such file"),
         (tmp_path, "a folder"),
-        (write(tmp_path, "x", "notes.docx"), "not known as a recording"),
+        (write(tmp_path, "x", "notes.docx"), "cannot be read as recordings"),
     ):
         with pytest.raises(RecordingError, match=problem) as caught:
             read_recording(path)

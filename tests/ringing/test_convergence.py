@@ -7,78 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from synthetic_ringing import NOISE, STRONG, ambiguous, clean
 
 from bayesbl import cli
-from bayesbl.noise.process import NoiseModel
-from bayesbl.presentation.figures import signal
-from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.presentation.figures.signal import signal
+from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.ringing.model import model_speed
-from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import exchanged
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
     FREQUENCY,
-    MEAN,
-    ROTATION,
-    SEPARATION,
-    START,
-    WINDOW_END,
-    WINDOW_START,
     DisturbanceModel,
 )
 from bayesbl.ringing.synthetic import synthetic_recording
+from bayesbl.sampling.chains import SamplerSettings
 
-TRUTH = {
-    AMPLITUDE: 30.0,
-    START: 1.3,
-    DECAY: 12.0,
-    FREQUENCY: 62.0,
-    MEAN: 2000.0,
-    WINDOW_START: 0.0,
-    WINDOW_END: 0.204,
-    SEPARATION: 1.7,
-    ROTATION: 3.6,
-}
-NOISE = NoiseModel(1.5)
 SHORT = SamplerSettings(ensembles=2, max_steps=500)
-
-
-def clean(seed: int = 1) -> Recording:
-    return synthetic_recording(TRUTH, NOISE, np.random.default_rng(seed), baseline_rpm=(5.0, -3.0))
-
-
-def ambiguous() -> Recording:
-    """Two trains of pulses on one another, mixed so that either alone explains them as well.
-
-    The second has its pulses exchanged, half a ringing later, and decays faster: with it goes
-    another amplitude.
-    """
-    measured, model = clean(), DisturbanceModel()
-    first = np.array([TRUTH[name] for name in model.searched])
-    other = TRUTH | dict(zip(model.searched, exchanged(model, first)[1], strict=True))
-    other[DECAY] = 18.0
-    second = np.array([other[name] for name in model.searched])
-    pulses = [model_speed(measured.time_s, symbols, [5.0, -3.0]) for symbols in (TRUTH, other)]
-    noise = NoiseModel(4.0).draw(measured.time_s.size, np.random.default_rng(2))
-
-    def mixed(share: float) -> FloatArray:
-        return np.asarray((1.0 - share) * pulses[0] + share * pulses[1] + noise)
-
-    def excess(share: float) -> float:
-        objective = Objective(model, measured.time_s, mixed(share))
-        ends = np.array([refine(objective, point) for point in (first, second)])
-        sse = objective.sum_of_squares(ends)
-        return float(sse[0] - sse[1])
-
-    share = float(brentq(excess, 0.3, 0.9, xtol=1e-5))
-    return Recording("ambiguous", measured.time_s, {MOTOR_SPEED: mixed(share)})
 
 
 @pytest.fixture(scope="module")
@@ -106,9 +53,7 @@ def withheld(
     return str(summary["reason"])
 
 
-@pytest.fixture(autouse=True)
-def _no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesbl.library.draw", lambda tree, folder: [])
+pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(
@@ -136,7 +81,7 @@ def test_ringing_lost_in_noise_is_the_first_reason_and_its_band_can_be_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     silent = synthetic_recording(
-        TRUTH | {AMPLITUDE: 0.0}, NOISE, np.random.default_rng(1), baseline_rpm=(5.0, -3.0)
+        STRONG | {AMPLITUDE: 0.0}, NOISE, np.random.default_rng(1), baseline_rpm=(5.0, -3.0)
     )
     reason = withheld(silent, tmp_path, capsys, "[posterior]\nensembles = 2\nmax_steps = 500\n")
     assert reason.startswith("The impact ringing is too weak")

@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from synthetic_ringing import TRUTH
 
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.noise.autoregression import autocorrelation, innovation_share
 from bayesbl.noise.process import NO_NOISE, NoiseModel
-from bayesbl.noise.rotation_noise import Noise, autocorrelation, estimate_noise, innovation_share
+from bayesbl.noise.rotation_noise import Noise, estimate_noise
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing import optimum as optimum_module
 from bayesbl.ringing.covariance import Covariance, covariance
@@ -26,7 +28,7 @@ from bayesbl.ringing.misfit import repeating_misfit
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum, local_search, table_2_box
-from bayesbl.ringing.posterior import SamplerSettings, sample_posterior
+from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -43,6 +45,7 @@ from bayesbl.ringing.symbols import (
 )
 from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 from bayesbl.ringing.waveform import pulse_train
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import (
     Contender,
     Diagnostics,
@@ -51,17 +54,6 @@ from bayesbl.sampling.convergence import (
     rank_r_hat_and_ess,
 )
 
-TRUTH = {
-    AMPLITUDE: 20.0,
-    START: 1.3,
-    DECAY: 12.0,
-    FREQUENCY: 62.0,
-    MEAN: 2000.0,
-    WINDOW_START: 0.0,
-    WINDOW_END: 0.204,
-    SEPARATION: 1.7,
-    ROTATION: 3.6,
-}
 BASELINE_RPM = (5.0, -3.0)
 WHITE = NoiseModel(1.5)
 SLOW = NoiseModel(1.5, (0.9,))

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from places import BEFORE, CONFIGS, RECORDINGS
+from quick import two_ensembles
+from synthetic_ringing import TRUTH
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
@@ -30,27 +33,13 @@ from bayesbl.ringing.symbols import (
     ROTATION,
     SEPARATION,
     START,
-    WINDOW_END,
-    WINDOW_START,
     DisturbanceModel,
 )
 from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.runs.run import check, run
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 NOISE = NoiseModel(1.5, (0.6,))
-TRUTH = {
-    AMPLITUDE: 20.0,
-    START: 1.3,
-    DECAY: 12.0,
-    FREQUENCY: 62.0,
-    MEAN: 2000.0,
-    WINDOW_START: 0.0,
-    WINDOW_END: 0.204,
-    SEPARATION: 1.7,
-    ROTATION: 3.6,
-}
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)
 
 
@@ -177,17 +166,24 @@ def test_a_fall_back_gives_what_the_full_search_gives() -> None:
 
 # From result to result
 
+SHORT, THINNED = 9001, 2
+"""9 s of an example at 500 Hz: two rotations and a half."""
+
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict[str, Any], str]]:
-    """Runs over the example recordings without figures: summary, and what was said."""
+    """Runs over short example recordings without figures: summary, and what was said."""
     folder = tmp_path_factory.mktemp("warm")
+    for name in ("before", "after"):
+        lines = (RECORDINGS / f"wear_{name}.csv").read_text().splitlines(keepends=True)
+        (folder / f"wear_{name}.csv").write_text(lines[0] + "".join(lines[1:SHORT:THINNED]))
 
     def run_one(kind: str, names: list[str], out: str, **options: Any) -> tuple[Any, str]:
         said: list[str] = []
-        files = [CONFIGS / "recordings" / f"wear_{name}.csv" for name in names]
+        files = [folder / f"wear_{name}.csv" for name in names]
         options = {k: folder / v if k == "start_from" else v for k, v in options.items()}
-        config = config_from_options(kind, files, out=folder / out, **options)
+        short = two_ensembles(folder, kind)
+        config = config_from_options(kind, files, short, out=folder / out, **options)
         return run(config, lambda tree, place: None, say=said.append), " ".join(said)
 
     run_one("compare", ["before", "after"], "old")
@@ -222,7 +218,7 @@ kind = "fit"
 [run]
 output = "out"
 [[recordings]]
-file = "{CONFIGS / "recordings" / "wear_before.csv"}"
+file = "{BEFORE}"
 [estimator.search]
 start_from = "result.nc"
 """
@@ -233,6 +229,4 @@ start_from = "result.nc"
 
 def test_a_result_that_is_not_there_is_refused_by_its_option(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--start-from: There is no such file"):
-        config_from_options(
-            "fit", [CONFIGS / "recordings" / "wear_before.csv"], start_from=tmp_path
-        )
+        config_from_options("fit", [BEFORE], start_from=tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.loading import load_config
@@ -16,7 +17,9 @@ from bayesbl.results.store import read_tree
 from bayesbl.runs import cluster as clusters
 from bayesbl.runs.cases import Job
 from bayesbl.runs.cluster import Common
-from bayesbl.runs.study import prepare, run_study
+from bayesbl.runs.study import prepare
+from bayesbl.runs.study import run as run_study
+from bayesbl.runs.workflow import Options
 
 STUDY = """
 import os
@@ -93,7 +96,7 @@ def configure(folder: Path, output: str, run: str, row: str = "") -> Path:
 def run(config: Path) -> list[str]:
     """Run a study; what was said meanwhile."""
     said: list[str] = []
-    run_study(load_config(config), say=said.append)
+    run_study(load_config(config), Options(say=said.append))
     return said
 
 
@@ -141,7 +144,7 @@ def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folde
         address = cluster.scheduler_address
         config = configure(folder, "kept", f'scheduler = "{address}"', "sleep = 0.2")
         with pytest.raises(ClusterError, match="scheduler was lost"):
-            run_study(load_config(config), say=list, progress=lambda *_: cluster.close())
+            run_study(load_config(config), Options(say=list, progress=lambda *_: cluster.close()))
     before = finished(folder)
     assert 0 < before < 12
     run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))
@@ -166,9 +169,8 @@ def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
 
 
 def finished(folder: Path) -> int:
-    """Cases that the study ``kept`` has stored."""
-    files = (folder / ".kept.cases").glob("*.jsonl")
-    return sum(len(file.read_bytes().splitlines()) - 1 for file in files)
+    """Cases that the study ``kept`` has stored, beside the definitions of its two rows."""
+    return len(list((folder / ".kept.unfinished").iterdir())) - 2
 
 
 def test_a_worker_with_other_code_or_files_is_refused_before_anything_runs(
@@ -203,7 +205,7 @@ def test_a_worker_that_joins_later_is_asked_too(folder, monkeypatch):
             cluster.scale(1)
 
         with pytest.raises(ClusterError, match=r"tcp://.*set OMP_NUM_THREADS=1"):
-            run_study(config, say=say)
+            run_study(config, Options(say=say))
     assert said == [f"{config.run.scheduler} has no workers yet; 12 cases wait for them."]
 
 
@@ -264,7 +266,7 @@ def test_an_address_that_cannot_be_one_is_refused(folder, address, capsys):
 
 
 def test_only_studies_take_a_scheduler(capsys):
-    config = Path(__file__).parents[2] / "configs/wear_snapshots.toml"
+    config = CONFIGS / "wear_snapshots.toml"
     arguments = ["run", str(config), "--scheduler", "tcp://127.0.0.1:1"]
     assert cli.status(arguments) == cli.WRONG
     assert "Only studies run on a cluster." in capsys.readouterr().err

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import AFTER, BEFORE
 from recording_files import write_csv, write_netcdf
 
 from bayesbl import cli
@@ -15,9 +16,6 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_recording, read_table
-
-RECORDINGS = Path(__file__).parents[2] / "configs" / "recordings"
-BEFORE, AFTER = RECORDINGS / "wear_before.csv", RECORDINGS / "wear_after.csv"
 
 SPEED = {"rpm": 1.0, "rad/s": math.pi / 30.0, "deg/s": 6.0}
 ANGLE = {"rad": 1.0, "deg": 180.0 / math.pi, "rev": 0.5 / math.pi}
@@ -133,9 +131,9 @@ def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("first", "third", "told"),
     [
-        ("2000.5", "OVL", 'line 4, column "speed": Text stands in a column of numbers.'),
-        ("rpm", "2000.5", "Found: 's'. Expected: a number; a row of units is to be deleted"),
-        ("", "", 'column "speed": This column does not hold a series of numbers. Found: 1 finite'),
+        ("2000.5", "OVL", 'line 4, column "speed": There is text in a column of numbers.'),
+        ("rpm", "2000.5", "Found: 's'. Expected: a number; delete a row of units"),
+        ("", "", 'column "speed": This column is not a series of numbers. Found: 1 finite'),
     ],
 )
 def test_a_recording_that_holds_no_numbers_gets_no_configuration(
@@ -164,7 +162,7 @@ def test_what_cannot_run_is_not_told_to_run(measured, tmp_path, capsys):
     path = write_csv(tmp_path / "slow.csv", values)
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
     printed = capsys.readouterr()
-    assert "It cannot run as it is; what stands against it:" in printed.out
+    assert "It cannot run yet:" in printed.out
     assert "bayesbl run" not in printed.out
     assert "sampling rate" in printed.err
 

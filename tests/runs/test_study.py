@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +13,12 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.results.store import read_tree
-from bayesbl.runs.study import run_study
+from bayesbl.runs.study import run as run_study
 from bayesbl.runs.study_file import load_study, seed_of_case
+from bayesbl.runs.workflow import Options
 
 STUDY = '''"""The mean of normal draws."""
 
-import os
 import time
 
 import numpy as np
@@ -48,7 +44,6 @@ def count(row):
 
 def run_case(row, index, seed):
     """One mean."""
-    time.sleep(float(os.environ.get("STUDY_SLEEP", "0")))
     if index == row.refuse:
         raise UserError("This case is refused.")
     draws = np.random.default_rng(seed).standard_normal((50, row.draws))
@@ -59,6 +54,7 @@ def summarise(row, cases):
     return {"mean_rpm": float(cases["mean_rpm"].mean()), "draws": row.draws}
 '''
 
+RECORDING = Path(__file__).parents[2] / "configs" / "recordings" / "wear_before.csv"
 ROWS = {"few, AR(1)": "draws = 3", "many": "draws = 30"}
 
 
@@ -82,7 +78,7 @@ def configure(folder: Path, rows=ROWS, *, output="out", seed=1, workers=2) -> Pa
 def run(config: Path, **options) -> tuple[dict, list[str]]:
     """The summary of a study that was run, and what was said meanwhile."""
     said: list[str] = []
-    return run_study(load_config(config), say=said.append, **options), said
+    return run_study(load_config(config), Options(say=said.append, **options)), said
 
 
 def means(output: Path) -> dict[str, list[float]]:
@@ -154,45 +150,14 @@ def test_a_case_that_is_refused_is_counted_and_its_reason_kept(folder):
     assert "mean_rpm" not in summary["rows"][2]
 
 
-def test_a_study_that_was_killed_goes_on_to_the_same_numbers(folder, monkeypatch):
-    rows = {"few, AR(1)": "draws = 3\ncases = 30"}
-    run(configure(folder, rows, output="whole"))
-    monkeypatch.setenv("STUDY_SLEEP", "0.1")
-    config = configure(folder, rows, output="killed")
-    process = subprocess.Popen([sys.executable, "-m", "bayesbl", "run", config])
-    deadline = time.monotonic() + 30.0
-    while cases_stored(folder) < 4 and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    time.sleep(0.3)  # workers notice that their parent is gone
-    stored = cases_stored(folder)
-    assert 4 <= stored < 30
-    assert not (folder / "killed").exists()
-    [file] = (folder / ".killed.cases").glob("*.jsonl")
-    file.write_bytes(file.read_bytes() + b'{"index": 29, "val')  # cut in the middle of a line
-
-    monkeypatch.setenv("STUDY_SLEEP", "0")
-    _, said = run(config)
-    assert said == [f'Row "few, AR(1)" goes on after {stored} of 30 cases.']
-    assert means(folder / "killed") == means(folder / "whole")
-    assert not (folder / ".killed.cases").exists()
-
-
-def cases_stored(folder: Path) -> int:
-    """Cases in the store of the study ``killed``."""
-    files = folder.glob(".killed.cases/*.jsonl")
-    return sum(max(file.read_bytes().count(b"\n") - 1, 0) for file in files)
-
-
-def test_a_row_defined_otherwise_is_run_again_and_said_so(folder, monkeypatch):
+def test_a_row_defined_differently_is_run_again_and_said_so(folder, monkeypatch):
     config = configure(folder)
     interrupt_before_the_result(config, monkeypatch)
     configure(folder, ROWS | {"many": "draws = 20"})
     _, said = run(config)
     assert said == [
         'Row "few, AR(1)" goes on after 6 of 6 cases.',
-        'Row "many" is defined otherwise than before: its cases are run again.',
+        'Row "many" is defined differently than before: its cases are run again.',
     ]
     fresh = configure(folder, ROWS | {"many": "draws = 20"}, output="fresh")
     run(fresh)
@@ -221,7 +186,7 @@ def test_a_finished_study_is_added_to_but_none_of_its_rows_is_lost(folder):
     with pytest.raises(ResultError, match='"many" not asked for'):
         run(config)
     configure(folder, ROWS | {"many": "draws = 20"})
-    with pytest.raises(ResultError, match='"many" defined otherwise'):
+    with pytest.raises(ResultError, match='"many" defined differently'):
         run(config)
     assert means(folder / "out") == kept
 
@@ -270,14 +235,18 @@ def test_a_bug_in_a_case_names_it_and_keeps_the_others(folder, capsys):
     config = configure(folder, {"a": "draws = 3\nrefuse = 5"}, workers=1)
     assert cli.status(["run", str(config)]) == cli.FAILED
     assert 'In case 5 of row "a".' in capsys.readouterr().err
-    [file] = (folder / ".out.cases").glob("*.jsonl")
-    assert file.read_bytes().count(b"\n") == 6
+    entries = list((folder / ".out.unfinished").iterdir())
+    assert len(entries) == 1 + 5  # the row's definition, and the other cases
 
 
-def test_a_study_runs_and_is_inspected_on_the_command_line(folder, capsys):
+def drawing(folder: Path) -> str:
+    """The configuration of a study that has a figure; its file leaves a mark when it is run."""
+    mark = folder / "mark"
     (folder / "study.py").write_text(
-        STUDY
-        + """
+        f"""{STUDY}
+
+open({str(mark)!r}, "w").close()
+
 
 def figure(table, cases):
     from matplotlib.figure import Figure
@@ -287,16 +256,52 @@ def figure(table, cases):
     return figure
 """
     )
-    config = str(configure(folder))
+    return str(configure(folder))
+
+
+def test_a_study_runs_and_is_inspected_on_the_command_line(folder, capsys):
+    config = drawing(folder)
     assert cli.status(["check", config]) == 0
     assert '"many" 6 cases' in capsys.readouterr().out
     assert cli.status(["run", config]) == 0
     assert "few, AR(1)" in capsys.readouterr().out
     assert cli.status(["inspect", str(folder / "out")]) == 0
     assert "mean_rpm" in capsys.readouterr().out
-    assert cli.status(["figures", str(folder / "out")]) == 0
     assert {p.name for p in (folder / "out" / "figures").iterdir()} == {"study.pdf", "study.png"}
-    capsys.readouterr()
     assert cli.status(["run", config, "--json", "--out", str(folder / "b")]) == 0
     assert json.loads(capsys.readouterr().out)["kind"] == "study"
     assert cli.status(["run", config]) == cli.WRONG
+
+
+def test_a_stored_result_never_runs_the_file_that_it_names(folder, capsys):
+    output, mark, figures = folder / "out", folder / "mark", folder / "out" / "figures"
+    run(Path(drawing(folder)))
+    drawn = {path: path.read_bytes() for path in figures.iterdir()}
+
+    def printed(*arguments) -> tuple[int, str]:
+        mark.unlink(missing_ok=True)
+        status = cli.status([str(argument) for argument in arguments])
+        return status, " ".join("".join(capsys.readouterr()).split())
+
+    for command in ("figures", "report", "inspect"):
+        printed(command, output)
+        assert not mark.exists()
+    for option in ("--curve", "--start-from"):
+        printed("fit", RECORDING, option, output, "--out", folder / "fit")
+        assert not mark.exists()
+    assert {path: path.read_bytes() for path in figures.iterdir()} == drawn
+    assert "<img" in (output / "report.html").read_text()
+
+    for path in drawn:
+        path.unlink()
+    status, told = printed("figures", output)
+    assert status == cli.WRONG
+    assert "--study FILE" in told
+    status, told = printed("report", output)
+    assert status == 0
+    assert f"bayesbl figures {output} --study FILE" in told
+    assert not mark.exists()
+    status, _ = printed("figures", output, "--study", folder / "study.py")
+    assert status == 0
+    assert mark.exists()  # the user has named the file
+    assert {path.name for path in figures.iterdir()} == {"study.pdf", "study.png"}

@@ -2,7 +2,7 @@
 
 Goldens are made anew, after a change that is meant to move them, by
 
-    python tests/paper_results.py
+    python tests/support/paper_results.py
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import sys
 import tempfile
 from contextlib import chdir
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import xarray as xr
+from places import ROOT
+from quick import without_figures
 
-ROOT = Path(__file__).parents[2]
 GOLDEN = Path(__file__).with_name("golden_paper_figures.json")
 POINTS = 13
 """Of an array along each dimension that a golden keeps: first, last, and evenly between."""
@@ -54,7 +54,7 @@ def make(folder: Path) -> Path:
             assert text.count(old) == 1, f"{path.name} no longer says {old}"
             text = text.replace(old, new)
         path.write_text(text, encoding="utf-8")
-    with chdir(folder), patch("bayesbl.presentation.figures.draw_all", lambda tree, folder: []):
+    with chdir(folder), without_figures():
         for made in RESULTS.values():
             for config in made.configs:
                 assert cli.status(["run", config]) == 0, config

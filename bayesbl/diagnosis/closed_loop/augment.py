@@ -17,7 +17,7 @@ def augmented_bench(explanation: Explanation) -> Bench:
 
     A corrected parameter gets the fit's standard deviation as the standard deviation of a uniform
     tolerance. The phase of a periodic effect belongs to a recording, not to the bench: the first
-    recording's stands in the bench, ``simulate`` shifts it with the start.
+    recording's is in the bench, ``simulate`` shifts it with the start.
     """
     fit = explanation.fit
     bench = fit.model.bench

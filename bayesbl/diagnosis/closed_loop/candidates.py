@@ -10,35 +10,25 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECTS, Effect, EffectParameter, effect_named
+from bayesbl.bench.effect_declaration import (
+    PHASE,
+    Amplitude,
+    Effect,
+    EffectParameter,
+    Role,
+    Shape,
+)
+from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
-from bayesbl.matching.signals import Observed, Unknown
+from bayesbl.matching.signals import GAP, Observed, Unknown
 from bayesbl.recording.types import FloatArray
 
 Kind = Literal["effect", "parameter"]
 
-BENCH_PARAMETERS = (
-    "motor_inertia_kg_m2",
-    "load_inertia_kg_m2",
-    "shaft_stiffness_nm_per_rad",
-    "shaft_damping_nm_s_per_rad",
-    "gravity_torque_nm",
-    "torque_constant_nm_per_a",
-    "speed_gain_nm_s_per_rad",
-    "integral_gain_nm_per_rad",
-)
-"""Parameters whose wrong values are a class of explanations of their own.
-
-See docs/design.md, "What recordings cannot tell apart".
-"""
-
 PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
 
-SHORTEST_LAG_S = 2e-4
-"""Shorter ones are not sought: they hardly show and cost the simulator tiny steps."""
-
-_PERIODIC = ("motor_torque_ripple", "gear_transmission_error", "encoder_eccentricity")
 _SCANNED_SHARES = (0.0, 0.03, 0.1, 0.3)
 
 
@@ -110,37 +100,34 @@ def candidates(
     for effect in EFFECTS:
         if effect.name in present or not (effects == "all" or effect.name in effects):
             continue
-        if effect.name == "backlash" and gap_is_unknown:
+        if effect.replaces == GAP and gap_is_unknown:
             continue
-        if effect.name == "gravity_phase" and not load_angle_known:
+        if "load_angle" in effect.depends_on and not load_angle_known:
             continue
-        if effect.name in _PERIODIC:
+        if effect.enters == "measurement" and any(len(seen.signals) < 2 for seen in recordings):
+            continue
+        if effect.is_periodic:
             found += _periodic(effect, recordings, peaks, motor_angle_known)
-        elif effect.name == "channel_time_skew":
-            if all(len(seen.signals) > 1 for seen in recordings):
-                found.append(_skew(effect))
         else:
             found.append(_plain(effect))
-    found += [_parameter(bench, name) for name in BENCH_PARAMETERS if name not in declared]
+    found += [_parameter(bench, name) for name in CORRECTABLE_PARAMETERS if name not in declared]
     return found
 
 
 def _plain(effect: Effect) -> Candidate:
-    unknowns = tuple(
-        _unknown(effect, p, SHORTEST_LAG_S if p.name == "time_s" else p.low, p.high)
-        for p in effect.parameters
-    )
-    neutral = np.array([p.neutral for p in effect.parameters])
+    sought = [p for p in effect.parameters if effect.sought_alone in (None, p.name)]
+    unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
+    neutral = np.array([p.neutral for p in sought])
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
-        main = effect.parameters[0]
+        main = effect.amplitudes[0]
         grid = main.high * np.array(_SCANNED_SHARES)
         scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
-    shape = [i for i, p in enumerate(effect.parameters) if p.shape_only]
+    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape)]
     if shape:
         i = shape[0]
-        middle = np.geomspace(effect.parameters[i].low, effect.parameters[i].high, 7)[2:6]
+        middle = np.geomspace(sought[i].low, sought[i].high, 7)[2:6]
         starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
         if scanned:
             scanned[i] = middle
@@ -149,11 +136,11 @@ def _plain(effect: Effect) -> Candidate:
     )
 
 
-def _skew(effect: Effect) -> Candidate:
-    """The current against the speed; both together are a start angle in disguise."""
-    parameter = next(p for p in effect.parameters if p.name == "current_s")
-    unknown = _unknown(effect, parameter, parameter.low, parameter.high)
-    return Candidate(effect.name, "effect", (unknown,), np.zeros(1), effect=_neutral_effect(effect))
+def _lowest(parameter: EffectParameter) -> float:
+    """Lower end of the range that a search uses."""
+    if isinstance(parameter, Amplitude) and parameter.sought_from is not None:
+        return parameter.sought_from
+    return parameter.low
 
 
 def _periodic(
@@ -163,15 +150,14 @@ def _periodic(
     motor_angle_known: bool,
 ) -> list[Candidate]:
     """One candidate per whole order seen: what turns with the motor repeats with it."""
-    amplitude = next(p for p in effect.parameters if not p.shape_only)
-    has_order = any(p.name == "order" for p in effect.parameters)
+    (amplitude,) = effect.amplitudes
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
     found = []
     for peak in peaks:
-        if peak.order != round(peak.order) or (not has_order and peak.order != 1.0):
+        if peak.order != round(peak.order) or (not effect.has_order and peak.order != 1.0):
             continue
         unknowns = [_unknown(effect, amplitude, 0.0, amplitude.high)]
-        unknowns += [Unknown(f"{effect.name}__phase_rad", recording=owner) for owner in owners]
+        unknowns += [Unknown(f"{effect.name}__{PHASE}", recording=owner) for owner in owners]
         at_peak = _neutral_effect(effect, order=peak.order)
         neutral = np.zeros(len(unknowns))
         found.append(Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak))
@@ -216,12 +202,27 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
 
 def is_periodic(candidate: Candidate) -> bool:
     """Whether the candidate repeats with the motor angle, its phases to be found first."""
-    return candidate.name in _PERIODIC
+    return candidate.effect is not None and effect_named(candidate.name).is_periodic
 
 
 def quadrant_phases(candidate: Candidate) -> list[int]:
     """Places of the phases among the candidate's unknowns."""
-    return [i for i, u in enumerate(candidate.unknowns) if u.name.endswith("__phase_rad")]
+    return _places(candidate, "phase")
+
+
+def amplitude_places(candidate: Candidate) -> list[int]:
+    """Places of the unknowns that change something at the neutral point."""
+    if candidate.effect is None:
+        return list(range(len(candidate.unknowns)))
+    return _places(candidate, "amplitude")
+
+
+def _places(candidate: Candidate, role: Role) -> list[int]:
+    if candidate.effect is None:
+        return []
+    effect = effect_named(candidate.name)
+    roles = {f"{effect.name}__{p.name}": p.role for p in effect.parameters}
+    return [i for i, u in enumerate(candidate.unknowns) if roles[u.name] == role]
 
 
 def wrapped(phase_rad: float) -> float:

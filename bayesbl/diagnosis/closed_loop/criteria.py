@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from bayesbl.diagnosis.closed_loop.explain import Explanation
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import Disagreement, agrees
 from bayesbl.recording.types import FloatArray
-
-Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 
 ENOUGH_CLOSED = 0.95
 ENOUGH_CLOSED_BY_PARAMETERS = 0.99
@@ -26,7 +23,7 @@ GROSS = 1.05
 """χ² per sample that counts as far off."""
 
 BEYOND_CHANCE = 2.0
-"""Standard deviations of noise that what is left is lessened by before it speaks against a name."""
+"""Standard deviations of noise subtracted from the remainder before it speaks against a name."""
 
 CHANCE_LOSS = 6.6
 """χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
@@ -37,14 +34,14 @@ def is_gross(explanation: Explanation) -> bool:
     return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
 
 
-def verdict_on(
+def explains(
     nominal: Explanation,
     final: Explanation,
     before: Sequence[Disagreement],
     remaining: Sequence[Disagreement],
     false_alarm: float,
-) -> Verdict:
-    """What may be said of the best explanation found.
+) -> bool:
+    """Whether the best explanation found removes enough of what repeats.
 
     Parameters
     ----------
@@ -53,14 +50,10 @@ def verdict_on(
     false_alarm
         Probability of finding that something repeats where nothing does.
     """
-    if not final.candidates:
-        return "nothing_missing" if agrees(list(before), false_alarm) else "unexplained"
-    if not agrees(list(remaining), false_alarm):
-        known = _squares(nominal.fit.deviations) - _squares(final.fit.deviations)
-        if _leaves(before, remaining, known) > 1.0 - enough_closed(final):
-            return "unexplained"
-    effects = any(c.kind == "effect" for c in final.candidates)
-    return "named" if effects else "parameter_error"
+    if agrees(list(remaining), false_alarm):
+        return True
+    known = _squares(nominal.fit.deviations) - _squares(final.fit.deviations)
+    return _remaining_share(before, remaining, known) <= 1.0 - enough_closed(final)
 
 
 def enough_closed(explanation: Explanation) -> float:
@@ -69,8 +62,10 @@ def enough_closed(explanation: Explanation) -> float:
     return ENOUGH_CLOSED if effects else ENOUGH_CLOSED_BY_PARAMETERS
 
 
-def _leaves(before: Sequence[Disagreement], after: Sequence[Disagreement], known: float) -> float:
-    """Share of the χ² that repeats beyond noise which surely is left, over mean and widest band.
+def _remaining_share(
+    before: Sequence[Disagreement], after: Sequence[Disagreement], known: float
+) -> float:
+    """Share of the χ² that repeats beyond noise which surely remains, over mean and widest band.
 
     ``known`` is what the prior gained besides, as of a known start angle.
     """
@@ -110,15 +105,10 @@ def consistency(base: SimulatedFit, more: SimulatedFit) -> float:
 def gains_per_rotation(base: SimulatedFit, more: SimulatedFit) -> list[FloatArray]:
     """Drop of χ² in each whole rotation, a vector for each recording."""
     gains = []
-    begin = 0
-    for seen, noise in zip(base.model.recordings, base.model.noise, strict=True):
-        n = seen.samples - noise.order
-        size = len(seen.signals) * n
-        part = slice(begin, begin + size)
-        begin += size
-        change = base.residual[part] ** 2 - more.residual[part] ** 2
-        rows = change.reshape(len(seen.signals), n).sum(axis=0)
-        whole = n // seen.lag
+    parts = base.model.by_recording(base.residual**2 - more.residual**2)
+    for seen, change in zip(base.model.recordings, parts, strict=True):
+        rows = change.sum(axis=0)
+        whole = rows.size // seen.lag
         gains.append(rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1))
     return gains
 

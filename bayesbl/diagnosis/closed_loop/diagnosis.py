@@ -1,32 +1,44 @@
-"""The whole answer of a forward comparison: located, named, added, shown."""
+"""Everything that a forward comparison finds, and the answer that it makes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.diagnosis.closed_loop.candidates import candidates
-from bayesbl.diagnosis.closed_loop.criteria import Verdict, enough_closed
-from bayesbl.diagnosis.closed_loop.evaluate import (
-    ChannelGap,
-    Compared,
-    channel_gaps,
-    compared,
-    whitened_gaps,
-)
+from bayesbl.diagnosis.closed_loop.criteria import enough_closed
 from bayesbl.diagnosis.closed_loop.explain import Explanation, with_noise
-from bayesbl.diagnosis.closed_loop.naming import Naming, Progress, name_missing
-from bayesbl.diagnosis.closed_loop.suggest import Suggestion, suggested_recording
-from bayesbl.diagnosis.report import Estimate
-from bayesbl.diagnosis.residuals.locate import Located, locate
+from bayesbl.diagnosis.closed_loop.naming import (
+    NamedCandidate,
+    Naming,
+    Progress,
+    name_missing,
+)
+from bayesbl.diagnosis.closed_loop.prediction import (
+    SimulatedPair,
+    residuals_of,
+    simulated_pairs,
+)
+from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
+from bayesbl.diagnosis.diagnosis import (
+    Diagnosis,
+    Estimate,
+    NamedEffect,
+    ParameterError,
+    verdict_of,
+)
+from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
+from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, START_ANGLE, Observed, Unknown
 
 
@@ -39,50 +51,43 @@ class ForwardSettings:
     false_alarm: float = 0.01
     load_angle_known: bool = False
     motor_angle_known: bool = False
-    workers: int = 1
+    workers: int = field(default=1, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
-class ForwardDiagnosis:
-    """What was found, with everything the result stores.
+class Findings:
+    """The search and what its simulations leave.
 
     Attributes
     ----------
-    delta_before, delta_after
-        ln δ and its standard deviation with the bench as believed and with what was named;
-        ``None`` where the gap is not unknown.
-    gaps, overall
-        For each recording and channel; for each use in units of the noise.
-    bench
-        The bench with what was named in it; ``None`` if nothing was.
+    believed
+        The bench as its file says.
+    final
+        With everything that is named, its noise estimated without what was missing.
+    pairs
+        Recordings, those that were held out too, beside both simulations.
     remaining
         What still stands out after naming.
     """
 
-    verdict: Verdict
+    believed: Bench
     naming: Naming
     final: Explanation
-    delta_before: Estimate | None
-    delta_after: Estimate | None
-    recordings: tuple[Compared, ...]
-    gaps: tuple[ChannelGap, ...]
-    overall: tuple[ChannelGap, ...]
-    located_before: Located
-    located_after: Located
+    pairs: tuple[SimulatedPair, ...]
+    residuals_before: ResidualAnalysis
+    residuals_after: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
-    suggestion: Suggestion | None
-    bench: Bench | None
 
 
-def diagnose_forward(
+def search(
     bench: Bench,
     used: Sequence[Observed],
     held_out: Sequence[Observed],
     unknowns: Sequence[Unknown],
     settings: ForwardSettings,
     progress: Progress | None = None,
-) -> ForwardDiagnosis:
-    """Align, locate, name, add, and show the gap close.
+) -> Findings:
+    """Align, name what is missing, and analyse what it leaves.
 
     Parameters
     ----------
@@ -113,104 +118,158 @@ def diagnose_forward(
         false_alarm=settings.false_alarm,
         progress=progress,
     )
-    # What was missing is not noise: intervals rest on the noise that is left without it.
+    # What was missing is not noise: intervals rest on the noise estimated without it.
     final = naming.final
     if final.candidates:
         final = with_noise(final, remaining_noise(final.fit))
-    pairs = compared(naming.nominal, final, held_out)
-    located_before = _located(pairs, naming.nominal, "before")
-    located_after = _located(pairs, final, "after")
-    remaining = tuple(describe_unexplained(located_after))
-    if (
-        final.candidates
-        and remaining
-        and _share_gone(located_before, located_after) < enough_closed(final)
-    ):
-        # It helps a little, as a parameter may where a line in time is left: no explanation.
+    pairs = simulated_pairs(naming.nominal, final, held_out)
+    before = _analysis(pairs, naming.nominal, "before")
+    after = _analysis(pairs, final, "after")
+    remaining = describe_unexplained(after)
+    if final.candidates and remaining and _share_closed(before, after) < enough_closed(final):
+        # It helps a little, as a parameter may where a line in time remains: no explanation.
         final = naming.nominal
-        naming = replace(naming, verdict="unexplained", final=final, effects=())
-        pairs = compared(final, final, held_out)
-        located_after = located_before
-        remaining = tuple(describe_unexplained(located_before))
-    verdict = naming.verdict
-    if verdict == "nothing_missing" and remaining:
-        verdict = "unexplained"
-    rivals = [rival for effect in naming.effects for rival in effect.indistinguishable]
-    return ForwardDiagnosis(
-        verdict,
-        naming,
-        final,
-        _delta(naming.nominal),
-        _delta(final),
-        tuple(pairs),
-        tuple(channel_gaps(pairs)),
-        tuple(whitened_gaps(pairs)),
-        located_before,
-        located_after,
-        remaining,
-        suggested_recording(naming.final, rivals),
-        augmented_bench(final) if final.candidates else None,
+        naming = replace(naming, repeats=True, final=final, effects=())
+        pairs = simulated_pairs(final, final, held_out)
+        after, remaining = before, describe_unexplained(before)
+    return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining))
+
+
+def diagnosis_of(
+    found: Findings, posterior: DirectPosterior | None = None, notes: Sequence[str] = ()
+) -> Diagnosis:
+    """The answer.
+
+    Parameters
+    ----------
+    posterior
+        Around ``found.final``. Where there is none or it is withheld, estimates are those of the
+        normal approximation.
+    """
+    naming, final = found.naming, found.final
+    sampled = posterior
+    if posterior is not None and posterior.diagnostics.outcome == "withheld":
+        sampled = None
+    named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
+    kinds = {candidate.kind for candidate in final.candidates}
+    pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
+    return Diagnosis(
+        verdict_of(
+            effects="effect" in kinds,
+            parameters="parameter" in kinds,
+            remains=naming.repeats or bool(found.remaining),
+        ),
+        tuple(
+            NamedEffect(
+                effect.name,
+                fitted,
+                _probability(naming.final, effect),
+                math.sqrt(max(effect.gain, 0.0)),
+                effect.members[1:],
+            )
+            for effect, fitted in named
+            if effect.candidate.kind == "effect"
+        ),
+        tuple(
+            ParameterError(
+                effect.name,
+                found.believed.value(effect.name),
+                found.believed.parameters[effect.name].tolerance,
+                fitted[effect.name],
+                effect.members[1:],
+            )
+            for effect, fitted in named
+            if effect.candidate.kind == "parameter"
+        ),
+        found.remaining,
+        disagreement_table(pieces, in_units_of_noise=True),
+        tuple(notes),
+        bench_parameters=_declared_parameters(found, sampled),
+        delta_before=_delta(naming.nominal),
+        delta_after=_delta(final, sampled),
+        suggestion=suggested_recording(naming.final, naming.effects),
+        posterior=posterior,
+        residuals_before=found.residuals_before,
+        residuals_after=found.residuals_after,
+        ranking=naming.ranking,
+        augmented_bench=augmented_bench(final) if final.candidates else None,
     )
 
 
-def estimates(explanation: Explanation, name: str) -> dict[str, Estimate]:
+def estimates(
+    explanation: Explanation, name: str, posterior: DirectPosterior | None = None
+) -> dict[str, Estimate]:
     """Fitted values of one named effect or parameter, with what its bench entry holds fixed.
 
-    A phase that every recording has of its own stands under the recording's name.
+    A phase that every recording has of its own has the recording's name behind it.
     """
-    fit = explanation.fit
     found: dict[str, Estimate] = {}
-    for effect in fit.model.bench.effects:
+    for effect in explanation.fit.model.bench.effects:
         if effect.name == name:
             found |= {k: Estimate(v.value, math.nan) for k, v in effect.parameters.items()}
-    for key, i in places(explanation, name).items():
-        sd = float(np.sqrt(fit.covariance[i, i]))
-        found[key] = Estimate(float(fit.model.unknowns[i].value(fit.point[i])), sd)
-        found.pop(key.partition(" (")[0] if " (" in key else "", None)
-    return found
-
-
-def places(explanation: Explanation, name: str) -> dict[str, int]:
-    """Where the unknowns of one named effect or parameter stand in a point."""
-    found = {}
     for i, unknown in enumerate(explanation.fit.model.unknowns):
         owner, _, parameter = unknown.name.rpartition("__")
         if name in (owner, unknown.name):
             own = unknown.recording
-            found[parameter if own is None else f"{parameter} ({own})"] = i
+            if own is not None:
+                found.pop(parameter, None)
+            key = parameter if own is None else f"{parameter} ({own})"
+            found[key] = _estimate(explanation, i, posterior)
     return found
 
 
-def _delta(explanation: Explanation) -> Estimate | None:
+def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | None) -> Estimate:
+    """Of one unknown, in the coordinate that was fitted; its draws in the value's unit."""
     fit = explanation.fit
-    names = [u.name for u in fit.model.unknowns]
-    if GAP not in names:
-        return None
-    i = names.index(GAP)
-    return Estimate(float(fit.point[i]), float(np.sqrt(fit.covariance[i, i])))
+    unknown = fit.model.unknowns[i]
+    draws = None if posterior is None else unknown.value(posterior.draws[..., i])
+    sd = float(np.sqrt(fit.covariance[i, i]))
+    return Estimate(float(fit.point[i]), sd, draws, unknown.logarithmic)
 
 
-def _located(pairs: Sequence[Compared], explanation: Explanation, stage: str) -> Located:
+def _delta(explanation: Explanation, posterior: DirectPosterior | None = None) -> Estimate | None:
+    names = [u.name for u in explanation.fit.model.unknowns]
+    return _estimate(explanation, names.index(GAP), posterior) if GAP in names else None
+
+
+def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> dict[str, Estimate]:
+    return {
+        unknown.name: _estimate(found.final, i, posterior)
+        for i, unknown in enumerate(found.final.fit.model.unknowns)
+        if unknown.name in found.believed.parameters and unknown.name not in found.final.names
+    }
+
+
+def _probability(final: Explanation, effect: NamedCandidate) -> float:
+    """Of this name among those that cannot be told apart, by their evidence."""
+    own = final.log_evidence
+    odds = [math.exp(min(700.0, e.log_evidence - own)) for e in effect.indistinguishable]
+    return 1.0 / (1.0 + sum(odds))
+
+
+def _analysis(
+    pairs: Sequence[SimulatedPair], explanation: Explanation, stage: Literal["before", "after"]
+) -> ResidualAnalysis:
     used = [pair for pair in pairs if pair.use == "used"]
     angles = [_start_angle(explanation, pair.seen) for pair in used]
     predictions = [pair.before if stage == "before" else pair.after for pair in used]
-    # What a bridge leaves is nothing that repeats.
+    # Bridged samples hold nothing that repeats.
     seen = [
         replace(pair.seen, signals=made + pair.seen.left_by(made))
         for pair, made in zip(used, predictions, strict=True)
     ]
-    return locate(seen, predictions, angles)
+    return analyse_residuals(seen, predictions, angles)
 
 
-def _share_gone(before: Located, after: Located) -> float:
+def _share_closed(before: ResidualAnalysis, after: ResidualAnalysis) -> float:
     """Of the power, in units of the noise, that is no noise: repeating or not."""
     first, last = (
         sum(
             (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
-            for recording in located.recordings
+            for recording in analysis.recordings
             for c in recording.channels
         )
-        for located in (before, after)
+        for analysis in (before, after)
     )
     return 1.0 - last / first if first > 0.0 else 0.0
 

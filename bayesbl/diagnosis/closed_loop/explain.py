@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from bayesbl.diagnosis.closed_loop.candidates import (
     Candidate,
+    amplitude_places,
     is_periodic,
     quadrant_phases,
     wrapped,
@@ -25,7 +26,7 @@ from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
 ROUGHLY_CONVERGED = 0.01
-"""A fit that closes less than this share of what is left in a round is no contender as it stands;
+"""A fit that closes less than this share of the residual in a round is no contender as it is;
 those that are the best none the less are fitted to the end."""
 
 
@@ -137,7 +138,7 @@ def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
 
 
 def refitted(explanation: Explanation) -> Explanation:
-    """The same explanation, fitted roughly from where it stands."""
+    """The same explanation, fitted roughly from where it is."""
     fit = explanation.fit
     return replace(
         explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, ROUGHLY_CONVERGED)
@@ -151,7 +152,7 @@ def polished(explanation: Explanation) -> Explanation:
 
 
 def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanation | None:
-    """An explanation less one of its candidates, fitted from where it stands."""
+    """An explanation less one of its candidates, fitted from where it is."""
     model, own = nominal.fit.model, nominal.fit.point.size
     kept, parts = [], [full.fit.point[:own]]
     for k, candidate in enumerate(full.candidates):
@@ -175,7 +176,7 @@ def linear_gain(base: Explanation, candidate: Candidate) -> float:
     for start in starts:
         point = np.concatenate([base.fit.point, start])
         columns = []
-        for i in _amplitudes(candidate):
+        for i in amplitude_places(candidate):
             for phase in (0.0, 0.5 * math.pi) if is_periodic(candidate) else (None,):
                 columns += _difference(model, point, len(base.fit.point) + i, phase, candidate)
         best = max(best, _projected(base.fit, columns))
@@ -193,19 +194,6 @@ def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
         model.settings,
         model.recent,
     )
-
-
-def _amplitudes(candidate: Candidate) -> list[int]:
-    """Unknowns that change something at the neutral point."""
-    if candidate.effect is None or candidate.kind == "parameter":
-        return list(range(len(candidate.unknowns)))
-    shape = ("__phase_rad", "__order", "__speed_rad_per_s")
-    hysteresis = "shaft_hysteresis__angle_rad"
-    return [
-        i
-        for i, u in enumerate(candidate.unknowns)
-        if not u.name.endswith(shape) and u.name != hysteresis
-    ]
 
 
 def _small(unknown: Unknown, coordinate: float) -> float:
@@ -229,13 +217,9 @@ def _difference(
         return []
     if phase is None:
         return [change]
-    parts, begin = [], 0
-    for seen, noise in zip(model.recordings, model.noise, strict=True):
-        size = len(seen.signals) * (seen.samples - noise.order)
-        part = np.zeros_like(change)
-        part[begin : begin + size] = change[begin : begin + size]
-        parts.append(part)
-        begin += size
+    parts = [np.zeros_like(change) for _ in model.recordings]
+    for owner, part in enumerate(parts):
+        model.by_recording(part)[owner][:] = model.by_recording(change)[owner]
     return parts
 
 

@@ -62,12 +62,7 @@ def _spectrum(fit: SimulatedFit, recording: int) -> tuple[FloatArray, FloatArray
     """Orders, power summed over channels (mean 1 per channel for white noise), channels."""
     model = fit.model
     seen = model.recordings[recording]
-    sizes = [
-        len(r.signals) * (r.samples - n.order)
-        for r, n in zip(model.recordings, model.noise, strict=True)
-    ]
-    begin = sum(sizes[:recording])
-    rows = fit.residual[begin : begin + sizes[recording]].reshape(len(seen.signals), -1)
+    rows = model.by_recording(fit.residual)[recording]
     n = rows.shape[1]
     window = np.hanning(n)
     window /= np.sqrt(np.sum(window**2))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.diagnosis.closed_loop.candidates import Candidate, steady_torque
-from bayesbl.diagnosis.closed_loop.criteria import Verdict, consistency, is_gross, verdict_on
+from bayesbl.diagnosis.closed_loop.criteria import consistency, explains, is_gross
 from bayesbl.diagnosis.closed_loop.explain import (
     Explanation,
     distance,
@@ -23,17 +23,12 @@ from bayesbl.diagnosis.closed_loop.explain import (
     refitted,
 )
 from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak, order_peaks
+from bayesbl.diagnosis.diagnosis import ALIKE, RankedCandidate
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import Disagreement, agrees, disagreements
+from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.recording.types import FloatArray
 
 Progress = Callable[[int, int], None]
-
-INDISTINGUISHABLE = 5.0
-"""Best fits closer than this, in units of noise, are one set.
-
-See docs/design.md, "What recordings cannot tell apart".
-"""
 
 WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
@@ -52,7 +47,7 @@ LEAST_CONSISTENCY = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class NamedEffect:
+class NamedCandidate:
     """One explanation found, with those that these recordings cannot tell from it."""
 
     candidate: Candidate
@@ -77,20 +72,18 @@ class Naming:
     Attributes
     ----------
     nominal, final
-        Before and after adding what is named.
+        Before and after adding what is named; the same where nothing is.
+    repeats
+        Whether something repeats that nothing explains.
     ranking
-        Fits with one candidate added to the nominal bench, most probable first.
-    remaining
-        What still repeats after naming.
+        Candidates added alone to the nominal bench, most probable first.
     """
 
-    verdict: Verdict
     nominal: Explanation
     final: Explanation
-    effects: tuple[NamedEffect, ...]
-    ranking: tuple[Explanation, ...]
-    before: tuple[Disagreement, ...]
-    remaining: tuple[Disagreement, ...]
+    effects: tuple[NamedCandidate, ...]
+    ranking: tuple[RankedCandidate, ...]
+    repeats: bool
 
 
 def name_missing(
@@ -101,7 +94,7 @@ def name_missing(
     false_alarm: float = 0.01,
     progress: Progress | None = None,
 ) -> Naming:
-    """Add candidates until nothing significant is left, nothing generalises or the limit is met.
+    """Add candidates until nothing significant remains, nothing generalises or the limit is met.
 
     Decisions rest on fits of all recordings jointly with every unknown; derivatives choose which
     second and third candidates are fitted, and the first where nothing seems to be missing.
@@ -110,7 +103,7 @@ def name_missing(
     ----------
     candidates
         All that come into question, given the motor orders that stand out. Orders are looked for
-        again in what is left beside the first that are named: they may have stood behind these.
+        again in the residual beside the first that are named: they may have stood behind these.
     false_alarm
         Probability of naming anything where nothing is missing, over all candidates.
     progress
@@ -128,23 +121,25 @@ def name_missing(
     final = search.extended(nominal, first, most=2)
     if first and is_gross(first[0]) and not search.agrees(final):
         final = _better(final, search.extended(nominal, search.beside(far)))
-    if final.candidates and search.takes_in(candidates(order_peaks(final.fit)), final):
+    if final.candidates and search.add_late(candidates(order_peaks(final.fit)), final):
         final = search.continued(final)
     if len(final.candidates) == 2 and not search.is_done(final):
         final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
-    remaining = disagreements(final.fit)
-    verdict = verdict_on(nominal, final, before, remaining, false_alarm)
-    named = verdict in ("named", "parameter_error")
-    effects = tuple(search.named(nominal, final, first)) if named else ()
-    return Naming(
-        verdict,
-        nominal,
-        final if named else nominal,
-        effects,
-        tuple(first),
-        tuple(before),
-        tuple(remaining if named else before),
+    ranking = tuple(_ranked(nominal, other) for other in first)
+    if not final.candidates:
+        return Naming(nominal, nominal, (), ranking, not agrees(before, false_alarm))
+    if not explains(nominal, final, before, disagreements(final.fit), false_alarm):
+        return Naming(nominal, nominal, (), ranking, True)
+    effects = tuple(search.named(nominal, final, first))
+    return Naming(nominal, final, effects, ranking, False)
+
+
+def _ranked(nominal: Explanation, other: Explanation) -> RankedCandidate:
+    return RankedCandidate(
+        other.candidates[-1].name,
+        nominal.fit.chi_square - other.fit.chi_square,
+        other.log_evidence - nominal.log_evidence,
     )
 
 
@@ -246,7 +241,7 @@ class _Search:
         fits = self._contenders([self._fit(base, c) for c in self._screened(base)])
         return [f for f in fits if self.is_significant(base, f)]
 
-    def takes_in(self, found: Sequence[Candidate], beside: Explanation) -> bool:
+    def add_late(self, found: Sequence[Candidate], beside: Explanation) -> bool:
         """Add candidates not known before that can stand beside an explanation; whether any are."""
         known = {c.key for c in self._candidates}
         late = [c for c in found if c.key not in known and c.name not in beside.names]
@@ -315,7 +310,7 @@ class _Search:
 
     def named(
         self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
-    ) -> list[NamedEffect]:
+    ) -> list[NamedCandidate]:
         """Each effect with the set that it belongs to."""
         found = []
         for k, candidate in enumerate(final.candidates):
@@ -325,7 +320,7 @@ class _Search:
                 rivals = self._rivals(
                     final, candidate, self._alternatives(nominal, final, k, first)
                 )
-                found.append(NamedEffect(candidate, gain, rivals))
+                found.append(NamedCandidate(candidate, gain, rivals))
         return found
 
     def _alternatives(
@@ -349,7 +344,7 @@ class _Search:
         for other in alternatives:
             if other.candidates[-1].name == candidate.name:
                 continue
-            if distance(final, other) >= INDISTINGUISHABLE:
+            if distance(final, other) >= ALIKE:
                 continue
             more = other.parameters - final.parameters
             gain = final.fit.chi_square - other.fit.chi_square

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +12,8 @@ from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
 from bayesbl.diagnosis.closed_loop.explain import Explanation
+from bayesbl.diagnosis.closed_loop.naming import NamedCandidate
+from bayesbl.diagnosis.diagnosis import Suggestion
 from bayesbl.matching.signals import START_ANGLE, Observed
 from bayesbl.recording.types import FloatArray
 
@@ -21,35 +22,18 @@ PAYLOAD = 1.3
 ANGLE_STEP = 1e-4
 
 
-@dataclass(frozen=True, slots=True)
-class Suggestion:
-    """A recording worth making.
-
-    Attributes
-    ----------
-    reference_speed_rpm
-        Of the motor, negative for reverse.
-    payload_share
-        Gravity torque and load inertia over the present ones.
-    distance
-        |z| between the best fits of the two explanations that come closest in it.
-    """
-
-    reference_speed_rpm: float
-    payload_share: float
-    distance: float
-
-
 def suggested_recording(
-    final: Explanation, rivals: Sequence[Explanation], rotations: float = 5.0
+    final: Explanation, named: Sequence[NamedCandidate], rotations: float = 5.0
 ) -> Suggestion | None:
-    """Of some simple recordings the one in which the rivals differ most; ``None`` without rivals.
+    """Of some simple recordings the one in which rivals differ most; ``None`` without rivals.
 
     Every explanation is simulated with what it was fitted to; what a start angle or an offset of
     the phase could hide is projected out. Noise as in the first recording.
     """
+    rivals = [rival for effect in named for rival in effect.indistinguishable]
     if not rivals:
         return None
+    separates = tuple(effect.members for effect in named if effect.indistinguishable)
     first = final.fit.model.recordings[0]
     best: Suggestion | None = None
     for speed, payload in _options(final.fit.model.recordings):
@@ -65,7 +49,7 @@ def suggested_recording(
             difference -= shift * float(difference @ shift) / float(shift @ shift)
             least = min(least, float(np.linalg.norm(difference)) * math.sqrt(rotations))
         if best is None or least > best.distance:
-            best = Suggestion(speed, payload, least)
+            best = Suggestion(speed, payload, least, separates)
     return best
 
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.diagnosis.residuals.decomposition import LeftOver, Wave, WholeRotations
+from bayesbl.diagnosis.residuals.decomposition import Decomposition, Wave, WholeRotations
 from bayesbl.diagnosis.residuals.line_search import NEIGHBOURS, STANDS_OUT
 from bayesbl.recording.types import FloatArray
 
@@ -23,7 +23,7 @@ OTHER_SPEED = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A significant line in the spectrum of what is left.
+    """A significant line in the spectrum of a residual.
 
     Attributes
     ----------
@@ -53,13 +53,13 @@ class Line:
 
 
 def load_lines(
-    left: LeftOver, whole: WholeRotations, probability: FloatArray, threshold: float
+    parts: Decomposition, whole: WholeRotations, probability: FloatArray, threshold: float
 ) -> list[Line]:
     """Significant whole load orders.
 
     ``probability``: of each order from 0 on, from noise alone.
     """
-    harmonics = left.repeating[:: whole.rotations] / whole.samples
+    harmonics = parts.repeating[:: whole.rotations] / whole.samples
     power = np.abs(harmonics) ** 2
     power[0] = 0.0
     lines = []
@@ -82,9 +82,9 @@ def load_lines(
     return lines
 
 
-def wave_lines(left: LeftOver, whole: WholeRotations) -> list[Line]:
+def wave_lines(parts: Decomposition, whole: WholeRotations) -> list[Line]:
     """Significant lines periodic in the motor angle or in time."""
-    return [_wave_line(wave, whole) for wave in (*left.motor_waves, *left.free_waves)]
+    return [_wave_line(wave, whole) for wave in (*parts.motor_waves, *parts.free_waves)]
 
 
 def _wave_line(wave: Wave, whole: WholeRotations) -> Line:

@@ -1,4 +1,4 @@
-"""What a simulation leaves of one channel, split into what repeats, lines, drift and noise."""
+"""The residual of one channel, split into what repeats, lines, drift and noise."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ class Wave:
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOver:
-    """One channel of one recording, taken apart.
+class Decomposition:
+    """The residual of one channel of one recording, split into its parts.
 
     Attributes
     ----------
@@ -85,8 +85,8 @@ class LeftOver:
         Mean of recording − simulation and its standard error, the channel's unit.
     repeating
         Transform of what repeats with the load angle, the offset included: real FFT over the whole
-        rotations, zero but at whole load orders, shape (n // 2 + 1,). Lines and drift are taken
-        off, so that what they leak into the average over rotations is not counted twice.
+        rotations, zero but at whole load orders, shape (n // 2 + 1,). Lines and drift are removed,
+        so that what they leak into the average over rotations is not counted twice.
     drift_per_s, drift_error_per_s
         Slope over the recording.
     motor_waves
@@ -94,7 +94,7 @@ class LeftOver:
     free_waves
         What is periodic and no whole load order.
     noise, floor
-        What is left in the end, shape (n,), and its spectrum.
+        The rest, shape (n,), and its spectrum.
     outliers
         Samples of the whitened noise beyond six of its standard deviations.
     skew
@@ -120,16 +120,16 @@ class LeftOver:
         return np.asarray(np.abs(everything) ** 2 / n / self.floor.at_bins(n))
 
 
-def take_apart(
+def decompose(
     recorded: FloatArray,
     simulated: FloatArray,
     whole: WholeRotations,
     scale: Scales,
     false_discovery_rate: float,
-) -> LeftOver:
+) -> Decomposition:
     """Motor orders, then drift and lines in what does not repeat, then the average over rotations.
 
-    Lines are taken off from the strongest down, for strong ones leak into their neighbours: the
+    Lines are removed from the strongest down, for strong ones leak into their neighbours: the
     j-th counts if noise makes one of the m bins as strong with probability j·rate/m at most.
 
     Parameters
@@ -173,7 +173,7 @@ def take_apart(
     repeating = np.fft.rfft(values - design @ coefficients)
     repeating[~at_comb] = 0.0
     slope_error = math.sqrt(floor.at_zero) / float(np.linalg.norm(reduced[:, 0]))
-    return LeftOver(
+    return Decomposition(
         offset=float(repeating[0].real) / n,
         offset_error=math.sqrt(floor.at_zero / n),
         repeating=repeating,
@@ -217,21 +217,21 @@ def _outliers(white: FloatArray) -> int:
     return int(np.count_nonzero(np.abs(white) > OUTLIER_SD * spread))
 
 
-def order_probabilities(left: LeftOver, rotations: int) -> FloatArray:
+def order_probabilities(parts: Decomposition, rotations: int) -> FloatArray:
     """Chance of as much from noise alone at the load orders 0 (the offset), 1, 2, …"""
-    probability = np.exp(-left.ratio()[::rotations])
-    probability[0] = 2.0 * norm.sf(abs(left.offset) / left.offset_error)
-    if left.noise.size % (2 * rotations) == 0:
+    probability = np.exp(-parts.ratio()[::rotations])
+    probability[0] = 2.0 * norm.sf(abs(parts.offset) / parts.offset_error)
+    if parts.noise.size % (2 * rotations) == 0:
         probability[-1] = 1.0  # at half the sampling rate a bin has one degree of freedom only
     return np.asarray(probability)
 
 
-def band_probability(left: LeftOver, rotations: int) -> tuple[float, int]:
+def band_probability(parts: Decomposition, rotations: int) -> tuple[float, int]:
     """(probability that noise alone repeats as much in any band, that band's highest order).
 
     Bonferroni over the bands. The constant is left out.
     """
-    ratio = left.ratio()[rotations::rotations]
+    ratio = parts.ratio()[rotations::rotations]
     found = []
     for highest in BANDS:
         band = ratio[: min(highest, ratio.size - 1)]
@@ -259,7 +259,7 @@ def mean_over_rotations(values: FloatArray, whole: WholeRotations) -> FloatArray
     return against_load_angle(harmonics, whole)
 
 
-def map_error(left: LeftOver, whole: WholeRotations) -> float:
+def map_error(parts: Decomposition, whole: WholeRotations) -> float:
     """Standard error of such an average."""
-    share = left.floor.at_bins(whole.samples)[:: whole.rotations] / whole.samples
+    share = parts.floor.at_bins(whole.samples)[:: whole.rotations] / whole.samples
     return math.sqrt(float(share[0] + 2.0 * share[1 : MAP_POINTS // 2].sum()))

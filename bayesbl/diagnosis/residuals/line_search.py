@@ -1,4 +1,4 @@
-"""Lines in what is left: periodic in time or with the motor's angle.
+"""Lines in a residual: periodic in time or with the motor's angle.
 
 The motor does not turn evenly. Gravity and the speed loop swing its angle about that of even
 rotation by up to half a radian, so what repeats with the motor angle has side bands in time, and

@@ -25,7 +25,7 @@ class Skew:
     lag_s, standard_error_s
         Positive if the recording comes later.
     explained
-        Share of what is left beyond noise that the lag explains, at most 1; negative never.
+        Share of the residual beyond noise that the lag explains, at most 1; negative never.
     """
 
     lag_s: float

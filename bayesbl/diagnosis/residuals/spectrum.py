@@ -1,4 +1,4 @@
-"""Spectrum of what a simulation leaves: the noise's floor, lines above it, which are significant.
+"""Spectrum of a residual: the noise's floor, lines above it, which are significant.
 
 Periodograms are |X_k|²/n with X the real FFT of n samples, so white noise of variance σ² has the
 floor σ² at every bin, and of noise alone the periodogram over its floor is standard exponential.
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import lfilter
 
+from bayesbl.noise.autoregression import bic, innovations, levinson, log_variances
 from bayesbl.recording.types import FloatArray
 
 HIGHEST_ORDER = 30
@@ -55,9 +55,7 @@ class NoiseFloor:
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Innovations in units of their scatter, shape (n,) to (n − p,)."""
-        p = self.coefficients.size
-        filtered = lfilter(np.concatenate(([1.0], -self.coefficients)), [1.0], values)[p:]
-        return np.asarray(filtered / math.sqrt(self.innovation_variance))
+        return innovations(values, self.coefficients) / math.sqrt(self.innovation_variance)
 
 
 def noise_floor(values: FloatArray, lines_at: NDArray[np.bool_]) -> NoiseFloor:
@@ -83,28 +81,11 @@ def noise_floor(values: FloatArray, lines_at: NDArray[np.bool_]) -> NoiseFloor:
     spectrum = np.interp(frequency, frequency[~lines_at], median)
     for _ in range(FLOOR_ROUNDS):
         quiet = np.where(lines_at, spectrum, np.minimum(periodogram, CLIP * spectrum))
-        floor = _autoregression(np.fft.irfft(quiet, n), n)
+        fits = levinson(np.fft.irfft(quiet, n), min(HIGHEST_ORDER, n // 4))
+        variance, coefficients = fits[int(np.argmin(bic(log_variances(fits), n)))]
+        floor = NoiseFloor(coefficients, variance)
         spectrum = floor.at_bins(n)
     return floor
-
-
-def _autoregression(autocovariance: FloatArray, n: int) -> NoiseFloor:
-    """Levinson and Durbin's recursion, its order by BIC."""
-    variance = max(float(autocovariance[0]), 1e-300)
-    phi = np.zeros(0)
-    best = NoiseFloor(phi, variance)
-    lowest = n * math.log(variance)
-    for order in range(1, min(HIGHEST_ORDER, n // 4) + 1):
-        past = autocovariance[order - 1 : 0 : -1]
-        reflection = (autocovariance[order] - phi @ past) / variance
-        phi = np.concatenate((phi - reflection * phi[::-1], [reflection]))
-        variance *= 1.0 - reflection**2
-        if not variance > 0.0:
-            break
-        bic = n * math.log(variance) + order * math.log(n)
-        if bic < lowest:
-            lowest, best = bic, NoiseFloor(phi, variance)
-    return best
 
 
 def comb(n: int, rotations: int) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""What is left, in a few entries: channel, order or frequency, amplitude, what it depends on."""
+"""Residuals in a few entries: channel, order or frequency, amplitude, what they depend on."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from typing import Literal
 
 from scipy.stats import norm
 
+from bayesbl.diagnosis.residuals.analysis import (
+    ChannelResiduals,
+    RecordingResiduals,
+    ResidualAnalysis,
+)
 from bayesbl.diagnosis.residuals.attribution import Line
-from bayesbl.diagnosis.residuals.locate import ChannelLeft, Located, RecordingLeft
 from bayesbl.units import unit_of
 
 What = Literal[
@@ -20,7 +24,7 @@ What = Literal[
 SURE = 1e-3
 """Family-wise false-alarm rate of what is no line: repeating bands, drift, skew."""
 SKEW_EXPLAINS = 0.8
-"""Share of what a channel leaves that a fixed lag must explain to be called one."""
+"""Share of a channel's residual that a fixed lag must explain to be called one."""
 SAME_ORDER = 2e-3
 FEWEST_OUTLIERS = 3
 MOST_LINES = 6
@@ -29,7 +33,7 @@ MOST_LINES = 6
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """One thing that the simulation leaves, over all recordings that show it.
+    """One thing that the simulation does not explain, over all recordings that show it.
 
     Attributes
     ----------
@@ -45,6 +49,8 @@ class Unexplained:
         Of a line periodic in time, or of one that may be; else ``nan``.
     recordings
         Names of those that show it.
+    chi_squared
+        Of a line whose test has one.
     """
 
     channel: str
@@ -55,15 +61,16 @@ class Unexplained:
     highest_order: float
     frequency_hz: float
     recordings: tuple[str, ...]
+    chi_squared: float | None = None
 
 
-Found = tuple[RecordingLeft, ChannelLeft]
+Found = tuple[RecordingResiduals, ChannelResiduals]
 
 
-def describe_unexplained(located: Located) -> list[Unexplained]:
+def describe_unexplained(analysis: ResidualAnalysis) -> list[Unexplained]:
     """What is significant, channel by channel: strongest lines first, then all else."""
-    names = dict.fromkeys(c.channel for r in located.recordings for c in r.channels)
-    every = [(r, c) for r in located.recordings for c in r.channels]
+    names = dict.fromkeys(c.channel for r in analysis.recordings for c in r.channels)
+    every = [(r, c) for r in analysis.recordings for c in r.channels]
     entries: list[Unexplained] = []
     for name in names:
         seen = [(r, c) for r, c in every if c.channel == name]
@@ -98,17 +105,17 @@ def describe_unexplained(located: Located) -> list[Unexplained]:
     return entries
 
 
-def repeats(channel: ChannelLeft, tests: int) -> bool:
+def repeats(channel: ChannelResiduals, tests: int) -> bool:
     """Whether anything repeats with the load angle: a line of a load order, or a whole band."""
     return channel.main_orders is not None or channel.repeating_probability * tests <= SURE
 
 
-def has_skew(channel: ChannelLeft, tests: int) -> bool:
+def has_skew(channel: ChannelResiduals, tests: int) -> bool:
     """Whether the lag is more than noise makes it."""
     return _sure(channel.skew.lag_s / channel.skew.standard_error_s, tests)
 
 
-def _has_offset(channel: ChannelLeft) -> bool:
+def _has_offset(channel: ChannelResiduals) -> bool:
     return channel.offset_significant
 
 
@@ -173,8 +180,8 @@ def _number(
     what: What,
     unit: str,
     seen: Sequence[Found],
-    value: Callable[[ChannelLeft], float],
-    significant: Callable[[ChannelLeft], bool],
+    value: Callable[[ChannelResiduals], float],
+    significant: Callable[[ChannelResiduals], bool],
 ) -> Iterable[Unexplained]:
     shown = [(r.name, value(c)) for r, c in seen if significant(c)]
     if shown:

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
-from bayesbl.diagnosis.comparison import Candidate, Fit, Piece
+from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
+from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.order_scan import OrderScan, scan_orders
-from bayesbl.diagnosis.rigid.terms import ORDER, PHASE, SKEW, Term, required_torque
+from bayesbl.diagnosis.rigid.terms import SKEW, Term, required_torque
 from bayesbl.recording.types import FloatArray
 
 Values = dict[str, float]
@@ -63,11 +63,11 @@ class InverseComparison:
     phases_shared: bool = False
 
     @property
-    def candidates(self) -> tuple[Candidate, ...]:
+    def candidates(self) -> tuple[TestedEffect, ...]:
         """All effects that may take part."""
         return tuple(term.candidate for term in self.terms.values())
 
-    def fit(self, effects: tuple[str, ...], start: Fit | None = None) -> Fit:
+    def fit(self, effects: tuple[str, ...], start: EffectsFit | None = None) -> EffectsFit:
         """Least squares with these effects; shapes that ``start`` holds are kept."""
         shapes: Values = {}
         trials: dict[str, float] = {}
@@ -89,9 +89,9 @@ class InverseComparison:
             if piece.use == "used"
         )
         bench = {name: self.bench.value(name) + values[name] for name in self.unknown}
-        told = {name: _told(self.terms[name], values) for name in effects}
+        found = {name: _catalogue_parameters(self.terms[name], values) for name in effects}
         edges = frozenset(name for name in effects if self._at_edge(name, values))
-        return Fit(told, bench, tuple(predictions), columns, tuple(names), trials, edges)
+        return EffectsFit(found, bench, tuple(predictions), columns, tuple(names), trials, edges)
 
     def _at_edge(self, name: str, values: Mapping[str, float]) -> bool:
         """Whether the scan of an effect's shape ended where the scan ends."""
@@ -103,14 +103,12 @@ class InverseComparison:
         value = values[f"{name}.{scanned[0]}"]
         return not grid[0] + near < value < grid[-1] - near
 
-    def scan_orders(self, fit: Fit) -> OrderScan:
-        """What is left of a fit on the used pieces, order by order of the motor's turning."""
-        name = "gear_transmission_error" if self.load else "motor_torque_ripple"
-        order = next(p for p in effect_named(name).parameters if p.name == ORDER)
+    def scan_orders(self, fit: EffectsFit) -> OrderScan:
+        """Residuals of a fit on the used pieces, order by order of the motor's turning."""
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
         angles = [self.pieces[i].kept(self.motions[i].angle) for i in used]
         rests = [self.pieces[i].kept(self.pieces[i].measured - fit.predictions[i]) for i in used]
-        return scan_orders(angles, rests, self.phases_shared, order.low, order.high)
+        return scan_orders(angles, rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
 
     def _scanned(self, name: str) -> list[str]:
         """Parameters of an effect that the linear solution does not give."""
@@ -120,7 +118,7 @@ class InverseComparison:
         return [term.shape] if term.shape else []
 
     def _scan(
-        self, name: str, effects: tuple[str, ...], shapes: Values, start: Fit | None
+        self, name: str, effects: tuple[str, ...], shapes: Values, start: EffectsFit | None
     ) -> float:
         """Put the best shape of an effect into ``shapes``; the number of independent trials."""
         scanned = self._scanned(name)
@@ -197,7 +195,9 @@ class InverseComparison:
             for name in effects:
                 term = self.terms[name]
                 if term.shape == term.candidate.amplitude:
-                    base = base + term.signal(motion, self.bench, _told(term, values))
+                    base = base + term.signal(
+                        motion, self.bench, _catalogue_parameters(term, values)
+                    )
             return base
         bench = self.bench
         if not self.load_angle_known:
@@ -277,7 +277,7 @@ class InverseComparison:
         for name in effects:
             term = self.terms[name]
             if name != SKEW and term.shape != term.candidate.amplitude:
-                given = _told(term, values, f"@{self.pieces[i].name}")
+                given = _catalogue_parameters(term, values, f"@{self.pieces[i].name}")
                 prediction += term.signal(motion, self.bench, given) / self.unit
         return prediction
 
@@ -343,17 +343,19 @@ class InverseComparison:
         return max(abs(value), 1e-6)
 
 
-def _told(term: Term, values: Mapping[str, float], where: str = "") -> dict[str, float]:
+def _catalogue_parameters(
+    term: Term, values: Mapping[str, float], where: str = ""
+) -> dict[str, float]:
     """An effect's catalogue parameters out of all values, phases of one recording or of all."""
     start = term.candidate.name + "."
-    told = {
+    found = {
         name.removeprefix(start): value
         for name, value in values.items()
         if name.startswith(start) and "@" not in name
     }
-    if term.periodic and PHASE not in told and where:
-        told[PHASE] = values.get(f"{start}{PHASE}{where}", 0.0)
-    return told
+    if term.periodic and PHASE not in found and where:
+        found[PHASE] = values.get(f"{start}{PHASE}{where}", 0.0)
+    return found
 
 
 def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:

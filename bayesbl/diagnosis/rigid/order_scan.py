@@ -1,4 +1,4 @@
-"""Which order of the motor's turning stands out of what is left, against the noise around it."""
+"""Which order of the motor's turning stands out of the residual, against the noise around it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from bayesbl.diagnosis.report import Remaining
-from bayesbl.diagnosis.rigid.residual_noise import ResidualNoise
+from bayesbl.diagnosis.residual_noise import ResidualNoise
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import unit_of
 
 FEWEST_CYCLES = 3.0
 MOST_REMAINING = 5
@@ -58,12 +59,15 @@ class OrderScan:
         """
         return self.independent * math.sqrt(max(1.0, 0.5 * score))
 
-    def remaining(self, channel: str, false_alarm: float) -> tuple[Remaining, ...]:
+    def remaining(
+        self, channel: str, recordings: tuple[str, ...], false_alarm: float
+    ) -> tuple[Unexplained, ...]:
         """Orders that stand out, strongest first, at most :data:`MOST_REMAINING`.
 
-        Neighbours within two resolved cycles belong to the stronger line.
+        ``recordings`` are those that were scanned. Neighbours within two resolved cycles belong to
+        the stronger line.
         """
-        found = list[Remaining]()
+        found = list[Unexplained]()
         if not self.orders.size:
             return ()
         width = 2.0 * _STEPS_PER_CYCLE * float(self.orders[1] - self.orders[0])
@@ -73,7 +77,19 @@ class OrderScan:
             score, order = float(left[k]), float(self.orders[k])
             if self.trials(score) * chi2.sf(score, self.freedom) > false_alarm:
                 break
-            found.append(Remaining(channel, order, float(self.amplitudes[k]), score))
+            found.append(
+                Unexplained(
+                    channel,
+                    "motor angle",
+                    float(self.amplitudes[k]),
+                    unit_of(channel),
+                    order,
+                    order,
+                    math.nan,
+                    recordings,
+                    score,
+                )
+            )
             left[np.abs(self.orders - order) <= width] = 0.0
         return tuple(found)
 

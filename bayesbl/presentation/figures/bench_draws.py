@@ -9,20 +9,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.scales import plain_log_axis
-from bayesbl.presentation.figures.stored import values
-from bayesbl.presentation.figures.style import (
-    BAND,
-    DOUBLE_COLUMN_IN,
-    MODEL,
-    NEUTRAL,
-    head_panels,
-    legend_above,
-    look,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.snapshots import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 
 _LEVEL = 0.9
@@ -43,16 +33,18 @@ _SHORT: Mapping[str, str] = {
 }
 
 
-@publication_style()
+@stored_figure(
+    "The curve over benches within their tolerances.", 80, holding("bench_draws", "sweep")
+)
 def bench_draws(tree: xr.DataTree) -> Figure:
     """Departure of A from the nominal sweep, a line a draw; its slopes at three gaps."""
     parameters = tree["bench_draws"].sizes["parameter"]
-    figure = new_figure(DOUBLE_COLUMN_IN, max(2.4, 1.1 + 0.26 * parameters))
-    spec = grid(figure, 1, 2, between=(0.0, 1.45))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, max(2.4, 1.1 + 0.26 * parameters))
+    spec = layout.grid(figure, 1, 2, between=(0.0, 1.45))
     spread, slopes = figure.add_subplot(spec[0, 0]), figure.add_subplot(spec[0, 1])
     _draw_spread(spread, tree)
     _draw_slopes(slopes, tree)
-    head_panels([spread, slopes], ["", ""])
+    style.head_panels([spread, slopes], ["", ""])
     return figure
 
 
@@ -88,19 +80,19 @@ def _draw_spread(panel: Axes, tree: xr.DataTree) -> None:
     edges = (0.5 - 0.5 * _LEVEL, 0.5 + 0.5 * _LEVEL)
     low, high = np.quantile(percent, edges, axis=0)
     panel.fill_between(
-        gap, low, high, color=BAND, linewidth=0.0, label=f"{100.0 * _LEVEL:g} % of the draws"
+        gap, low, high, color=style.BAND, linewidth=0.0, label=f"{100.0 * _LEVEL:g} % of the draws"
     )
     for index, line in enumerate(percent):
         panel.plot(
-            gap, line, color=MODEL, linewidth=0.35, alpha=0.7,
+            gap, line, color=style.MODEL, linewidth=0.35, alpha=0.7,
             label=f"{len(percent)} bench draws" if index == 0 else None,
         )  # fmt: skip
-    panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     plain_log_axis(panel.xaxis)
     panel.set_xlim(gap[0], gap[-1])
     panel.set_xlabel("Gap δ (mrad)")
     panel.set_ylabel("Departure of A from the nominal bench (%)")
-    legend_above(panel)
+    style.legend_above(panel)
 
 
 def _draw_slopes(panel: Axes, tree: xr.DataTree) -> None:
@@ -108,25 +100,25 @@ def _draw_slopes(panel: Axes, tree: xr.DataTree) -> None:
     found = standardised_slopes(tree)
     if found is None:
         panel.set_axis_off()
-        told = f"too few draws for {len(names)} slopes"
-        panel.text(0.5, 0.5, told, ha="center", transform=panel.transAxes)
+        why = f"too few draws for {len(names)} slopes"
+        panel.text(0.5, 0.5, why, ha="center", transform=panel.transAxes)
         return
     slopes, errors = (100.0 * part for part in found)
     gap = values(tree, "sweep", "gap_rad")
     order = np.argsort(np.abs(slopes).mean(axis=1))
     rows = np.arange(len(names))
     for index, column in enumerate((0, gap.size // 2, gap.size - 1)):
-        style = look(index)
+        own = style.look(index)
         panel.errorbar(
             slopes[order, column], rows + 0.22 * (1 - index), xerr=errors[order, column],
-            color=style.colour, marker=style.marker, markersize=3.5, linestyle="none",
+            color=own.colour, marker=own.marker, markersize=3.5, linestyle="none",
             elinewidth=0.7, label=f"{1e3 * gap[column]:.2g} mrad",
         )  # fmt: skip
     for row in rows[1:]:
         panel.axhline(row - 0.5, color="#e6e6e6", linewidth=0.6, zorder=0.0)
-    panel.axvline(0.0, color=NEUTRAL, linewidth=0.6)
+    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6)
     panel.set_yticks(rows, [_SHORT.get(names[i], names[i].replace("_", " ")) for i in order])
     panel.tick_params(axis="y", length=0.0)
     panel.set_ylim(-0.5, len(names) - 0.5)
     panel.set_xlabel("Change of A for one tolerance (%)")
-    legend_above(panel)
+    style.legend_above(panel)

@@ -9,16 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.style import (
-    BAND,
-    DOUBLE_COLUMN_IN,
-    NEUTRAL,
-    head_panels,
-    look,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures import layout, style
 from bayesbl.sampling.calibration import (
     FALSE_ALARM,
     LEVELS,
@@ -55,9 +46,9 @@ def draw_calibration(
     shown = [name for name in names if any(f"{name}_holds" in line for line in table)]
     rows = len(table)
     above = 0.3 + _ROW_IN * rows + 0.42
-    with publication_style():
-        figure = new_figure(DOUBLE_COLUMN_IN, above + 0.3 + _RANKS_IN)
-        upper = grid(
+    with style.publication_style():
+        figure = style.new_figure(style.DOUBLE_COLUMN_IN, above + 0.3 + _RANKS_IN)
+        upper = layout.grid(
             figure, 1, len(LEVELS), left=_NAMES_IN, bottom=0.72 + _RANKS_IN, between=(0.0, 0.15)
         )
         axes = [figure.add_subplot(upper[0, i]) for i in range(len(LEVELS))]
@@ -65,13 +56,15 @@ def draw_calibration(
             _coverage(panel, table, shown, level)
         axes[0].set_yticks(range(rows), [str(line["name"]) for line in table])
         axes[0].legend(loc="upper right", bbox_to_anchor=(-0.05, -0.02), handletextpad=0.2)
-        lower = grid(figure, 1, len(shown), left=0.75, top=above + 0.3, between=(0.0, 0.6))
+        lower = layout.grid(figure, 1, len(shown), left=0.75, top=above + 0.3, between=(0.0, 0.6))
         below = [figure.add_subplot(lower[0, i]) for i in range(len(shown))]
         for name, panel in zip(shown, below, strict=True):
             _ranks(panel, table, cases, name)
         below[0].set_ylabel("Share of ranks below,\nless uniform")
         titles = [f"{p:.0%} intervals".replace("%", " %") for p in LEVELS]
-        head_panels([*axes, *below], [*titles, *(f"Ranks of {WORDS[name]}" for name in shown)])
+        style.head_panels(
+            [*axes, *below], [*titles, *(f"Ranks of {WORDS[name]}" for name in shown)]
+        )
     return figure
 
 
@@ -82,17 +75,17 @@ def _coverage(
     for y, line in enumerate(table):
         count = int(line["cases"]) - int(line["failed"])
         low, high = (100.0 * (end - level) for end in coverage_band(max(count, 1), level))
-        panel.fill_between([low, high], y - 0.4, y + 0.4, color=BAND, linewidth=0.0)
+        panel.fill_between([low, high], y - 0.4, y + 0.4, color=style.BAND, linewidth=0.0)
         for index, name in enumerate(names):
             if f"{name}_holds" in line:
-                style = look(index)
+                own = style.look(index)
                 panel.plot(
                     100.0 * (float(line[f"{name}_{level:.0%}"]) - level),
                     y + 0.7 / len(names) * (index - 0.5 * (len(names) - 1)),
-                    color=style.colour, marker=style.marker, markersize=3.0, linestyle="none",
+                    color=own.colour, marker=own.marker, markersize=3.0, linestyle="none",
                     label=WORDS[name] if y == 0 else None,
                 )  # fmt: skip
-    panel.axvline(0.0, color=NEUTRAL, linewidth=0.6)
+    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6)
     panel.set_ylim(len(table) - 0.5, -0.5)
     panel.set_yticks([])
     panel.set_xlabel("covered − promised (%)")
@@ -108,19 +101,19 @@ def _ranks(
     for count in sorted({ranks.size for ranks in by_row.values()}):
         low, high = ecdf_band(count)
         panel.fill_between(
-            points, low - points, high - points, color=BAND, alpha=0.5, linewidth=0.0
+            points, low - points, high - points, color=style.BAND, alpha=0.5, linewidth=0.0
         )
     named = 0
     for row, ranks in by_row.items():
         out = uniformity(ranks) < FALSE_ALARM
-        style = look(named + 1)
+        own = style.look(named + 1)
         panel.plot(
             points, ecdf(ranks) - points,
-            color=style.colour if out else NEUTRAL, linestyle=style.dashes if out else "-",
+            color=own.colour if out else style.NEUTRAL, linestyle=own.dashes if out else "-",
             linewidth=1.0 if out else 0.4, label=row if out else None,
         )  # fmt: skip
         named += out
-    panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     panel.set_xlim(0.0, 1.0)
     panel.set_xlabel("rank")
     if named:

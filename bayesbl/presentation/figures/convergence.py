@@ -7,26 +7,22 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import one_panel_each
+from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
-from bayesbl.presentation.figures.style import (
-    NEUTRAL,
-    head_panels,
-    legend_above,
-    look,
-    publication_style,
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
+
+
+@stored_figure(
+    "How the search found its optimum.", 130, holding("search_history"), for_specialists=True
 )
-
-
-@publication_style()
 def convergence(tree: xr.DataTree) -> Figure:
     """Best RMSE so far of each run, a panel a snapshot; rivals end above the dashed optimum."""
     parts = snapshots(tree)
-    figure, axes = one_panel_each(len(parts))
+    figure, axes = layout.one_panel_each(len(parts))
     for panel, snapshot in zip(axes, parts, strict=True):
         _draw(panel, snapshot)
     axes[0].set_ylabel("RMSE (rpm)")
-    head_panels(axes, [s.name for s in parts])
+    style.head_panels(axes, [s.name for s in parts])
     return figure
 
 
@@ -35,19 +31,19 @@ def _draw(panel: Axes, snapshot: Snapshot) -> None:
     evaluations = snapshot.values("search_history", "evaluations")
     rmse = snapshot.values("search_history", "rmse_rpm")
     for index, run in enumerate(np.unique(runs)):
-        mine, style = runs == run, look(index)
+        mine, own = runs == run, style.look(index)
         panel.plot(
             evaluations[mine],
             rmse[mine],
-            color=style.colour,
-            linestyle=style.dashes,
-            marker=style.marker,
+            color=own.colour,
+            linestyle=own.dashes,
+            marker=own.marker,
             markerfacecolor="none",
             markevery=[int(mine.sum()) - 1],
             label=f"run {index + 1}",
         )
     best = snapshot.number("optimum", "rmse_rpm")
-    panel.axhline(best, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (1.0, 2.0)), zorder=0.0)
+    panel.axhline(best, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (1.0, 2.0)), zorder=0.0)
     panel.annotate(
         f"optimum {best:.3f} rpm",
         (0.02, best),
@@ -56,9 +52,9 @@ def _draw(panel: Axes, snapshot: Snapshot) -> None:
         textcoords="offset points",
         va="top",
         fontsize=7.0,
-        color=NEUTRAL,
+        color=style.NEUTRAL,
     )
     panel.set_xscale("log")
     panel.margins(y=0.12)
     panel.set_xlabel("Model evaluations in the run")
-    legend_above(panel)
+    style.legend_above(panel)

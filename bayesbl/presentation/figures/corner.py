@@ -9,15 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.scales import Scale, scale_of
 from bayesbl.presentation.figures.snapshots import Snapshot
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    NEUTRAL,
-    WITHHELD,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.recording.types import FloatArray
 
 _BINS = 32
@@ -25,14 +20,20 @@ _LEVELS = (0.9, 0.5)
 _LEFT_IN, _BOTTOM_IN, _EDGE_IN, _GAP_IN = 0.62, 0.62, 0.08, 0.06
 
 
-@publication_style()
+@stored_figure(
+    "The posterior of every free parameter, pair by pair.",
+    140,
+    holding("posterior/amplitude_rpm"),
+    parts=each_snapshot,
+    for_specialists=True,
+)
 def corner(snapshot: Snapshot) -> Figure:
     """Marginals on the diagonal, pairs below it; every free symbol and δ have a row."""
     names = snapshot.symbols
     draws = {n: snapshot.values("posterior", n).ravel() for n in names}
     scales = {n: scale_of(n, draws[n]) for n in names}
     shown = {n: scales[n].shown(draws[n]) for n in names}
-    figure = new_figure(DOUBLE_COLUMN_IN, DOUBLE_COLUMN_IN)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, style.DOUBLE_COLUMN_IN)
     for row, vertical in enumerate(names):
         for column, horizontal in enumerate(names[: row + 1]):
             panel = figure.add_axes(_place(row, column, len(names)))
@@ -47,18 +48,18 @@ def corner(snapshot: Snapshot) -> Figure:
 
 def _place(row: int, column: int, count: int) -> tuple[float, float, float, float]:
     """Left, bottom, width and height of a panel as shares of the figure."""
-    pitch = (DOUBLE_COLUMN_IN - _LEFT_IN - _EDGE_IN + _GAP_IN) / count
+    pitch = (style.DOUBLE_COLUMN_IN - _LEFT_IN - _EDGE_IN + _GAP_IN) / count
     left = _LEFT_IN + column * pitch
     bottom = _BOTTOM_IN + (count - 1 - row) * pitch
-    size = (pitch - _GAP_IN) / DOUBLE_COLUMN_IN
-    return left / DOUBLE_COLUMN_IN, bottom / DOUBLE_COLUMN_IN, size, size
+    size = (pitch - _GAP_IN) / style.DOUBLE_COLUMN_IN
+    return left / style.DOUBLE_COLUMN_IN, bottom / style.DOUBLE_COLUMN_IN, size, size
 
 
 def _draw_marginal(panel: Axes, values: FloatArray, withheld: bool) -> None:
-    colour = WITHHELD if withheld else "#6baed6"
+    colour = style.WITHHELD if withheld else "#6baed6"
     panel.hist(values, bins=_BINS, color=colour, histtype="stepfilled", linewidth=0.0)
     for quantile in np.quantile(values, (0.05, 0.5, 0.95)):
-        panel.axvline(quantile, color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
+        panel.axvline(quantile, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
     panel.spines["left"].set_visible(False)
 
 
@@ -79,7 +80,7 @@ def _draw_pair(panel: Axes, x: FloatArray, y: FloatArray) -> None:
     if np.all(np.diff(levels) > 0.0):
         x_middle, y_middle = (0.5 * (e[1:] + e[:-1]) for e in (x_edges, y_edges))
         panel.contour(
-            x_middle, y_middle, smooth.T, levels=levels, colors=NEUTRAL, linewidths=(0.5, 0.9)
+            x_middle, y_middle, smooth.T, levels=levels, colors=style.NEUTRAL, linewidths=(0.5, 0.9)
         )
 
 

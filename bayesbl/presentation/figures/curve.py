@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,24 +12,24 @@ from matplotlib.figure import Figure
 
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
-from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.scales import plain_log_axis
-from bayesbl.presentation.figures.stored import values
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    MODEL,
-    NEUTRAL,
-    head_panels,
-    legend_above,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.snapshots import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 
 _PAPER = "#d55e00"
 _WIDE_SOURCES = ("bench",)
 """Sources of another order of magnitude than the sweep's own: drawn at the scale of eq. 4."""
 
+_POINTS: Mapping[str, Any] = {
+    "color": style.NEUTRAL,
+    "marker": "o",
+    "markersize": 2.4,
+    "markerfacecolor": "none",
+    "markeredgewidth": 0.5,
+    "linestyle": "none",
+}
 _FILLS: Mapping[str, str] = {
     "bench": "#dcdcdc",
     "regression": "#0072b2",
@@ -41,11 +42,15 @@ _NAMES: Mapping[str, str] = {
 }
 
 
-@publication_style()
+@stored_figure(
+    "Gap against amplitude of the ringing: the sweep and the curve through it.",
+    50,
+    holding("gap_curve", "sweep"),
+)
 def curve(tree: xr.DataTree) -> Figure:
     """δ on A with eq. 4 beside it, and both panels of relative departure from the curve."""
-    figure = new_figure(DOUBLE_COLUMN_IN, 3.7)
-    outer = grid(figure, 1, 2, between=(0.0, 0.7), widths=(1.0, 1.0))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 3.7)
+    outer = layout.grid(figure, 1, 2, between=(0.0, 0.7), widths=(1.0, 1.0))
     whole = figure.add_subplot(outer[0, 0])
     right = outer[0, 1].subgridspec(2, 1, hspace=0.42)
     paper = figure.add_subplot(right[0, 0])
@@ -58,10 +63,10 @@ def curve(tree: xr.DataTree) -> Figure:
         plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
         panel.yaxis.set_label_coords(-0.13, 0.5)
-        panel.axhline(0.0, color=NEUTRAL, linewidth=0.9, zorder=1.5)
+        panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.9, zorder=1.5)
     paper.tick_params(labelbottom=False)
     close.set_xlabel("Amplitude of the ringing A (rpm)")
-    head_panels([whole, paper, close], ["", "eq. 4 (dashed)", "the sweep"])
+    style.head_panels([whole, paper, close], ["", "eq. 4 (dashed)", "the sweep"])
     return figure
 
 
@@ -100,7 +105,7 @@ def _draw_whole(panel: Axes, tree: xr.DataTree) -> None:
     panel.plot(
         amplitude,
         1e3 * group["delta_rad"].values,
-        color=MODEL,
+        color=style.MODEL,
         label=f"curve: {_kind(tree)} with lack of fit",
     )
     inside, eq4 = _paper(tree)
@@ -110,8 +115,7 @@ def _draw_whole(panel: Axes, tree: xr.DataTree) -> None:
     starts = sweep.sizes["start"]
     panel.plot(
         sweep["amplitude_rpm"].values.ravel(), 1e3 * np.repeat(sweep["gap_rad"].values, starts),
-        color=NEUTRAL, marker="o", markersize=2.6, markerfacecolor="none", markeredgewidth=0.5,
-        linestyle="none", label=f"sweep: {sweep.sizes['gap']} gaps, {starts} start angles",
+        label=f"sweep: {sweep.sizes['gap']} gaps, {starts} start angles", **_POINTS,
     )  # fmt: skip
     panel.set_xlim(left=0.0)
     panel.set_ylim(bottom=0.0)
@@ -147,7 +151,7 @@ def _draw_against_paper(panel: Axes, tree: xr.DataTree) -> None:
     panel.margins(y=0.1)
     panel.set_ylabel("Departure of δ (%)")
     if panel.get_legend_handles_labels()[0]:
-        legend_above(panel)
+        style.legend_above(panel)
 
 
 def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
@@ -158,20 +162,19 @@ def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
     for source, (low, high) in sorted(bands.items(), key=lambda item: -float(np.ptp(item[1]))):
         _draw_band(panel, knots, low, high, source)
     panel.plot(
-        knots, 100.0 * np.expm1(-stored["correction"].values), color=MODEL,
+        knots, 100.0 * np.expm1(-stored["correction"].values), color=style.MODEL,
         linestyle=(0.0, (1.0, 1.0)), label=f"{_kind(tree)} alone",
     )  # fmt: skip
     nominal = curve_from_dataset(stored, "")
     scatter = 100.0 * nominal.log_slope(knots) * stored["start_angle_sd_rpm"].values
     for sign in (-1.0, 1.0):
         panel.plot(
-            knots, sign * scatter, color=NEUTRAL, linewidth=0.7, linestyle=(0.0, (5.0, 2.0)),
+            knots, sign * scatter, color=style.NEUTRAL, linewidth=0.7, linestyle=(0.0, (5.0, 2.0)),
             label="start angle, ± 1 sd" if sign > 0.0 else None,
         )  # fmt: skip
     panel.plot(
         sweep["amplitude_rpm"].values.ravel(), departures_from_curve(tree).ravel(),
-        color=NEUTRAL, marker="o", markersize=2.0, markerfacecolor="none", markeredgewidth=0.4,
-        linestyle="none", label="sweep points",
+        label="sweep points", **_POINTS,
     )  # fmt: skip
     bottom, top = panel.get_ylim()
     panel.set_ylim(bottom, top + 0.55 * (top - bottom))

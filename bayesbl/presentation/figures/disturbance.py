@@ -8,25 +8,20 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.stored import values
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    head_panels,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures import layout, panels, style
+from bayesbl.presentation.figures.snapshots import values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 
-@publication_style()
+@stored_figure("The ringing as the gap grows.", 60, holding("examples", "sweep"))
 def disturbance(tree: xr.DataTree) -> Figure:
     """Noise-free speed at some gaps over one load rotation; both pulses from nearby."""
     names = ("time_s", "motor_speed_rpm", "gap_rad")
     time, speeds, gaps = (values(tree, "examples", name) for name in names)
-    figure = new_figure(DOUBLE_COLUMN_IN, 2.6)
-    spec = grid(figure, 1, 3, top=0.5, between=(0.0, 0.25), widths=(1.5, 1.0, 1.0))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.6)
+    spec = layout.grid(figure, 1, 3, top=0.5, between=(0.0, 0.25), widths=(1.5, 1.0, 1.0))
     whole = figure.add_subplot(spec[0, 0])
     positive = figure.add_subplot(spec[0, 1], sharey=whole)
     negative = figure.add_subplot(spec[0, 2], sharey=whole)
@@ -47,7 +42,7 @@ def disturbance(tree: xr.DataTree) -> Figure:
         panel.set_xlim(0.0, 1e3 * length)
         panel.set_xlabel("Time in the shaded part (ms)")
         panel.tick_params(labelleft=False)
-    head_panels(
+    style.head_panels(
         [whole, positive, negative], ["one load rotation", "positive pulse", "negative pulse"]
     )
     figure.legend(*whole.get_legend_handles_labels(), loc="upper center", ncols=len(gaps))
@@ -55,7 +50,7 @@ def disturbance(tree: xr.DataTree) -> Figure:
 
 
 def pulse_view(tree: xr.DataTree) -> tuple[float, float]:
-    """Begin relative to a pulse's first peak, and length, of a view that holds it; s.
+    """Start relative to a pulse's first peak, and length, of a view that holds it; s.
 
     Long enough for the ringing of the largest gap to fall to 5 %, and almost two periods before it.
     """
@@ -76,7 +71,7 @@ def _mark(whole: Axes, time: FloatArray, begin: float, length: float) -> None:
     for turn in (-period, 0.0, period):
         start, stop = max(begin + turn, time[0]), min(begin + turn + length, time[-1])
         if start < stop:
-            whole.axvspan(start, stop, color="#f5edc0", linewidth=0.0, zorder=0.0)
+            panels.shade(whole, start, stop)
 
 
 def _draw_pulse(
@@ -87,7 +82,7 @@ def _draw_pulse(
     length: float,
     colour: tuple[float, float, float, float],
 ) -> None:
-    """A stretch of the rotation, which goes on from its end to its beginning."""
+    """A stretch of the rotation, which continues from its end to its start."""
     period = time[-1] - time[0]
     shifted = (time[:-1] - begin) % period
     order = np.argsort(shifted)

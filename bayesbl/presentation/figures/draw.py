@@ -3,43 +3,25 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import xarray as xr
-from matplotlib.figure import Figure
 
+from bayesbl.declared import declared
 from bayesbl.errors import ResultError
-from bayesbl.presentation.figures.bench_draws import bench_draws
-from bayesbl.presentation.figures.convergence import convergence
-from bayesbl.presentation.figures.corner import corner
-from bayesbl.presentation.figures.curve import curve
-from bayesbl.presentation.figures.degrees import degrees
-from bayesbl.presentation.figures.diagnosis import diagnosed
-from bayesbl.presentation.figures.direct_gap import direct_change, direct_gap
-from bayesbl.presentation.figures.discrepancy import discrepancy
-from bayesbl.presentation.figures.disturbance import disturbance
-from bayesbl.presentation.figures.gap import gap
-from bayesbl.presentation.figures.misfit import misfit
-from bayesbl.presentation.figures.named import can_be_drawn, named
-from bayesbl.presentation.figures.noise import noise
-from bayesbl.presentation.figures.overlay import overlay
-from bayesbl.presentation.figures.signal import signal
-from bayesbl.presentation.figures.snapshots import snapshots
+from bayesbl.presentation import figures
+from bayesbl.presentation.figures.stored_figure import StoredFigure, file_ending
 from bayesbl.presentation.figures.style import publication_style, save
-from bayesbl.presentation.figures.trace import trace
-from bayesbl.presentation.figures.wear import wear
 
 
-@publication_style()
 def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
-    """Write every figure as PDF and PNG.
+    """Write every figure that applies to a result as PDF and PNG.
 
     Parameters
     ----------
     tree
-        A fit, a comparison, a sweep or a diagnosis, as
-        :func:`bayesbl.results.store.read_tree` gives it.
+        As :func:`bayesbl.results.store.read_tree` gives it.
     folder
         Is made if it is missing.
 
@@ -50,71 +32,58 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
     Raises
     ------
     ResultError
-        If the result is of another kind.
+        If there is no figure for such a result.
     """
-    kind = tree.attrs["kind"]
-    if kind not in _FIGURES:
+    found = figures_of(tree)
+    if not found:
         raise ResultError(
             "There are no figures for a result of this kind.",
-            found=kind,
+            found=tree.attrs.get("kind"),
             expected="a fit, a comparison, a sweep or a diagnosis",
         )
-    draw = _direct_figures if tree.attrs.get("route") == "direct" else _FIGURES[kind]
     written: list[Path] = []
-    for name, figure in draw(tree):
-        written += save(figure, folder, name)
-        del figure
-        # A figure holds itself in circles, and up to 15 MB: freed before the next one is made.
-        gc.collect()
+    with publication_style():
+        for figure in found:
+            for ending, drawn_from in figure.parts(tree):
+                written += save(figure(*drawn_from), folder, figure.name + ending)
+                # A figure holds itself in circles, and up to 15 MB: freed before the next one.
+                gc.collect()
     return written
 
 
-def _diagnosis_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    if tree.attrs.get("method") == "forward":
-        before, after = (tree[f"located_{s}"].to_dataset() for s in ("before", "after"))
-        for recording in before["recording"].values:
-            figure = discrepancy(before, str(recording), after)
-            yield f"diagnosis_{str(recording).replace(' ', '_')}", figure
-        if can_be_drawn(tree):
-            yield named.__name__, named(tree)
-        return
-    for recording, figure in diagnosed(tree).items():
-        yield f"diagnosis_{recording.replace(' ', '_')}", figure
+def figures_of(tree: xr.DataTree) -> list[StoredFigure]:
+    """The figures that apply to a result, in reading order."""
+    known = sorted(declared(figures, StoredFigure), key=lambda figure: figure.order)
+    return [figure for figure in known if figure.applies(tree)]
 
 
-def _sweep_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    for draw in (curve, disturbance, degrees):
-        yield draw.__name__, draw(tree)
-    if "bench_draws" in tree.children:
-        yield bench_draws.__name__, bench_draws(tree)
+def reading_order(
+    stems: Iterable[str], known: Sequence[StoredFigure], snapshots: Sequence[str]
+) -> list[str]:
+    """Stems of figure files in the order of the figures, then snapshot by snapshot."""
+    endings = [file_ending(snapshot) for snapshot in snapshots]
+
+    def place(stem: str) -> tuple[int, int, str]:
+        figure = figure_of(stem, known)
+        if figure is None:
+            return len(known), 0, stem
+        ending = stem.removeprefix(figure.name)
+        at = endings.index(ending) if ending in endings else len(endings)
+        return list(known).index(figure), at, stem
+
+    return sorted(stems, key=place)
 
 
-def _direct_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    yield "signal", overlay(tree)
-    yield "gap", direct_gap(tree)
-    if "change" in tree.children:
-        yield "change", direct_change(tree)
-    if "wear" in tree.children:
-        yield wear.__name__, wear(tree)
+def caption(stem: str, known: Sequence[StoredFigure]) -> str:
+    """The caption of a figure file; of an unknown figure its name in words."""
+    figure = figure_of(stem, known)
+    if figure is None:
+        return stem.replace("_", " ").capitalize() + "."
+    ending = stem.removeprefix(figure.name).strip("_").replace("_", " ")
+    text = figure.caption
+    return f"{ending}: {text[0].lower()}{text[1:]}" if ending else text
 
 
-def _snapshot_figures(tree: xr.DataTree) -> Iterator[tuple[str, Figure]]:
-    """File name and figure, made one at a time: a corner holds megabytes while it is open."""
-    for draw in (signal, gap, misfit, noise, convergence):
-        yield draw.__name__, draw(tree)
-    if "wear" in tree.children:
-        yield wear.__name__, wear(tree)
-    alone = tree.attrs["kind"] != "compare"
-    for draw_one in (corner, trace):
-        for snapshot in snapshots(tree):
-            of_which = "" if alone else "_" + snapshot.name.replace(" ", "_")
-            yield draw_one.__name__ + of_which, draw_one(snapshot)
-
-
-_FIGURES = {
-    "fit": _snapshot_figures,
-    "compare": _snapshot_figures,
-    "sweep": _sweep_figures,
-    "diagnose": _diagnosis_figures,
-}
-"""Kind of a result to what draws its figures, one at a time."""
+def figure_of(stem: str, known: Sequence[StoredFigure]) -> StoredFigure | None:
+    """The figure that a file of this name shows; ``None`` if it is none of these."""
+    return next((f for f in known if stem == f.name or stem.startswith(f"{f.name}_")), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,28 +10,27 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from bayesbl.presentation.figures.change import draw_change, legend_lines, told
-from bayesbl.presentation.figures.layout import LINE_IN, grid
-from bayesbl.presentation.figures.snapshots import GAP, Snapshot, credible_interval, snapshots
-from bayesbl.presentation.figures.stored import curve_name
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    LIMIT,
-    NEUTRAL,
-    WITHHELD,
-    head_panels,
-    look,
-    new_figure,
-    publication_style,
+from bayesbl.presentation.figures import layout, panels, style
+from bayesbl.presentation.figures.change import draw_change, legend_lines
+from bayesbl.presentation.figures.snapshots import (
+    GAP,
+    Snapshot,
+    credible_interval,
+    curve_name,
+    gap_colour,
+    gap_in_words,
+    gap_interval,
+    snapshots,
 )
-from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import Interval
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.ringing.symbols import AMPLITUDE
 
-_BINS = 40
 
-
-@publication_style()
+@stored_figure(
+    "Each gap on the curve it was read from, and the distribution of the change.",
+    20,
+    holding("posterior/amplitude_rpm", "curve/delta_rad"),
+)
 def gap(tree: xr.DataTree) -> Figure:
     """δ against A with the posteriors of both along the axes; for snapshots also the change."""
     parts = snapshots(tree)
@@ -39,9 +38,9 @@ def gap(tree: xr.DataTree) -> Figure:
     # Two legends stand side by side above the panels.
     lines = 1 + len(parts) + ("limit_rad" in tree.attrs)
     lines = max(lines, legend_lines(tree)) if compare else lines
-    top = 0.28 + LINE_IN * lines
-    figure = new_figure(DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
-    outer = grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
+    top = 0.28 + layout.LINE_IN * lines
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
+    outer = layout.grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
     joint = outer[0, 0].subgridspec(
         2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
     )
@@ -59,7 +58,7 @@ def gap(tree: xr.DataTree) -> Figure:
         overview = figure.add_subplot(outer[0, 1])
         panels, titles = [above, overview], ["gap on its curve"]
     _draw_overview(overview, main, tree, parts)
-    head_panels(panels, [*titles, "the whole curve; grey: the view of (a)"])
+    style.head_panels(panels, [*titles, "the whole curve; grey: the range of (a)"])
     handles, labels = main.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
     return figure
@@ -74,7 +73,7 @@ def _draw_joint(
         _draw_marginals(top, side, snapshot, index)
     _set_view(main, tree, parts)
     for panel in (main, side):
-        _draw_limit(panel, tree)
+        panels.limit_line(panel, tree)
     main.set_xlabel("Amplitude of the ringing A (rpm)")
     main.set_ylabel("Gap δ (mrad)")
     for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
@@ -92,7 +91,7 @@ def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
         color="#c8c8c8", linewidth=0.0,
     )  # fmt: skip
     main.plot(
-        amplitude, 1e3 * curve["delta_rad"].values, color=NEUTRAL, linewidth=0.9,
+        amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
         label=f"gap curve ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
     )  # fmt: skip
 
@@ -100,51 +99,33 @@ def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
 def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
     """Median with intervals both ways; hollow and grey where δ must not be read."""
     amplitude = credible_interval(tree, snapshot.values("posterior", AMPLITUDE))
-    delta = credible_interval(tree, snapshot.values("posterior", GAP))
-    style = look(index)
-    colour = WITHHELD if snapshot.withheld else style.colour
+    delta = gap_interval(tree, snapshot)
     main.errorbar(
         [amplitude["median"]],
-        [1e3 * delta["median"]],
-        xerr=[[amplitude["median"] - amplitude["low"]], [amplitude["high"] - amplitude["median"]]],
-        yerr=[
-            [1e3 * (delta["median"] - delta["low"])],
-            [1e3 * (delta["high"] - delta["median"])],
-        ],
-        color=colour,
-        marker=style.marker,
-        markerfacecolor="white" if snapshot.withheld else colour,
-        linestyle="none",
+        [delta["median"]],
+        xerr=panels.reach(amplitude),
+        yerr=panels.reach(delta),
         capsize=2.0,
         zorder=3.0,
-        label=_told(tree, snapshot, delta),
+        label=gap_in_words(tree, snapshot),
+        **_marker(snapshot, index),
     )
 
 
-def _told(tree: xr.DataTree, snapshot: Snapshot, delta: Interval) -> str:
-    if snapshot.withheld:
-        return f"{snapshot.name}: δ withheld"
-    low, median, high = (1e3 * delta[k] for k in ("low", "median", "high"))
-    mrad: Interval = {**delta, "low": low, "median": median, "high": high}
-    return f"{snapshot.name}: {told(tree, mrad)}"
+def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
+    """The look of a snapshot's point; hollow and grey where δ must not be read."""
+    colour = gap_colour(snapshot, index)
+    face = "white" if snapshot.withheld else colour
+    marker = style.look(index).marker
+    return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
 
 
 def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
-    style = look(index)
-    colour = WITHHELD if snapshot.withheld else style.colour
-    marginals: tuple[tuple[Axes, FloatArray, Literal["vertical", "horizontal"], str], ...] = (
-        (top, snapshot.values("posterior", AMPLITUDE), "vertical", style.colour),
-        (side, 1e3 * snapshot.values("posterior", GAP), "horizontal", colour),
-    )
-    for panel, values, orientation, fill in marginals:
-        counts, edges = np.histogram(values, _BINS, density=True)
-        panel.stairs(
-            counts, edges, orientation=orientation, fill=True, color=fill, alpha=0.3,
-        )  # fmt: skip
-        panel.stairs(
-            counts, edges, orientation=orientation, color=fill, linestyle=style.dashes,
-            linewidth=0.9,
-        )  # fmt: skip
+    own = style.look(index)
+    outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
+    panels.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
+    draws = 1e3 * snapshot.values("posterior", GAP)
+    panels.density(side, draws, gap_colour(snapshot, index), orientation="horizontal", **outline)
     if snapshot.withheld:
         side.annotate(
             "withheld",
@@ -178,15 +159,6 @@ def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
         setter(factor * bottom, factor * top)
 
 
-def _draw_limit(panel: Axes, tree: xr.DataTree) -> None:
-    if "limit_rad" in tree.attrs:
-        limit = 1e3 * float(tree.attrs["limit_rad"])
-        dashes = (0.0, (6.0, 2.0, 1.0, 2.0))
-        panel.axhline(
-            limit, color=LIMIT, linewidth=0.9, linestyle=dashes, label=f"limit {limit:g} mrad"
-        )
-
-
 def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     """The curve over its whole range, with the view of the main panel marked."""
     (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
@@ -194,15 +166,10 @@ def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snaps
         Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
     )
     _draw_curve(panel, tree)
-    _draw_limit(panel, tree)
+    panels.limit_line(panel, tree)
     for index, snapshot in enumerate(parts):
-        style = look(index)
-        colour = WITHHELD if snapshot.withheld else style.colour
-        panel.plot(
-            [_median(snapshot, AMPLITUDE)], [1e3 * _median(snapshot, GAP)],
-            color=colour, marker=style.marker, linestyle="none",
-            markerfacecolor="white" if snapshot.withheld else colour,
-        )  # fmt: skip
+        place = _median(snapshot, AMPLITUDE), 1e3 * _median(snapshot, GAP)
+        panel.plot(*place, **_marker(snapshot, index))
     panel.set_xlabel("Amplitude of the ringing A (rpm)")
     panel.set_ylabel("Gap δ (mrad)")
 

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import one_panel_each
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
-from bayesbl.presentation.figures.style import NEUTRAL, head_panels, look, publication_style
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WINDOW_START
 
-_TURN = 2.0 * np.pi
 
-
-@publication_style()
+@stored_figure(
+    "What repeats every rotation and the model does not describe.", 110, holding("misfit/mean_rpm")
+)
 def misfit(tree: xr.DataTree) -> Figure:
     """Rotation-averaged residual against load phase, ± one standard error, a panel a snapshot."""
     parts = snapshots(tree)
-    figure, axes = one_panel_each(len(parts))
+    figure, axes = layout.one_panel_each(len(parts))
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
-        _draw(panel, snapshot, look(index).colour)
+        _draw(panel, snapshot, style.look(index).colour)
     axes[0].set_ylabel("Repeating residual (rpm)")
-    axes[0].set_xlim(0.0, _TURN)
-    axes[0].set_xticks(_TURN * np.arange(5) / 4.0, ["0", "π/2", "π", "3π/2", "2π"])
-    head_panels(axes, [f"{s.name}: {s.number('misfit', 'rms_rpm'):.2f} rpm RMS" for s in parts])
+    style.head_panels(
+        axes, [f"{s.name}: {s.number('misfit', 'rms_rpm'):.2f} rpm RMS" for s in parts]
+    )
     return figure
 
 
@@ -34,16 +33,16 @@ def _draw(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     mean = snapshot.values("misfit", "mean_rpm")
     error = snapshot.values("misfit", "standard_error_rpm")
     for first, width, sign in _pulses(snapshot):
-        for turn in (0.0, -_TURN):
+        for turn in (0.0, -panels.TURN):
             panel.axvspan(first + turn, first + turn + width, color="#e6e6e6", linewidth=0.0)
         panel.annotate(
             sign,
-            ((first + 0.5 * width) % _TURN, 0.97),
+            ((first + 0.5 * width) % panels.TURN, 0.97),
             xycoords=("data", "axes fraction"),
             ha="center",
             va="top",
         )
-    panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     panel.fill_between(
         phase,
         mean - error,
@@ -54,7 +53,7 @@ def _draw(panel: Axes, snapshot: Snapshot, colour: str) -> None:
         label="± 1 standard error",
     )
     panel.plot(phase, mean, color=colour, linewidth=0.8, label="mean over rotations")
-    panel.set_xlabel("Load phase since the recording began (rad)")
+    panels.rotation_axis(panel, "Load phase since the start of the recording (rad)")
     panel.margins(y=0.18)
     panel.legend(loc="lower left", ncols=2, columnspacing=1.0, borderaxespad=0.0)
 
@@ -67,6 +66,6 @@ def _pulses(snapshot: Snapshot) -> list[tuple[float, float, str]]:
     length = snapshot.number("optimum", WINDOW_END) - snapshot.number("optimum", WINDOW_START)
     apart = snapshot.number("optimum", SEPARATION)
     return [
-        (_TURN * (((at - begin) / period) % 1.0), _TURN * length / period, sign)
+        (panels.TURN * (((at - begin) / period) % 1.0), panels.TURN * length / period, sign)
         for at, sign in ((start, "+"), (start - apart, "−"))
     ]

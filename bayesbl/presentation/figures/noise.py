@@ -8,47 +8,44 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from bayesbl.noise.rotation_noise import autocorrelation, rotation_difference
-from bayesbl.presentation.figures.layout import grid
+from bayesbl.noise.autoregression import autocorrelation
+from bayesbl.noise.rotation_noise import rotation_difference
+from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    MEASURED,
-    NEUTRAL,
-    head_panels,
-    legend_above,
-    look,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import ROTATION
 
 _FEWEST_LAGS, _MOST_LAGS = 20, 300
 
 
-@publication_style()
+@stored_figure(
+    "What does not repeat from one rotation to the next, and its noise model.",
+    120,
+    holding("noise/bic"),
+    for_specialists=True,
+)
 def noise(tree: xr.DataTree) -> Figure:
     """Per snapshot: BIC by autoregressive order, and the autocorrelation it leads to."""
     parts = snapshots(tree)
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.2 + 2.1 * len(parts))
-    spec = grid(figure, len(parts), 2, between=(0.7, 0.6))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.2 + 2.1 * len(parts))
+    spec = layout.grid(figure, len(parts), 2, between=(0.7, 0.6))
     axes: list[Axes] = []
     titles: list[str] = []
     for row, snapshot in enumerate(parts):
         left, right = figure.add_subplot(spec[row, 0]), figure.add_subplot(spec[row, 1])
-        _draw_bic(left, snapshot, look(row).colour)
-        _draw_autocorrelation(right, snapshot, look(row).colour)
+        _draw_bic(left, snapshot, style.look(row).colour)
+        _draw_autocorrelation(right, snapshot, style.look(row).colour)
         axes += [left, right]
         titles += [f"{snapshot.name}", f"{snapshot.name}"]
-    head_panels(axes, titles)
+    style.head_panels(axes, titles)
     return figure
 
 
 def _draw_bic(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     bic = snapshot.values("noise", "bic")
     order = int(snapshot.number("noise", "order"))
-    panel.plot(bic, color=MEASURED, marker="o", linewidth=0.7, markersize=3.0, label="BIC")
+    panel.plot(bic, color=style.MEASURED, marker="o", linewidth=0.7, markersize=3.0, label="BIC")
     if order < bic.size:
         panel.plot(
             [order], [bic[order]], color=colour, marker="s", linestyle="none", markersize=5.0,
@@ -59,7 +56,7 @@ def _draw_bic(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     panel.set_ylim(bottom=-2.0)
     panel.set_xlabel("Autoregressive order")
     panel.set_ylabel("BIC above its smallest")
-    legend_above(panel)
+    style.legend_above(panel)
 
 
 def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
@@ -74,14 +71,14 @@ def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     )
     lags = min(model.size, max(_FEWEST_LAGS, 2 * int(np.sum(np.abs(model) > 0.05))))
     shown = 1e3 * period * np.arange(lags)
-    panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     panel.vlines(
-        shown, 0.0, sample_autocorrelation(difference, lags), color=MEASURED, linewidth=1.0
+        shown, 0.0, sample_autocorrelation(difference, lags), color=style.MEASURED, linewidth=1.0
     )
     panel.plot(
         shown,
         sample_autocorrelation(difference, lags),
-        color=MEASURED,
+        color=style.MEASURED,
         marker="o",
         markersize=2.5,
         linestyle="none",
@@ -93,7 +90,7 @@ def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     panel.plot(shown, model[:lags], color=colour, label=f"{kind}, sd {sd:.2f} rpm")
     panel.set_xlabel("Lag (ms)")
     panel.set_ylabel("Autocorrelation")
-    legend_above(panel)
+    style.legend_above(panel)
 
 
 def _coefficients(snapshot: Snapshot) -> FloatArray:

@@ -7,29 +7,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.snapshots import Snapshot, snapshots
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    MEASURED,
-    MODEL,
-    NEUTRAL,
-    head_panels,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 
 _BLOCK_IN = 2.4
 _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
 
 
-@publication_style()
+@stored_figure(
+    "The measured signals with those of the simulated bench, and their difference.",
+    10,
+    holding("predictive/simulated_motor_speed_rpm"),
+    name="signal",
+)
 def overlay(tree: xr.DataTree) -> Figure:
     """One row of panels per snapshot: the middle rotation of each channel that was compared."""
     parts = snapshots(tree)
     channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
-    spec = grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
+    spec = layout.grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
     heads: list[Axes] = []
     titles: list[str] = []
     for row, snapshot in enumerate(parts):
@@ -42,11 +39,11 @@ def overlay(tree: xr.DataTree) -> Figure:
             _draw(upper, lower, snapshot, channel)
             heads.append(upper)
             titles.append(f"{snapshot.name}: one load rotation")
-    head_panels(heads, titles)
+    style.head_panels(heads, titles)
     figure.legend(
         handles=[
-            Line2D([], [], color=MEASURED, label="measured"),
-            Line2D([], [], color=MODEL, label="simulated at the optimum"),
+            Line2D([], [], color=style.MEASURED, label="measured"),
+            Line2D([], [], color=style.MODEL, label="simulated at the optimum"),
         ],
         loc="upper center",
         ncols=2,
@@ -65,12 +62,12 @@ def _draw(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) -> None:
     begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
     inside = (time >= begin) & (time <= begin + period)
     measured = snapshot.values("observed_data", channel)[inside]
-    upper.plot(time[inside], measured, color=MEASURED, linewidth=0.6)
+    upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6)
     simulated = snapshot.values("predictive", f"simulated_{channel}")[inside]
-    upper.plot(time[inside], simulated, color=MODEL, linewidth=0.9)
+    upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9)
     residual = snapshot.values("predictive", f"residual_{channel}")[inside]
-    lower.plot(time[inside], residual, color=MEASURED, linewidth=0.6)
-    lower.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    lower.plot(time[inside], residual, color=style.MEASURED, linewidth=0.6)
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     lower.set_xlim(begin, begin + period)
     lower.set_xlabel("Time (s)")
     unit = _CHANNELS[channel].rsplit(" ", 1)[1]

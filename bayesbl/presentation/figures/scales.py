@@ -67,8 +67,10 @@ def scale_of(name: str, draws: FloatArray) -> Scale:
     places = max(0, math.ceil(-math.log10(8.0 * spread))) if spread > 0.0 else 6
     reference = round(middle, places)
     sign = "−" if reference >= 0.0 else "+"
-    told = f" {sign} {abs(reference):.10g}" + (f" {symbol.unit}" if factor != 1.0 else "")
-    return Scale(text, unit, factor, reference, told)
+    text_of_reference = f" {sign} {abs(reference):.10g}" + (
+        f" {symbol.unit}" if factor != 1.0 else ""
+    )
+    return Scale(text, unit, factor, reference, text_of_reference)
 
 
 def _mathtext(paper: str) -> str:

@@ -10,18 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import Snapshot, interval_name, snapshots
-from bayesbl.presentation.figures.style import (
-    BAND,
-    DOUBLE_COLUMN_IN,
-    MEASURED,
-    MODEL,
-    NEUTRAL,
-    head_panels,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.traces import envelope
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WINDOW_START
@@ -55,12 +46,14 @@ class _Signal:
         return _Signal(*(part[inside] for part in parts))
 
 
-@publication_style()
+@stored_figure(
+    "The measured motor speed with the fitted ringing.", 10, holding("predictive/model_rpm")
+)
 def signal(tree: xr.DataTree) -> Figure:
     """One block per snapshot: the whole recording, a positive and a negative pulse."""
     parts = snapshots(tree)
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
-    spec = grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
+    spec = layout.grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
     heads: list[Axes] = []
     titles: list[str] = []
     for row, snapshot in enumerate(parts):
@@ -79,7 +72,7 @@ def signal(tree: xr.DataTree) -> Figure:
             bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
             _draw_part(top, bottom, data.within(begin, end))
             for axes in (upper, lower):
-                axes.axvspan(begin, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
+                panels.shade(axes, begin, end)
             top.tick_params(labelbottom=False, labelleft=False)
             bottom.tick_params(labelleft=False)
             heads.append(top)
@@ -89,13 +82,13 @@ def signal(tree: xr.DataTree) -> Figure:
         lower.set_ylabel("Residual (rpm)")
         for axes in (upper, lower):
             axes.yaxis.set_label_coords(-0.125, 0.5)
-    head_panels(heads, titles)
+    style.head_panels(heads, titles)
     _legend(figure, interval_name(tree))
     return figure
 
 
 def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
-    """Begin and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
+    """Start and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
     time = snapshot.values("observed_data", "time_s")
     symbol = {
         name: snapshot.number("optimum", name)
@@ -112,11 +105,11 @@ def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
     """Outlines of the dense traces: every extreme is on the page, not every sample."""
     time, _, band_high = envelope(data.time, data.high, _BINS)
     _, band_low, _ = envelope(data.time, data.low, _BINS)
-    upper.fill_between(time, band_low, band_high, color=BAND, linewidth=0.0, label="band")
-    _outline(upper, data.time, data.speed, MEASURED, "measured")
-    _outline(upper, data.time, data.model, MODEL, "model")
-    _outline(lower, data.time, data.residual, MEASURED, "residual")
-    lower.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0, label="band")
+    _outline(upper, data.time, data.speed, style.MEASURED, "measured")
+    _outline(upper, data.time, data.model, style.MODEL, "model")
+    _outline(lower, data.time, data.residual, style.MEASURED, "residual")
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     lower.set_xlim(data.time[0], data.time[-1])
     lower.set_xlabel("Time (s)")
 
@@ -128,19 +121,19 @@ def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str, labe
 
 def _draw_part(top: Axes, bottom: Axes, data: _Signal) -> None:
     """Every sample of a short stretch."""
-    top.fill_between(data.time, data.low, data.high, color=BAND, linewidth=0.0, label="band")
-    top.plot(data.time, data.speed, color=MEASURED, linewidth=0.7, label="measured")
-    top.plot(data.time, data.model, color=MODEL, linewidth=1.1, label="model")
+    top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label="band")
+    top.plot(data.time, data.speed, color=style.MEASURED, linewidth=0.7, label="measured")
+    top.plot(data.time, data.model, color=style.MODEL, linewidth=1.1, label="model")
     bottom.fill_between(
         data.time,
         data.low - data.model,
         data.high - data.model,
-        color=BAND,
+        color=style.BAND,
         linewidth=0.0,
         label="band",
     )
-    bottom.plot(data.time, data.residual, color=MEASURED, linewidth=0.7, label="residual")
-    bottom.axhline(0.0, color=MODEL, linewidth=0.8)
+    bottom.plot(data.time, data.residual, color=style.MEASURED, linewidth=0.7, label="residual")
+    bottom.axhline(0.0, color=style.MODEL, linewidth=0.8)
     bottom.set_xlim(data.time[0], data.time[-1])
     bottom.set_xlabel("Time (s)")
     bottom.locator_params(axis="x", nbins=3)
@@ -150,9 +143,9 @@ def _legend(figure: Figure, interval: str) -> None:
     band = interval.replace("interval", "predictive band").replace("HDI", "predictive band")
     figure.legend(
         handles=[
-            Line2D([], [], color=MEASURED, label="measured"),
-            Line2D([], [], color=MODEL, label="model at the optimum"),
-            Patch(color=BAND, label=band),
+            Line2D([], [], color=style.MEASURED, label="measured"),
+            Line2D([], [], color=style.MODEL, label="model at the optimum"),
+            Patch(color=style.BAND, label=band),
         ],
         loc="upper center",
         ncols=3,

@@ -1,17 +1,26 @@
-"""A stored result as figures read it: one view per snapshot, fits and comparisons alike."""
+"""A stored result as figures read it: snapshots, intervals, arrays."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.stored_snapshot import StoredSnapshot as Snapshot
 from bayesbl.measurement.stored_snapshot import stored_snapshots as snapshots
+from bayesbl.presentation.figures.style import WITHHELD, look
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 
-__all__ = ["GAP", "Snapshot", "credible_interval", "interval_name", "snapshots"]
+__all__ = ["GAP", "Snapshot", "snapshots"]
 
 GAP = "delta_rad"
+
+
+def gap_colour(snapshot: Snapshot, index: int) -> str:
+    """Of what shows δ, by the snapshot's place among the others; grey where withheld."""
+    return WITHHELD if snapshot.withheld else look(index).colour
 
 
 def credible_interval(tree: xr.DataTree, draws: FloatArray) -> Interval:
@@ -20,7 +29,39 @@ def credible_interval(tree: xr.DataTree, draws: FloatArray) -> Interval:
     return interval(draws, level, kind)
 
 
+def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
+    """Median and interval of a snapshot's δ, in mrad."""
+    return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
+
+
+def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
+    """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
+    places = max(0, 1 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))))
+    low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
+    return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
+
+
+def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
+    """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
+    if snapshot.withheld:
+        return f"{snapshot.name}: δ withheld"
+    return f"{snapshot.name}: {interval_in_words(tree, gap_interval(tree, snapshot))}"
+
+
 def interval_name(tree: xr.DataTree) -> str:
     """``90 % interval``."""
     kind = "HDI" if tree.attrs["interval_kind"] == "hdi" else "interval"
     return f"{100.0 * float(tree.attrs['interval_level']):g} % {kind}"
+
+
+def values(tree: xr.DataTree, group: str, variable: str) -> FloatArray:
+    """A stored variable or coordinate of numbers, in its own shape and units."""
+    return np.asarray(tree[group].to_dataset()[variable].values, dtype=float)
+
+
+def curve_name(name: str) -> str:
+    """What a reader calls a gap curve: ``published``, or the folder of the sweep that made it."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part]
+    if not parts:
+        return name
+    return parts[-2] if parts[-1] == "result.nc" and len(parts) > 1 else parts[-1]

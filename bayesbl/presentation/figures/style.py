@@ -58,7 +58,7 @@ _RC: Mapping[Any, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How one of several things of a kind is told from the others, in colour and in grey."""
+    """What distinguishes one of several things of a kind, in colour and in grey."""
 
     colour: str
     dashes: str | tuple[float, tuple[float, ...]]

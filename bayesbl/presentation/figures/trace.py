@@ -8,29 +8,28 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
+from bayesbl.presentation.figures import layout, style
 from bayesbl.presentation.figures.scales import scale_of
 from bayesbl.presentation.figures.snapshots import GAP, Snapshot
-from bayesbl.presentation.figures.style import (
-    DOUBLE_COLUMN_IN,
-    NEUTRAL,
-    head_panels,
-    look,
-    new_figure,
-    publication_style,
-)
+from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.recording.types import FloatArray
 
 _BINS = 30
 
 
-@publication_style()
+@stored_figure(
+    "The sampler's ensembles, step by step.",
+    150,
+    holding("posterior/amplitude_rpm"),
+    parts=each_snapshot,
+    for_specialists=True,
+)
 def trace(snapshot: Snapshot) -> Figure:
     """Per symbol: draws of every chain in turn, so that none hides another, and their densities."""
     names = snapshot.symbols
     rows = math.ceil(len(names) / 2)
-    figure = new_figure(DOUBLE_COLUMN_IN, 0.5 + 1.25 * rows)
-    spec = grid(figure, rows, 2, left=0.6, top=0.45, between=(0.36, 0.75))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.5 + 1.25 * rows)
+    spec = layout.grid(figure, rows, 2, left=0.6, top=0.45, between=(0.36, 0.75))
     heads: list[Axes] = []
     for index, name in enumerate(names):
         inner = spec[divmod(index, 2)].subgridspec(1, 2, width_ratios=(3.4, 1.0), wspace=0.04)
@@ -46,7 +45,7 @@ def trace(snapshot: Snapshot) -> Figure:
         else:
             left.tick_params(labelbottom=False)
         heads.append(left)
-    head_panels(heads, [_title(snapshot, n) for n in names])
+    style.head_panels(heads, [_title(snapshot, n) for n in names])
     figure.text(0.99, 0.995, snapshot.name, ha="right", va="top")
     return figure
 
@@ -56,19 +55,19 @@ def _draw(left: Axes, right: Axes, draws: FloatArray) -> None:
     chains, count = draws.shape
     edges = np.histogram_bin_edges(draws, _BINS)
     for chain, values in enumerate(draws):
-        style = look(chain)
+        own = style.look(chain)
         left.plot(
             chain * count + np.arange(count),
             values,
-            color=style.colour,
+            color=own.colour,
             linewidth=0.35,
             label=f"ensemble {chain + 1}",
         )
         counts, _ = np.histogram(values, edges)
-        right.stairs(counts, edges, orientation="horizontal", color=style.colour,
-                     linestyle=style.dashes, linewidth=0.8)  # fmt: skip
+        right.stairs(counts, edges, orientation="horizontal", color=own.colour,
+                     linestyle=own.dashes, linewidth=0.8)  # fmt: skip
         if chain:
-            left.axvline(chain * count, color=NEUTRAL, linewidth=0.4)
+            left.axvline(chain * count, color=style.NEUTRAL, linewidth=0.4)
     left.set_xlim(0, chains * count)
     left.set_xticks(count * np.arange(chains + 1))
     for axis in (right.xaxis, right.yaxis):

@@ -12,7 +12,7 @@ def envelope(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smallest and largest value in each of at most ``bins`` stretches of equal sample count.
 
-    Neighbouring stretches share a sample, so that the outline has no gaps. NaN is left out.
+    Neighbouring stretches share a sample, so that the outline has no gaps. NaN is ignored.
 
     Returns
     -------

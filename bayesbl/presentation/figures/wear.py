@@ -12,37 +12,30 @@ from matplotlib.figure import Figure
 
 from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name, snapshots
-from bayesbl.presentation.figures.style import (
-    BAND,
-    DOUBLE_COLUMN_IN,
-    LIMIT,
-    MODEL,
-    NEUTRAL,
-    WITHHELD,
-    head_panels,
-    look,
-    new_figure,
-    publication_style,
+from bayesbl.presentation.figures import layout, panels, style
+from bayesbl.presentation.figures.snapshots import (
+    gap_colour,
+    gap_interval,
+    interval_name,
+    snapshots,
 )
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.recording.types import FloatArray
 
-_LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 _RAREST = 0.005
-"""A probability nearer than this to 0 or 1 is told as less than 1 % or more than 99 %."""
+"""A probability nearer than this to 0 or 1 is given as less than 1 % or more than 99 %."""
 
 _LONGEST_VIEW = 3.0
 """How far ahead is shown at most, in times since the first snapshot in use."""
 
 
-@publication_style()
+@stored_figure("The gap against the date, and when it reaches its limit.", 40, holding(WEAR.name))
 def wear(tree: xr.DataTree) -> Figure:
     """δ of every dated snapshot with the line since the last repair; when the limit is reached."""
     group = tree[WEAR.name].to_dataset()
-    figure = new_figure(DOUBLE_COLUMN_IN, 2.9)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group and not group.attrs["reason"]
-    spec = grid(figure, 1, 2 if limited else 1, top=0.6)
+    spec = layout.grid(figure, 1, 2 if limited else 1, top=0.6)
     panels, titles = [figure.add_subplot(spec[0, 0])], ["gap and the line since the last repair"]
     ahead = _years_ahead(group)
     _draw_gaps(panels[0], tree, group, ahead)
@@ -56,7 +49,7 @@ def wear(tree: xr.DataTree) -> Figure:
         formatter = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
         panel.xaxis.set_major_formatter(formatter)
         panel.set_xlabel("Date")
-    head_panels(panels, titles)
+    style.head_panels(panels, titles)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=3)
     return figure
@@ -87,7 +80,7 @@ def _days(days: list[Date]) -> FloatArray:
 
 
 def _years_ahead(group: xr.Dataset) -> float:
-    """Up to where 95 % of the draws have reached the limit, or as far as the line bears."""
+    """Up to where 95 % of the draws have reached the limit, or as far as the line may be drawn."""
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span
@@ -101,29 +94,34 @@ def _years_ahead(group: xr.Dataset) -> float:
 
 
 def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
-    told = "rate_rad_per_year" in group and not group.attrs["reason"]
+    has_rate = "rate_rad_per_year" in group and not group.attrs["reason"]
     days = _days(used_dates(group))
     level = float(tree.attrs["interval_level"])
-    if told:
+    if has_rate:
         years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
         shown = days[-1] + DAYS_PER_YEAR * years
         low, middle, high = 1e3 * line_band(group, years, level)
         panel.fill_between(
-            shown, low, high, color=BAND, linewidth=0.0, label=f"{interval_name(tree)} of the line"
+            shown,
+            low,
+            high,
+            color=style.BAND,
+            linewidth=0.0,
+            label=f"{interval_name(tree)} of the line",
         )
-        panel.plot(shown, middle, color=MODEL, label="line, median")
+        panel.plot(shown, middle, color=style.MODEL, label="line, median")
     parts, used = snapshots(tree), group["used"].values
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
-    style = look(1)
+    own = style.look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
-        found = credible_interval(tree, 1e3 * part.values("posterior", GAP))
-        colour = WITHHELD if part.withheld else (style.colour if used[index] else NEUTRAL)
+        found = gap_interval(tree, part)
+        colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
         panel.errorbar(
             [day],
             [found["median"]],
-            yerr=[[found["median"] - found["low"]], [found["high"] - found["median"]]],
+            yerr=panels.reach(found),
             color=colour,
-            marker=style.marker,
+            marker=own.marker,
             markerfacecolor=colour if used[index] and not part.withheld else "white",
             linestyle="none",
             markersize=3.0,
@@ -131,7 +129,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
             zorder=3.0,
         )
         above = False  # on the side of the point where the line is not
-        if told and used[index]:
+        if has_rate and used[index]:
             at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
             above = bool(found["low"] > 1e3 * line_band(group, at, level)[1, 0])
         panel.annotate(
@@ -143,16 +141,10 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         )  # fmt: skip
     if np.any(used == 0.0):
         first = every[np.flatnonzero(used)[0]]
-        panel.axvline(first, color=NEUTRAL, linewidth=0.6, linestyle=":", label="after the repair")
-    if "limit_rad" in tree.attrs:
-        limit = 1e3 * float(tree.attrs["limit_rad"])
-        panel.axhline(
-            limit,
-            color=LIMIT,
-            linewidth=0.9,
-            linestyle=_LIMIT_DASHES,
-            label=f"limit {limit:g} mrad",
+        panel.axvline(
+            first, color=style.NEUTRAL, linewidth=0.6, linestyle=":", label="after the repair"
         )
+    panels.limit_line(panel, tree)
     panel.margins(y=0.12)
     panel.set_ylabel("Gap δ (mrad)")
 
@@ -163,19 +155,19 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
     passed = float(reached(group, np.zeros(1))[0])
     if passed > _RAREST:
         low = passed < 0.2  # no room below
-        panel.plot([last], [passed], color=MODEL, marker="o")
+        panel.plot([last], [passed], color=style.MODEL, marker="o")
         panel.annotate(
             f"passed before {used_dates(group)[-1]}: {_share(passed)}", (last, passed),
             xytext=(4.0, 6.0 if low else -6.0), textcoords="offset points",
             va="bottom" if low else "top", fontsize=7.0,
         )  # fmt: skip
-    panel.plot(last + DAYS_PER_YEAR * years, reached(group, years), color=MODEL)
+    panel.plot(last + DAYS_PER_YEAR * years, reached(group, years), color=style.MODEL)
     if "decide_before" in group.attrs:
         asked = group.attrs["decide_before"]
         day = _days([Date.fromisoformat(asked)])[0]
         share = float(reached(group, np.array([(day - last) / DAYS_PER_YEAR]))[0])
-        panel.axvline(day, color=NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
-        panel.plot([day], [share], color=NEUTRAL, marker="o")
+        panel.axvline(day, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
+        panel.plot([day], [share], color=style.NEUTRAL, marker="o")
         panel.annotate(
             f"by {asked}: {_share(share)}", (day, share), xytext=(-4.0, 4.0),
             textcoords="offset points", ha="right", fontsize=7.0,

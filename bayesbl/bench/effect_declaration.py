@@ -1,0 +1,294 @@
+"""What an effect is: the form in which every module of :mod:`bayesbl.bench.effects` declares one.
+
+Signs: friction opposes motion; torques called losses stand on the side of the load in the
+equation of motion, so a positive offset brakes forward rotation. Motor angles in the periodic
+effects are zero where a relaxed shaft would hold the load at the start angle, or absolute where
+the recording's ``motor_start_angle_rad`` is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.bench.kernel import MOTOR_SIGN_WIDTH, Slot
+from bayesbl.errors import BenchError
+from bayesbl.recording.channels import did_you_mean
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Enters = Literal["motor", "load", "shaft", "loop", "measurement"]
+Dependence = Literal[
+    "motor_angle", "load_angle", "speed", "direction", "time", "twist", "transmitted_torque"
+]
+Repeats = Literal["always", "whole_orders", "never"]
+Role = Literal["amplitude", "shape", "order", "phase"]
+
+ORDER = "order"
+PHASE = "phase_rad"
+
+ARMSTRONG = "Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30, 1083"
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """One parameter of an effect: an :class:`Amplitude` or a :class:`Shape`.
+
+    Attributes
+    ----------
+    role
+        ``amplitude``: at zero the effect, or this part of it, is off. ``shape``, ``order`` and
+        ``phase`` matter only while an amplitude is not zero; an order is found from the data; a
+        phase belongs to each recording, as the motor starts at another angle.
+    low, high
+        Range that a search may use.
+    typical
+        A middling strength on the reference bench: it shows and spoils nothing.
+    neutral
+        Value where it is not given: off for an amplitude, a default for the others.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    _: KW_ONLY
+    role: Role
+    low: float
+    high: float
+    typical: float
+    neutral: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Amplitude(EffectParameter):
+    """A parameter that switches the effect on.
+
+    Attributes
+    ----------
+    repeats
+        Whether the bench in steady rotation repeats every load rotation with it: ``always``, only
+        with a whole number of cycles per load rotation (``whole_orders``), or ``never``. What is
+        declared to repeat is simulated for one rotation and continued.
+    not_negative, smaller_than
+        What the simulator refuses: a value below zero, a size that reaches this.
+    sought_from
+        Lower end of a search in the loop, where it is not ``low``.
+    """
+
+    _: KW_ONLY
+    role: Role = "amplitude"
+    repeats: Repeats
+    not_negative: bool = False
+    smaller_than: float | None = None
+    sought_from: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Shape(EffectParameter):
+    """A parameter that says how, not how much.
+
+    ``positive_scale``: the simulator refuses zero and below while an amplitude is not zero.
+    """
+
+    _: KW_ONLY
+    role: Role = "shape"
+    positive_scale: bool = False
+
+
+LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0
+
+
+def order(typical: float) -> Shape:
+    """Cycles per motor turn n."""
+    meaning = "cycles per motor turn n, found from the data"
+    low, high = LOWEST_ORDER, HIGHEST_ORDER
+    return Shape(ORDER, "", meaning, role="order", low=low, high=high, typical=typical, neutral=1.0)
+
+
+def phase(typical: float) -> Shape:
+    """Phase φ of what turns with the motor."""
+    return Shape(PHASE, "rad", "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical)
+
+
+class RigidMotion(Protocol):
+    """Motion of the motor that a law is evaluated along, each of shape (n,), SI."""
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time."""
+
+    @property
+    def angle(self) -> FloatArray:
+        """Motor angle θ_m, rad; the load's is θ_m/N."""
+
+    @property
+    def speed(self) -> FloatArray:
+        """Motor speed ω_m, rad/s."""
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """Motor acceleration, rad/s²."""
+
+    @property
+    def sway(self) -> ComplexArray:
+        """d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²."""
+
+
+class RigidBench(Protocol):
+    """What a law may ask of the bench it acts in."""
+
+    def value(self, name: str) -> float:
+        """Value of a bench parameter."""
+
+    def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
+        """Torque that the gear passes on, at the motor, N m, shape (n,)."""
+
+
+Parameters = Mapping[str, float]
+Law = Callable[[RigidMotion, RigidBench, Parameters], FloatArray]
+"""A signal of shape (n,) from the motion, the bench and the effect's parameters."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigidLaw:
+    """The part an effect has in a comparison with a rigid bench.
+
+    Attributes
+    ----------
+    signal
+        Shape (n,), linear in the amplitude.
+    amplitude
+        The parameter that is zero when the effect is absent.
+    linear
+        Parameters beside the amplitude that the signal is linear in.
+    scanned, grid
+        A parameter to scan, and the values to try; an order gets its own grid.
+    same_as
+        Effects that are the same law in this comparison, only named for another place.
+    contains
+        A simpler effect that this one holds as a special case, and replaces.
+    not_negative
+        It is named only with an amplitude of zero or above, whatever the simulator allows.
+    bench_parameters
+        What the bench file must give for the law to be known.
+    """
+
+    signal: Law
+    amplitude: str
+    linear: tuple[str, ...] = ()
+    scanned: str | None = None
+    grid: tuple[float, ...] = ()
+    same_as: tuple[str, ...] = ()
+    contains: str | None = None
+    not_negative: bool = False
+    bench_parameters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """Everything that is known of one effect but its term in the compiled kernel.
+
+    Attributes
+    ----------
+    place
+        Where it comes in the catalogue: simpler effects before those that hold them.
+    name, sentence, equation, data, reference
+        For people; ``data`` is what it looks like in a recording.
+    enters
+        Where in the equations.
+    depends_on
+        What its size depends on. An effect of the load angle is a candidate only where that is
+        known absolutely; one of the torque passed on only where gravity's is.
+    torque, position
+        Its part in a rigid comparison of the torque at the motor (N m) and of the load's position
+        for a given motor position (rad at the load).
+    load_torque
+        Its torque against a rigid bench's load, N m there.
+    free_motion
+        Whether a rigid bench that swings freely shows it; its parameters are then those that the
+        simulator takes.
+    replaces
+        A declared unknown that says the same: the effect is no candidate beside it.
+    sought_alone
+        Of parameters that recordings cannot show together, the one that a search frees.
+    """
+
+    place: int
+    name: str
+    sentence: str
+    equation: str
+    parameters: tuple[Amplitude | Shape, ...]
+    enters: Enters
+    depends_on: tuple[Dependence, ...]
+    data: str
+    reference: str = ""
+    torque: RigidLaw | None = None
+    position: RigidLaw | None = None
+    load_torque: Law | None = None
+    free_motion: bool = False
+    replaces: str | None = None
+    sought_alone: str | None = None
+    slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        slots = {item.name: Slot[f"{self.name}__{item.name}"] for item in self.parameters}
+        object.__setattr__(self, "slots", slots)
+
+    def parameter(self, name: str) -> Amplitude | Shape:
+        """The parameter of that name.
+
+        Raises
+        ------
+        BenchError
+            If the effect has none.
+        """
+        for item in self.parameters:
+            if item.name == name:
+                return item
+        raise BenchError(
+            f"The effect {self.name} has no such parameter." + did_you_mean(name, self.slots),
+            found=name,
+            expected="one of " + ", ".join(self.slots),
+        )
+
+    @property
+    def amplitudes(self) -> tuple[Amplitude, ...]:
+        """Parameters that switch it on."""
+        return tuple(item for item in self.parameters if isinstance(item, Amplitude))
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Parameters that matter only while it is on."""
+        return tuple(item for item in self.parameters if isinstance(item, Shape))
+
+    @property
+    def is_periodic(self) -> bool:
+        """It goes as sin(n θ_m + φ), with a phase for each recording."""
+        return PHASE in self.slots
+
+    @property
+    def has_order(self) -> bool:
+        """Its cycles per motor turn are a parameter; else there is one."""
+        return ORDER in self.slots
+
+    def complete(self, given: Mapping[str, float]) -> dict[str, float]:
+        """All parameters by name, what is not given at its neutral value.
+
+        Raises
+        ------
+        BenchError
+            If a parameter is not one of this effect's.
+        """
+        for name in given:
+            self.parameter(name)
+        return {item.name: float(given.get(item.name, item.neutral)) for item in self.parameters}
+
+
+def direction(motion: RigidMotion) -> FloatArray:
+    """sign ω_m smoothed as tanh(ω_m / width), as the simulator's friction has it."""
+    return np.tanh(motion.speed / MOTOR_SIGN_WIDTH)

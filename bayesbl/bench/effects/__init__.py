@@ -1,0 +1,77 @@
+"""Catalogue of the effects that a real joint may have and the nominal bench lacks.
+
+Each module of this package declares one effect, ``EFFECT``, with all its properties; every module
+found here is in the catalogue. What else the package needs to know about effects it asks here, so
+that no other file holds a list of them. To add one: ``docs/extending.md``.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Mapping
+from importlib import import_module
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import ORDER, Effect, FloatArray
+from bayesbl.bench.kernel import Slot
+from bayesbl.errors import BenchError
+from bayesbl.recording.channels import did_you_mean
+
+
+def _collected() -> tuple[Effect, ...]:
+    names = [module.name for module in pkgutil.iter_modules(__path__)]
+    found: list[Effect] = [import_module(f"{__name__}.{name}").EFFECT for name in names]
+    return tuple(sorted(found, key=lambda effect: effect.place))
+
+
+EFFECTS: tuple[Effect, ...] = _collected()
+
+EFFECT_BY_NAME: Mapping[str, Effect] = {effect.name: effect for effect in EFFECTS}
+
+
+def effect_named(name: str) -> Effect:
+    """Catalogue entry of that name.
+
+    Raises
+    ------
+    BenchError
+        If there is none.
+    """
+    if name not in EFFECT_BY_NAME:
+        raise BenchError(
+            "There is no such effect." + did_you_mean(name, EFFECT_BY_NAME),
+            found=name,
+            expected="one of " + ", ".join(EFFECT_BY_NAME),
+        )
+    return EFFECT_BY_NAME[name]
+
+
+_AMPLITUDES = tuple(
+    (effect, effect.slots[item.name], item.repeats)
+    for effect in EFFECTS
+    for item in effect.amplitudes
+)
+_NEVER_REPEATING = [slot for _, slot, repeats in _AMPLITUDES if repeats == "never"]
+_REPEATING_AT_WHOLE_ORDERS = [
+    (slot, effect.slots[ORDER] if effect.has_order else None)
+    for effect, slot, repeats in _AMPLITUDES
+    if repeats == "whole_orders"
+]
+_WITH_MOTOR_ANGLE = [slot for effect, slot, _ in _AMPLITUDES if "motor_angle" in effect.depends_on]
+
+
+def repeat_each_rotation(matrix: FloatArray) -> bool:
+    """Whether what is on in these benches, shape (m, SLOTS), repeats every load rotation."""
+    if np.any(matrix[:, _NEVER_REPEATING] != 0.0):
+        return False
+    for amplitude, order in _REPEATING_AT_WHOLE_ORDERS:
+        cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
+        if np.any((matrix[:, amplitude] != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
+            return False
+    return True
+
+
+def turn_with_the_motor(matrix: FloatArray) -> bool:
+    """Whether anything is on in these benches, shape (m, SLOTS), that needs the motor's angle."""
+    return bool(np.any(matrix[:, _WITH_MOTOR_ANGLE] != 0.0))

@@ -1,0 +1,34 @@
+"""Lag of the current loop: the torque comes later than the controller asks for it.
+
+    T dτ_m/dt = τ_demand − τ_m
+
+Nearly the same as a lag of the speed sensor together with a skew of the current. A rigid inverse
+comparison does not see it: the recorded current is the one that flows.
+"""
+
+from __future__ import annotations
+
+from bayesbl.bench.effect_declaration import Amplitude, Effect
+
+EFFECT = Effect(
+    place=170,
+    name="current_loop_lag",
+    sentence="The motor torque follows the controller with a first-order lag.",
+    equation="T dτ_m/dt = τ_demand − τ_m",
+    parameters=(
+        Amplitude(
+            "time_s",
+            "s",
+            "time constant T",
+            low=0.0,
+            high=0.01,
+            typical=1e-3,
+            repeats="always",
+            not_negative=True,
+            sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
+        ),
+    ),
+    enters="loop",
+    depends_on=(),
+    data="ringing less damped; current behind speed",
+)

@@ -1,0 +1,40 @@
+"""Coulomb friction at the load, behind the gap.
+
+    J_l dω_l/dt = … − T_c sign ω_l
+
+The teeth part where gravity balances it: the pulses move away from half a rotation apart. A rigid
+bench shows it as friction at the motor, T_c/N.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect
+from bayesbl.bench.kernel import LOAD_SIGN_WIDTH
+
+EFFECT = Effect(
+    place=70,
+    name="load_coulomb_friction",
+    sentence="Dry friction at the load, beyond the gap.",
+    equation="J_l dω_l/dt: − T_c sign ω_l",
+    parameters=(
+        Amplitude(
+            "torque_nm",
+            "N m",
+            "friction torque T_c",
+            low=0.0,
+            high=200.0,
+            typical=15.0,
+            repeats="always",
+            not_negative=True,
+        ),
+    ),
+    enters="load",
+    depends_on=("direction",),
+    data="pulses move away from half a rotation apart and change in size; current offset",
+    reference=ARMSTRONG,
+    load_torque=lambda motion, bench, given: (
+        given["torque_nm"] * np.tanh(motion.speed / bench.value("gear_ratio") / LOAD_SIGN_WIDTH)
+    ),
+)

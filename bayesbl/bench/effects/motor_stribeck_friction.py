@@ -1,0 +1,70 @@
+"""Stribeck friction at the motor: more friction before the lubricant film has built up.
+
+    J_m dω_m/dt = … − T_s exp(−(ω_m/ω_s)²) sign ω_m
+
+Beside another motor friction it takes recordings at three speeds to be seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import (
+    ARMSTRONG,
+    Amplitude,
+    Effect,
+    FloatArray,
+    Parameters,
+    RigidBench,
+    RigidLaw,
+    RigidMotion,
+    Shape,
+    direction,
+)
+
+
+def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
+    """T_s exp(−(ω_m/ω_s)²) sign ω_m."""
+    fading = np.exp(-((motion.speed / given["speed_rad_per_s"]) ** 2))
+    return np.asarray(given["torque_nm"] * fading * direction(motion))
+
+
+EFFECT = Effect(
+    place=40,
+    name="motor_stribeck_friction",
+    sentence="Extra friction at low speed that fades as the lubricant film builds up.",
+    equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
+    parameters=(
+        Amplitude(
+            "torque_nm",
+            "N m",
+            "extra torque at standstill T_s",
+            low=-2.0,
+            high=2.0,
+            typical=0.3,
+            repeats="always",
+        ),
+        Shape(
+            "speed_rad_per_s",
+            "rad/s",
+            "fading speed ω_s",
+            low=1.0,
+            high=500.0,
+            neutral=50.0,
+            typical=200.0,
+            positive_scale=True,
+        ),
+    ),
+    enters="motor",
+    depends_on=("speed", "direction"),
+    data="more current at low reference speeds than at high ones",
+    reference=ARMSTRONG,
+    torque=RigidLaw(
+        signal=torque_nm,
+        amplitude="torque_nm",
+        scanned="speed_rad_per_s",
+        grid=tuple(np.geomspace(1.0, 500.0, 25)),
+        not_negative=True,
+    ),
+    free_motion=True,
+)

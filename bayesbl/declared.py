@@ -1,0 +1,18 @@
+"""What the modules of a package declare: a new file in it is found without another being edited."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
+from typing import TypeVar
+
+_Declared = TypeVar("_Declared")
+
+
+def declared(package: ModuleType, kind: type[_Declared]) -> list[_Declared]:
+    """Every object of one type that a module of the package holds, by the modules' names."""
+    modules = iter_modules(package.__path__, f"{package.__name__}.")
+    held = [value for module in modules for value in vars(import_module(module.name)).values()]
+    # A module may import what another declares.
+    return list({id(value): value for value in held if isinstance(value, kind)}.values())

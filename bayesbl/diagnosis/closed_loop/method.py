@@ -1,0 +1,212 @@
+"""Forward diagnosis of a two-mass bench in its closed loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.diagnosis.closed_loop.diagnosis import (
+    Findings,
+    ForwardSettings,
+    diagnosis_of,
+    halves,
+    search,
+)
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.task import Progress, Task, notes_of, refused, sound
+from bayesbl.errors import RecordingError
+from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.signals import (
+    START_ANGLE,
+    Observed,
+    Unknown,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+)
+from bayesbl.noise.channel_noise import HIGHEST_ORDER
+from bayesbl.recording.checks import require_alive, require_channels
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    FloatArray,
+    Recording,
+)
+from bayesbl.sampling.chains import SamplerSettings
+
+CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
+DEFAULT_GAP_RAD = (1e-4, 4e-3)
+KNOWN_ANGLE_SD_RAD = 1e-3
+"""Standard deviation of a start angle that a load encoder gives."""
+
+NEAR_LIMIT = 0.95
+"""Share of the drive's current limit from which on a current is held by it, offsets allowed for."""
+
+SPEED_ALONE = (
+    "There is no motor current: friction, offsets and the torque constant cannot be told apart "
+    "by the speed alone, as the controller's integral hides them."
+)
+
+
+class ClosedLoop:
+    """Speed and current beside their simulation."""
+
+    name = "forward"
+
+    def describe(self, task: Task) -> str:
+        """How many recordings, and what is unknown."""
+        used, held_out, unknowns, _ = forward_problem(task)
+        free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
+        return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
+
+    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+        """The answer, with draws of everything unknown."""
+        config = task.config
+        used, held_out, unknowns, notes = forward_problem(task)
+        asked = config.candidates.effects
+        settings = ForwardSettings(
+            None if asked == "all" else asked,
+            config.candidates.max_effects,
+            config.candidates.false_alarm,
+            config.comparison.load_angle_known,
+            config.comparison.motor_angle_known,
+            config.run.workers,
+        )
+        fits = None if progress is None else partial(progress, "candidates")
+        problem = (task.bench, used, held_out, unknowns, settings)
+        found = task.work.get("naming", problem, lambda: search(*problem, fits), Findings)
+        seed = np.random.SeedSequence(config.run.seed)
+        level = config.interval.level
+        posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
+        return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)))
+
+
+METHOD = ClosedLoop()
+
+
+def forward_problem(
+    task: Task,
+) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
+    """Recordings to fit on and to predict, the unknowns, and what these recordings cannot show.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    task.require_drive(
+        "two_mass", "The forward comparison simulates two masses with a gap between them."
+    )
+    task.require_no_known_torque("The forward comparison knows no torque from outside.")
+    config, bench = task.config, task.bench
+    channels = _channels(task)
+    recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
+    used, held_out = [], []
+    for entry, recording in zip(config.recordings, recordings, strict=True):
+        seen = observed(recording, bench, entry.reference_speed_rpm)
+        seen = replace(
+            seen,
+            name=entry.name,
+            signals=seen.signals[: len(channels)],
+            motor_angle_rad=_motor_angle(config, recording),
+        )
+        if entry.use in ("fit", "split"):
+            _require_rotations(seen, str(entry.file), entry.use == "split")
+        if entry.use == "split":
+            first, second = halves(seen)
+            used.append(first)
+            held_out.append(second)
+        else:
+            (used if entry.use == "fit" else held_out).append(seen)
+    unknowns = _unknowns(config, bench, used, recordings)
+    notes = notes_of(recordings) + ([] if MOTOR_CURRENT in channels else [SPEED_ALONE])
+    return used, held_out, unknowns, notes
+
+
+def _notes_on(posterior: DirectPosterior) -> Iterator[str]:
+    if posterior.diagnostics.outcome == "withheld":
+        yield "The posterior could not be sampled; intervals are of its normal approximation."
+    yield from posterior.diagnostics.reasons
+
+
+def _channels(task: Task) -> tuple[str, ...]:
+    asked = task.config.comparison.channels or tuple(
+        c for c in CHANNELS if all(c in recording.channels for recording in task.recordings)
+    )
+    if MOTOR_SPEED not in asked or not set(asked) <= set(CHANNELS):
+        raise refused(
+            "The forward comparison needs the motor speed, with or without the current.",
+            "[comparison] channels",
+            ", ".join(asked) or "none in every recording",
+            ", ".join(CHANNELS),
+        )
+    for recording in task.recordings:
+        require_channels(recording, asked)
+        require_alive(recording, asked)
+    return tuple(c for c in CHANNELS if c in asked)
+
+
+def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> list[str]:
+    """Channels whose peaks must be whole: all but a current at the limit that the bench has too."""
+    reached = NEAR_LIMIT * bench.value("current_limit_a")
+    return [
+        name
+        for name in channels
+        if name != MOTOR_CURRENT or np.abs(recording.channels[name]).max() < reached
+    ]
+
+
+def _require_rotations(seen: Observed, file: str, split: bool) -> None:
+    """Whole rotations separate what repeats from noise, in each half if it is split."""
+    fewest = (2 * seen.lag + HIGHEST_ORDER) * (2 if split else 1)
+    if seen.samples >= fewest:
+        return
+    problem = "split: each half needs" if split else "fitted: it needs"
+    raise RecordingError(
+        f"The recording is too short to be {problem} two load rotations.",
+        file=file,
+        found=f"{seen.samples / seen.lag:.3g} load rotations",
+        expected=f"at least {fewest / seen.lag:.3g}, or another use",
+    )
+
+
+def _motor_angle(config: DiagnoseConfig, recording: Recording) -> FloatArray | None:
+    if not config.comparison.motor_angle_known:
+        return None
+    require_channels(recording, (MOTOR_POSITION,))
+    return recording.channels[MOTOR_POSITION]
+
+
+def _unknowns(
+    config: DiagnoseConfig, bench: Bench, used: Sequence[Observed], recordings: Sequence[Recording]
+) -> list[Unknown]:
+    unknowns = [gap_unknown(*(config.unknowns.gap_rad or DEFAULT_GAP_RAD))]
+    measured = {entry.name: r for entry, r in zip(config.recordings, recordings, strict=True)}
+    for seen in used:
+        if config.comparison.load_angle_known:
+            require_channels(measured[seen.name], (LOAD_POSITION,))
+            angle = float(measured[seen.name].channels[LOAD_POSITION][0]) % (2.0 * math.pi)
+            known = Unknown(START_ANGLE, centre=angle, sd=KNOWN_ANGLE_SD_RAD, recording=seen.name)
+            unknowns.append(known)
+        else:
+            unknowns.append(start_angle_unknown(seen.name))
+    tolerances = bench.tolerances
+    for name in config.unknowns.bench_parameters:
+        if name not in tolerances:
+            raise refused(
+                "A parameter is free within its tolerance, and this one has none.",
+                "[unknowns] bench_parameters",
+                name,
+                f"a tolerance for {name} in {config.bench.name}",
+            )
+        value, half = bench.value(name), tolerances[name]
+        unknowns.append(Unknown(name, value - half, value + half))
+    return unknowns

@@ -1,0 +1,91 @@
+"""Recordings beside their simulation, those that were fitted and those that were held out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
+from bayesbl.diagnosis.closed_loop.explain import Explanation
+from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
+from bayesbl.matching.alignment import aligned_starts
+from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.signals import (
+    Observed,
+    SimulatedSignals,
+    Unknown,
+    start_angle_unknown,
+)
+from bayesbl.noise.channel_noise import estimate_channel_noise
+from bayesbl.recording.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedPair:
+    """A recording beside its simulation before and after naming.
+
+    Attributes
+    ----------
+    before, after
+        Simulated channels, shape (c, n), in the channels' units.
+    """
+
+    seen: Observed
+    use: Use
+    before: FloatArray
+    after: FloatArray
+
+
+def simulated_pairs(
+    nominal: Explanation, final: Explanation, held_out: Sequence[Observed] = ()
+) -> list[SimulatedPair]:
+    """All recordings with both simulations; of held-out ones only start and phases are fitted."""
+    found = []
+    for i, seen in enumerate(final.fit.model.recordings):
+        before = nominal.fit.model.signals(nominal.fit.point, i)[0]
+        after = final.fit.model.signals(final.fit.point, i)[0]
+        found.append(SimulatedPair(seen, "used", before, after))
+    for seen in held_out:
+        before, after = predicted(nominal, seen), predicted(final, seen)
+        found.append(SimulatedPair(seen, "held_out", before, after))
+    return found
+
+
+def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
+    """What an explanation says of a recording that it was not fitted on, shape (c, n)."""
+    fit = explanation.fit
+    phases = [
+        Unknown(u.name, recording=seen.name)
+        for u in fit.model.unknowns
+        if u.recording == fit.model.recordings[0].name and u.name.endswith("__phase_rad")
+    ]
+    unknowns = [start_angle_unknown(seen.name), *phases]
+    model = SimulatedSignals(
+        augmented_bench(explanation),
+        [seen],
+        unknowns,
+        [estimate_channel_noise(seen.signals, seen.lag)],
+        fit.model.workers,
+        known_settings(explanation),
+    )
+    start = aligned_starts(model)[0]
+    trials = [start]
+    if phases:  # four quadrants, as a phase far off has no slope towards the right one
+        trials = [start.copy() for _ in range(4)]
+        for k, trial in enumerate(trials):
+            trial[1:] = 0.5 * math.pi * k
+    fits = [fit_simulated(model, trial) for trial in trials]
+    best = min(fits, key=lambda f: f.chi_square)
+    return np.asarray(model.signals(best.point, 0)[0])
+
+
+def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:
+    """One entry for each channel."""
+    before, after = pair.seen.left_by(pair.before), pair.seen.left_by(pair.after)
+    return [
+        piece_residuals(pair.seen.name, channel, pair.use, before[k], after[k], pair.seen.lag)
+        for k, channel in enumerate(pair.seen.channels)
+    ]

@@ -1,0 +1,174 @@
+"""The answer of a diagnosis, whatever the method: verdict, named effects, model error.
+
+Every method of :mod:`bayesbl.diagnosis.methods` returns a :class:`Diagnosis`; what is stored,
+summarised and drawn depends on what one holds, never on the method that made it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bayesbl.bench.bench import Bench
+from bayesbl.diagnosis.disagreement import DisagreementTable, Use
+from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.recording.types import FloatArray
+
+Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
+
+ALIKE = 5.0
+"""|z| between two best fits below which the recordings do not tell them apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A fitted value.
+
+    Attributes
+    ----------
+    value, sd
+        Of a normal distribution; of the value's logarithm where ``logarithmic``. The sd is NaN
+        where the value was held.
+    draws
+        Of the posterior, any shape, in the value's own unit; ``None`` where it was not sampled.
+    """
+
+    value: float
+    sd: float
+    draws: FloatArray | None = None
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """An effect that the bench lacks.
+
+    Attributes
+    ----------
+    probability
+        That it is this one: against its absence at even odds, or among those that cannot be told
+        apart.
+    z
+        How clearly it stands out, in standard deviations.
+    indistinguishable_from
+        Other effects that would explain these recordings as well.
+    """
+
+    name: str
+    parameters: Mapping[str, Estimate]
+    probability: float
+    z: float
+    indistinguishable_from: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterError:
+    """A bench parameter whose fitted value the bench file does not allow."""
+
+    name: str
+    believed: float
+    tolerance: float
+    fitted: Estimate
+    indistinguishable_from: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PieceSignals:
+    """What was compared of one piece: measured and predicted, each (n,) in the channel's unit."""
+
+    recording: str
+    channel: str
+    use: Use
+    time_s: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class RankedCandidate:
+    """What one candidate alone gains over the bench as believed."""
+
+    candidate: str
+    chi_square_gain: float
+    log_evidence_gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A recording worth making.
+
+    Attributes
+    ----------
+    reference_speed_rpm
+        Of the motor, negative for reverse.
+    payload_share
+        Gravity torque and load inertia over the present ones.
+    distance
+        |z| between the best fits of the two explanations that come closest in it.
+    separates
+        Sets of names that these recordings cannot tell apart.
+    """
+
+    reference_speed_rpm: float
+    payload_share: float
+    distance: float
+    separates: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The whole answer.
+
+    Attributes
+    ----------
+    remaining
+        What still stands out after naming.
+    bench_parameters
+        Declared unknown ones, fitted.
+    delta_before, delta_after
+        δ (rad) with the bench as believed and with what was named; ``None`` where the gap is known.
+    signals
+        Of every piece, where that is what a figure shows best.
+    residuals_before, residuals_after
+        What the simulation leaves, in steady rotation.
+    ranking
+        Candidates added alone, most probable first.
+    augmented_bench
+        The bench with what was named in it.
+    """
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    parameter_errors: tuple[ParameterError, ...]
+    remaining: tuple[Unexplained, ...]
+    disagreement: DisagreementTable
+    notes: tuple[str, ...] = ()
+    bench_parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    delta_before: Estimate | None = None
+    delta_after: Estimate | None = None
+    suggestion: Suggestion | None = None
+    posterior: DirectPosterior | None = None
+    signals: tuple[PieceSignals, ...] = ()
+    residuals_before: ResidualAnalysis | None = None
+    residuals_after: ResidualAnalysis | None = None
+    ranking: tuple[RankedCandidate, ...] = ()
+    augmented_bench: Bench | None = None
+
+
+def verdict_of(*, effects: bool, parameters: bool, remains: bool) -> Verdict:
+    """One word: effects are named, parameters wrong, something remains that nothing explains."""
+    if effects:
+        return "named"
+    if parameters:
+        return "parameter_error"
+    return "unexplained" if remains else "nothing_missing"
+
+
+def probability_of(log_odds: float) -> float:
+    """From the logarithm of the odds."""
+    return 1.0 / (1.0 + math.exp(-min(700.0, max(-700.0, log_odds))))

@@ -1,0 +1,81 @@
+"""Diagnosis of a rigid bench in free motion: let go without motor torque."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bayesbl.diagnosis.free_motion.comparison import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.rigid.preparation import (
+    GRAVITY,
+    INERTIAS,
+    compared_channel,
+    even_recordings,
+    pieces_of,
+    require_rigid,
+    unknown_parameters,
+)
+from bayesbl.diagnosis.selection import BySelection, Problem
+from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray, Recording
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
+
+
+def free_motion_problem(task: Task) -> Problem:
+    """The comparison that a configuration asks for.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    require_rigid(task)
+    config, bench, compared = task.config, task.bench, task.config.comparison
+    channel = compared_channel(task, CHANNELS, "There is no motion to compare.")
+    recordings = even_recordings(task, [(channel,)] * len(task.recordings), ())
+    task.require_no_known_torque("Free motion has no torque but the bench's own.")
+    unknown = config.unknowns.bench_parameters
+    gravity = bench.value(GRAVITY) > 0.0
+    if GRAVITY in unknown and set(INERTIAS) & set(unknown):
+        raise refused(
+            "Without any measured torque all torques and inertias scaled together look the same.",
+            "[unknowns] bench_parameters",
+            ", ".join(unknown),
+            "inertia or gravity, not both",
+        )
+    if GRAVITY not in unknown:
+        unknown_parameters(task, (*INERTIAS, GRAVITY))
+    pieces, _, parts = pieces_of(task, recordings, channel)
+    comparison = FreeMotionComparison(
+        pieces,
+        tuple(_start(part, channel) for part in parts),
+        bench,
+        tuple(wanted(config, bench, free_motion_candidates(compared.load_angle_known and gravity))),
+        unknown,
+        compared.load_angle_known or not gravity,
+    )
+    scale = "gravity" if gravity else "the inertia"
+    notes = [
+        *notes_of(recordings),
+        f"No torque is measured: friction is known as well as {scale} of the bench is.",
+        "Torque ripple, encoder and shaft effects are not tried in free motion.",
+    ]
+    if channel == MOTOR_SPEED:
+        notes.append("Speed alone: the start angle is known only through what gravity does.")
+    return Problem(comparison, lambda fit: (), tuple(notes))
+
+
+def _start(part: Recording, channel: str) -> FloatArray:
+    """Angle and speed near the first sample, where the fit of the start begins; rad, rad/s."""
+    few = max(4, math.ceil(0.02 / part.sampling_period_s))
+    time = part.time_s[:few] - part.time_s[0]
+    if channel == MOTOR_SPEED:
+        return np.array([0.1, part.motor_speed_rpm[0] / RPM_PER_RAD_PER_S])
+    slope, angle = np.polyfit(time, part.channels[MOTOR_POSITION][:few], 1)
+    return np.array([angle, slope])
+
+
+METHOD = BySelection("free_motion", free_motion_problem)

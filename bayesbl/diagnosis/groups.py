@@ -1,0 +1,165 @@
+"""Groups of ``result.nc`` by which a diagnosis is stored, each where there is something to store.
+
+``disagreement``: RMS before and after, for every piece (a channel of a recording, or of a part of
+it). ``signals``: measured and predicted, for every piece. ``posterior``: draws of everything
+unknown, with what was named added. ``ranking``: every candidate added alone. ``residuals_before``,
+``residuals_after``: what the simulation does not explain, over load angle, order and time. The
+answer in the words of ``summary.json`` is JSON in the attribute ``diagnosis`` of the root, the
+bench with what was named in it a bench file in the attribute ``augmented_bench``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.config.bench import dump_bench
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.residual_groups import residuals_dataset
+from bayesbl.diagnosis.summary import answer_of
+from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
+from bayesbl.results.intervals import IntervalKind
+from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.units import unit_of
+
+_PIECE = (
+    Variable("recording", ("piece",), "", "recording", "text"),
+    Variable("channel", ("piece",), "", "channel", "text"),
+    Variable("use", ("piece",), "", "fitted on (used) or predicted (held_out)", "text"),
+)
+
+
+def signals_group(unit: str) -> Group:
+    """Signals in the unit of their channel; a row for each :class:`PieceSignals`."""
+    dims = ("piece", "sample")
+    return Group(
+        "signals",
+        (
+            Variable("time_s", dims, "s", "time"),
+            Variable("measured", dims, unit, "measured"),
+            Variable("before", dims, unit, "bench without the named effects"),
+            Variable("after", dims, unit, "bench with the named effects"),
+        ),
+        _PIECE,
+        optional=True,
+    )
+
+
+def disagreement_group(unit: str) -> Group:
+    """RMS between bench and measurement in the unit of the channel; a row for each piece."""
+    dims = ("piece",)
+    return Group(
+        "disagreement",
+        (
+            Variable("before", dims, unit, "RMS without the named effects"),
+            Variable("after", dims, unit, "RMS with the named effects"),
+            Variable(
+                "noise_floor", dims, unit, "RMS of what does not follow from the recording's past"
+            ),
+            Variable("closed_fraction", dims, "1", "closed share of the excess over the floor"),
+        ),
+        (*_PIECE, Variable("noise_floor_from", dims, "", "that past: rotation or samples", "text")),
+    )
+
+
+def _unknown(name: str) -> Variable:
+    """An unknown; one that belongs to a single recording has its name behind it, in brackets."""
+    shared, _, recording = name.removesuffix(")").partition(" (")
+    unit, meaning = unit_and_meaning(shared)
+    return Variable(
+        name, ("chain", "draw"), unit, f"{meaning}, {recording}" if recording else meaning
+    )
+
+
+POSTERIOR = Group(
+    "posterior",
+    coordinates=(
+        Variable("chain", ("chain",), "1", "ensemble"),
+        Variable("draw", ("draw",), "1", "draw"),
+    ),
+    named=_unknown,
+    optional=True,
+)
+
+RANKING = Group(
+    "ranking",
+    (
+        Variable("chi_square_gain", ("candidate",), "1", "drop of χ² by this candidate alone"),
+        Variable("log_evidence_gain", ("candidate",), "1", "log evidence over the bench before"),
+    ),
+    (labels("candidate", "effect or bench parameter"),),
+    optional=True,
+)
+
+
+def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
+    """The whole result, without its origin.
+
+    Parameters
+    ----------
+    level, kind
+        Of the credible intervals.
+    """
+    group = disagreement_group(found.disagreement.unit or "as the channel")
+    groups = {"disagreement": _of_rows(group, found.disagreement.pieces)}
+    if found.signals:
+        group = signals_group(unit_of(found.signals[0].channel))
+        groups["signals"] = _of_rows(group, found.signals)
+    if found.posterior is not None:
+        groups["posterior"] = _posterior(found.posterior)
+    if found.ranking:
+        groups["ranking"] = _of_rows(RANKING, found.ranking)
+    analyses = {"before": found.residuals_before, "after": found.residuals_after}
+    for stage, analysis in analyses.items():
+        if analysis is not None:
+            groups[f"residuals_{stage}"] = residuals_dataset(analysis, stage)
+    tree = xr.DataTree.from_dict(groups)
+    doubts = found.posterior is not None and bool(found.posterior.diagnostics.reasons)
+    bench = found.augmented_bench
+    tree.attrs = {
+        "kind": "diagnose",
+        "outcome": "usable" if doubts else "converged",
+        "reason": "",
+        "warnings": list(found.notes),
+        "interval_level": level,
+        "interval_kind": kind,
+        "diagnosis": json.dumps(answer_of(found, level, kind), ensure_ascii=False),
+        "augmented_bench": "" if bench is None else dump_bench(bench),
+    }
+    return tree
+
+
+def _of_rows(group: Group, rows: Sequence[object]) -> xr.Dataset:
+    """A group of which every declared variable is an attribute of each row."""
+    return dataset(
+        group,
+        {v.name: _stacked(rows, v) for v in group.variables},
+        {v.name: _stacked(rows, v) for v in group.coordinates},
+    )
+
+
+def _stacked(rows: Sequence[object], declared: Variable) -> object:
+    """Of all rows; arrays of different lengths padded with NaN, ``None`` as NaN."""
+    values = [getattr(row, declared.name) for row in rows]
+    if declared.kind == "text":
+        return values
+    if len(declared.dims) == 1:
+        return np.array(values, dtype=float)
+    table = np.full((len(values), max(value.size for value in values)), np.nan)
+    for row, value in zip(table, values, strict=True):
+        row[: value.size] = value
+    return table
+
+
+def _posterior(posterior: DirectPosterior) -> xr.Dataset:
+    chains, count, _ = posterior.draws.shape
+    values = {}
+    for i, unknown in enumerate(posterior.fit.model.unknowns):
+        name = result_name(unknown)
+        label = name if unknown.recording is None else f"{name} ({unknown.recording})"
+        values[label] = unknown.value(posterior.draws[..., i])
+    return dataset(POSTERIOR, values, {"chain": np.arange(chains), "draw": np.arange(count)})

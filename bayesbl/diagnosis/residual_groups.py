@@ -1,0 +1,193 @@
+"""The analysis of residuals as a group of ``result.nc``.
+
+Variables begin with their channel's name. Dimensions: ``recording``, ``load_angle_rad`` (720),
+``bin`` of the spectra and ``line`` of the significant lines, strongest first; shorter ones are
+padded with NaN, missing channels filled with it. The attributes ``unexplained`` and ``offsets``
+hold, as JSON, what is significant over all recordings and how offsets depend on direction and
+speed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayesbl.diagnosis.residuals.analysis import ChannelResiduals, ResidualAnalysis
+from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
+from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
+from bayesbl.diagnosis.summary import plain
+from bayesbl.recording.types import CHANNELS
+from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.units import unit_of
+
+_ANGLE = "load_angle_rad"
+
+
+@dataclass(frozen=True, slots=True)
+class _OfChannel:
+    """A variable of every channel.
+
+    ``{unit}`` in ``unit`` is the channel's. ``attribute`` of a :class:`ChannelResiduals`, by
+    default the name, is a number, or an array over ``along``.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    attribute: str = ""
+    along: str = ""
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it holds words."""
+        return not self.unit
+
+    def declared(self, channel: str) -> Variable:
+        """The variable of one channel."""
+        return Variable(
+            f"{channel}_{self.name}",
+            ("recording", self.along) if self.along else ("recording",),
+            self.unit.format(unit=unit_of(channel)),
+            f"{CHANNELS.get(channel, channel)}: {self.meaning}",
+            "text" if self.is_text else "number",
+        )
+
+    def of(self, residuals: ChannelResiduals) -> object:
+        """Its value."""
+        if self.along == "line":
+            return [getattr(line, self.attribute) for line in residuals.lines]
+        return attrgetter(self.attribute or self.name)(residuals)
+
+
+def _of_lines(name: str, unit: str, meaning: str) -> _OfChannel:
+    """What every significant line has."""
+    return _OfChannel(f"line_{name}", unit, f"{meaning} of a significant line", name, "line")
+
+
+_VARIABLES = (
+    _OfChannel("offset", "{unit}", "mean of recording less simulation"),
+    _OfChannel("offset_error", "{unit}", "standard error of that mean"),
+    _OfChannel("offset_significant", "1", "1 where noise does not explain that mean"),
+    _OfChannel("repeating_rms", "{unit}", "RMS of what repeats with the load angle"),
+    _OfChannel("repeating_probability", "1", "probability that noise alone repeats as much"),
+    _OfChannel("noise_sd", "{unit}", "standard deviation of the noise"),
+    _OfChannel("drift", "{unit}/s", "slope over the recording", "drift_per_s"),
+    _OfChannel("drift_error", "{unit}/s", "standard error of that slope", "drift_error_per_s"),
+    _OfChannel("lag_s", "s", "time by which the recording lags the simulation", "skew.lag_s"),
+    _OfChannel("lag_error_s", "s", "standard error of that time", "skew.standard_error_s"),
+    _OfChannel("lag_explains", "1", "share of the excess that the lag explains", "skew.explained"),
+    _OfChannel("outliers", "1", "samples that no noise explains"),
+    _OfChannel("map_error", "{unit}", "standard error of rotation averages", "load_map_error"),
+    _OfChannel("power_offset", "({unit})²", "mean square of the offset", "split.offset"),
+    _OfChannel(
+        "power_load_angle",
+        "({unit})²",
+        "mean square of what repeats with the load",
+        "split.load_angle",
+    ),
+    _OfChannel("power_other", "({unit})²", "mean square of lines and drift", "split.other"),
+    _OfChannel("power_noise", "({unit})²", "mean square of the noise", "split.noise"),
+    _OfChannel("recorded", "{unit}", "recording, mean over rotations", along=_ANGLE),
+    _OfChannel("simulated", "{unit}", "simulation, mean over rotations", along=_ANGLE),
+    _OfChannel("load_map", "{unit}", "residual that repeats with the load angle", along=_ANGLE),
+    _OfChannel("amplitude", "{unit}", "amplitude of the residual", "spectrum.amplitude", "bin"),
+    _OfChannel(
+        "noise_amplitude", "{unit}", "RMS amplitude of noise", "spectrum.noise_amplitude", "bin"
+    ),
+    _of_lines("frequency_hz", "Hz", "frequency"),
+    _of_lines("load_order", "1", "cycles per turn of the load"),
+    _of_lines("motor_order", "1", "cycles per turn of the motor"),
+    _of_lines("amplitude", "{unit}", "amplitude"),
+    _of_lines("phase_rad", "rad", "phase of a cosine at the first sample"),
+    _of_lines("probability", "1", "probability, from noise alone,"),
+    _of_lines("dependence", "", "angle or time"),
+)
+
+
+def _named(name: str) -> Variable | None:
+    """A variable of any channel; of two endings that fit, the longer is meant."""
+    for row in sorted(_VARIABLES, key=lambda row: -len(row.name)):
+        channel = name.removesuffix(f"_{row.name}")
+        if channel != name:
+            return row.declared(channel)
+    return None
+
+
+def residuals_group(stage: str) -> Group:
+    """Of the bench as believed (``before``), or with what was named (``after``)."""
+    return Group(
+        f"residuals_{stage}",
+        (
+            Variable("reference_speed_rpm", ("recording",), "rpm", "reference speed of the motor"),
+            Variable("rotations", ("recording",), "1", "load rotations looked at"),
+            Variable("gear_ratio", ("recording",), "1", "motor turns in a turn of the load"),
+            Variable("frequency_hz", ("recording", "bin"), "Hz", "frequency"),
+            Variable("load_order", ("recording", "bin"), "1", "cycles per turn of the load"),
+        ),
+        (
+            labels("recording", "recording"),
+            Variable(_ANGLE, (_ANGLE,), "rad", "load angle"),
+        ),
+        _named,
+        optional=True,
+    )
+
+
+def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
+    """All that an analysis holds, as this module's text describes it."""
+    recordings = analysis.recordings
+    names = list(dict.fromkeys(c.channel for r in recordings for c in r.channels))
+    sizes = {
+        "line": max(len(c.lines) for r in recordings for c in r.channels),
+        "bin": max(r.whole.frequency_hz.size for r in recordings),
+        _ANGLE: MAP_POINTS,
+    }
+    whole = [r.whole for r in recordings]
+    values: dict[str, object] = {
+        "reference_speed_rpm": [w.reference_speed_rpm for w in whole],
+        "rotations": [float(w.rotations) for w in whole],
+        "gear_ratio": [w.gear_ratio for w in whole],
+        "frequency_hz": _table([w.frequency_hz for w in whole], sizes["bin"]),
+        "load_order": _table([w.frequency_hz / w.rotation_hz for w in whole], sizes["bin"]),
+    }
+    for name in names:
+        seen = [next((c for c in r.channels if c.channel == name), None) for r in recordings]
+        for row in _VARIABLES:
+            values[f"{name}_{row.name}"] = _of_recordings(row, seen, sizes)
+    made = dataset(
+        residuals_group(stage),
+        values,
+        {
+            "recording": [r.name for r in recordings],
+            _ANGLE: 2.0 * np.pi * np.arange(MAP_POINTS) / MAP_POINTS,
+        },
+    )
+    made.attrs = {
+        "channels": names,
+        "false_discovery_rate": analysis.false_discovery_rate,
+        "unexplained": json.dumps(plain(describe_unexplained(analysis)), ensure_ascii=False),
+        "offsets": json.dumps(plain(analysis.offsets), ensure_ascii=False),
+    }
+    return made
+
+
+def _of_recordings(
+    row: _OfChannel, seen: Sequence[ChannelResiduals | None], sizes: dict[str, int]
+) -> object:
+    if not row.along:
+        return np.array([np.nan if c is None else row.of(c) for c in seen], dtype=float)
+    return _table([[] if c is None else row.of(c) for c in seen], sizes[row.along], row.is_text)
+
+
+def _table(rows: Sequence[object], width: int, text: bool = False) -> NDArray[np.generic]:
+    """Rows of different lengths, padded with NaN or empty text, shape (recordings, width)."""
+    out = np.full((len(rows), width), "" if text else np.nan, dtype="U16" if text else float)
+    for place, row in zip(out, map(np.asarray, rows), strict=True):
+        place[: row.size] = row
+    return out

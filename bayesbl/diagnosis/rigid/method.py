@@ -1,0 +1,181 @@
+"""Inverse diagnosis of a rigid bench: measured motion in, the torque it should have needed out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.rigid.motion import Motion, motion_of, reach, settled, widened
+from bayesbl.diagnosis.rigid.preparation import (
+    GRAVITY,
+    INERTIAS,
+    compared_channel,
+    even_recordings,
+    pieces_of,
+    require_rigid,
+    unknown_parameters,
+)
+from bayesbl.diagnosis.rigid.terms import (
+    POSITION_TERMS,
+    TORQUE_TERMS,
+    uncomputable,
+    without_load_angle,
+)
+from bayesbl.diagnosis.selection import BySelection, Problem
+from bayesbl.diagnosis.task import Task, notes_of, refused, rows_of, wanted
+from bayesbl.errors import ConfigError
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    MOTOR_TORQUE,
+    FloatArray,
+    Recording,
+)
+
+CHANNELS = (MOTOR_TORQUE, MOTOR_CURRENT, LOAD_POSITION)
+MOTION_ALONE = (
+    "There is neither torque nor current of the motor, nor a second encoder at the load. "
+    "From motion alone the torque of the motor is unknown, and with it friction, offsets, "
+    "ripple and inertia. Motion alone is enough when the motor is switched off "
+    "(free_motion)."
+)
+
+ONE_WAY = 0.9
+"""Net over total travel from which on a set of recordings turns one way."""
+
+
+def inverse_problem(task: Task) -> Problem:
+    """The comparison that a configuration asks for.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    require_rigid(task)
+    config, bench, compared = task.config, task.bench, task.config.comparison
+    channel = compared_channel(task, CHANNELS, MOTION_ALONE)
+    load = channel == LOAD_POSITION
+    # A joint may rest at the end of its way: only what drives it is asked not to stand still.
+    driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
+    recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
+    pieces, parts, motions = _moved(task, recordings, channel)
+    _require_position(config, motions, load)
+    unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
+    if channel == MOTOR_CURRENT and "torque_constant_nm_per_a" in bench.assumed:
+        raise ConfigError(
+            "Current can be compared only through the torque constant.",
+            file=config.bench,
+            where="[parameters]",
+            found="no torque_constant_nm_per_a",
+            expected="torque_constant_nm_per_a = {value = …}",
+        )
+    unit = bench.value("torque_constant_nm_per_a") if channel == MOTOR_CURRENT else 1.0
+    known = tuple(
+        sum((part.channels[n] for n in compared.known_torque), np.zeros(part.samples))
+        for part in parts
+    )
+    every = POSITION_TERMS if load else TORQUE_TERMS
+    if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
+        every = without_load_angle(every)
+    left_out = uncomputable(every, bench, compared.load_angle_known)
+    terms = {name: term for name, term in every.items() if name not in left_out}
+    chosen = wanted(config, bench, [term.candidate for term in terms.values()])
+    comparison = InverseComparison(
+        pieces,
+        motions,
+        known,
+        bench,
+        {candidate.name: terms[candidate.name] for candidate in chosen},
+        unknown,
+        unit,
+        load,
+        compared.load_angle_known,
+        compared.motor_angle_known,
+    )
+    notes = [*notes_of(recordings), *_one_way(pieces, motions)]
+    notes += [
+        f"Speed and acceleration come from the {source} behind a zero-phase Butterworth low pass "
+        f"of order 4 at {compared.cutoff_hz:g} Hz."
+        for source in sorted({motion.source for motion in motions})
+    ]
+    if any(motion.source == "speed" for motion in motions):
+        notes.append(
+            "Without position the motor angle is the integral of the speed: where it starts is "
+            "unknown, so a ripple has its own phase in every recording, and gravity's direction "
+            "is fitted."
+        )
+    if left_out:
+        why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
+        notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
+    alarm = config.candidates.false_alarm
+    used = tuple(piece.name for piece in pieces if piece.use == "used")
+    return Problem(
+        comparison,
+        lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
+        tuple(notes),
+    )
+
+
+def _read(recording: Recording, channel: str) -> tuple[str, ...]:
+    """What is compared, and what the motion is taken from."""
+    moved = [c for c in (MOTOR_POSITION, MOTOR_SPEED) if c in recording.channels]
+    return (channel, *moved[:1])
+
+
+def _moved(
+    task: Task, recordings: list[Recording], channel: str
+) -> tuple[tuple[Piece, ...], list[Recording], tuple[Motion, ...]]:
+    """Pieces with their motion, without the ends that the filter disturbs.
+
+    The motion is that of the whole recording: both halves of a split one have one angle.
+    """
+    cutoff = task.config.comparison.cutoff_hz
+    inside = [settled(recording, cutoff) for recording in recordings]
+    whole = [motion_of(r, cutoff).part(rows) for r, rows in zip(recordings, inside, strict=True)]
+    # A bridge is no motion, and the filter spreads it.
+    wary = [replace(r, excluded=widened(r.excluded, reach(r, cutoff))) for r in recordings]
+    kept = [rows_of(r, rows) for r, rows in zip(wary, inside, strict=True)]
+    pieces, places, parts = pieces_of(task, kept, channel)
+    return pieces, parts, tuple(whole[i].part(rows) for i, rows in places)
+
+
+def _require_position(config: DiagnoseConfig, motions: tuple[Motion, ...], load: bool) -> None:
+    if all(motion.source == "position" for motion in motions):
+        return
+    compared = config.comparison
+    for name, claimed in (
+        ("load_angle_known", compared.load_angle_known),
+        ("motor_angle_known", compared.motor_angle_known),
+        ("channels", load),
+    ):
+        if claimed:
+            raise refused(
+                "Without the motor's position no angle is known.",
+                f"[comparison] {name}",
+                f"a recording without {MOTOR_POSITION}",
+                f"{MOTOR_POSITION} in every recording, or {name} left out",
+            )
+
+
+def _one_way(pieces: tuple[Piece, ...], motions: tuple[Motion, ...]) -> Iterator[str]:
+    speeds: list[FloatArray] = [
+        motion.speed for piece, motion in zip(pieces, motions, strict=True) if piece.use == "used"
+    ]
+    speed = np.concatenate(speeds)
+    if abs(speed.sum()) >= ONE_WAY * np.abs(speed).sum():
+        yield (
+            "The recordings turn one way only: Coulomb friction, an offset and, at one speed, "
+            "viscous friction can hardly be told apart; a recording in the other direction would "
+            "separate them."
+        )
+
+
+METHOD = BySelection("inverse", inverse_problem)

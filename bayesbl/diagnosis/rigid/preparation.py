@@ -1,0 +1,94 @@
+"""What the comparisons of a rigid bench ask of it and of the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.rigid.motion import even
+from bayesbl.diagnosis.task import Task, cuts, piece_of, refused, rows_of, sound
+from bayesbl.errors import RecordingError
+from bayesbl.recording.types import Recording
+
+INERTIAS = ("motor_inertia_kg_m2", "load_inertia_kg_m2")
+GRAVITY = "gravity_torque_nm"
+
+
+def require_rigid(task: Task) -> None:
+    """Refuse a bench that is not rigid, and a gap in one that is."""
+    task.require_drive("rigid", "This method compares a rigid bench: one inertia, no gap.")
+    if task.config.unknowns.gap_rad is not None:
+        raise refused("A rigid bench has no gap.", "[unknowns] gap_rad", None, "no gap_rad")
+
+
+def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> str:
+    """The one channel that is compared; ``without_any`` says why none of them is not enough."""
+    asked = task.config.comparison.channels
+    if not asked:
+        everywhere = [c for c in possible if all(c in r.channels for r in task.recordings)]
+        if everywhere:
+            return everywhere[0]
+        first = task.recordings[0]
+        raise RecordingError(
+            without_any,
+            file=first.source.file if first.source else first.name,
+            found=", ".join(first.channels),
+            expected="one of " + ", ".join(possible),
+        )
+    if len(asked) != 1 or asked[0] not in possible:
+        raise refused(
+            "This method compares one channel.",
+            "[comparison] channels",
+            ", ".join(asked),
+            "one of " + ", ".join(possible),
+        )
+    task.require_channels_of(asked)
+    return asked[0]
+
+
+def even_recordings(
+    task: Task, read: Sequence[Sequence[str]], unclipped: Sequence[str]
+) -> list[Recording]:
+    """Recordings on an even grid, strays of the channels ``read`` of each excluded."""
+    pairs = zip(task.recordings, read, strict=True)
+    return [even(sound(recording, channels, unclipped)) for recording, channels in pairs]
+
+
+def pieces_of(
+    task: Task, recordings: Sequence[Recording], channel: str
+) -> tuple[tuple[Piece, ...], list[tuple[int, slice]], list[Recording]]:
+    """Pieces to fit on and to predict; recording and samples of each; these samples alone."""
+    found = cuts(task.config, recordings)
+    parts = [rows_of(recordings[i], rows) for i, _, rows in found]
+    pieces = tuple(
+        piece_of(part, channel, use) for part, (_, use, _) in zip(parts, found, strict=True)
+    )
+    return pieces, [(i, rows) for i, _, rows in found], parts
+
+
+def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:
+    """Declared unknown bench parameters, refused where they cannot be fitted."""
+    names = task.config.unknowns.bench_parameters
+    for name in names:
+        if name not in possible:
+            raise refused(
+                "This parameter has no part in this comparison.",
+                "[unknowns] bench_parameters",
+                name,
+                ("one of " + ", ".join(possible)) if possible else "none",
+            )
+    if set(INERTIAS) <= set(names):
+        raise refused(
+            "A rigid bench shows only the sum of its inertias.",
+            "[unknowns] bench_parameters",
+            ", ".join(INERTIAS),
+            "one of the two",
+        )
+    if GRAVITY in names and not task.config.comparison.load_angle_known:
+        raise refused(
+            "Without the load's angle gravity is fitted anyway, size and direction.",
+            "[unknowns] bench_parameters",
+            GRAVITY,
+            "load_angle_known = true, or no gravity_torque_nm here",
+        )
+    return names

@@ -1,0 +1,336 @@
+"""Effects named one by one, by evidence and by prediction of what was held out.
+
+For comparisons that are cheap least squares; the closed loop has a search of its own
+(:mod:`bayesbl.diagnosis.closed_loop.naming`).
+
+One effect at a time: every candidate is fitted beside those named already. It is believed if
+
+- its amplitude stands out of the noise: Wald's χ² under the sandwich covariance, corrected for
+  the number of candidates and of shapes tried, below the false-alarm rate;
+- held-out pieces are predicted better with it than without, beyond what the noise does to that;
+- it has the sign that physics gives it.
+
+Of those, the one that closes most of the disagreement is named; an earlier one that no longer
+stands out is dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the
+effective samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesbl.bench.bench import Bench
+from bayesbl.diagnosis.comparison import (
+    Comparison,
+    EffectsFit,
+    TestedEffect,
+    residuals,
+    residuals_of_pieces,
+    sum_of_squares,
+)
+from bayesbl.diagnosis.diagnosis import (
+    ALIKE,
+    Diagnosis,
+    Estimate,
+    NamedEffect,
+    ParameterError,
+    PieceSignals,
+    probability_of,
+    verdict_of,
+)
+from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.task import Progress, Task
+from bayesbl.recording.types import FloatArray
+
+BETTER = 2.0
+"""Standard errors by which held-out pieces must be predicted better."""
+
+WORTH = 0.01
+"""Share of the held-out RMS that an effect must close: less may be anything."""
+
+SURE_PARAMETER = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """``most``: effects named at the end; ``false_alarm``: of one step with nothing missing."""
+
+    most: int = 3
+    false_alarm: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A comparison with its candidates.
+
+    Attributes
+    ----------
+    remaining
+        Describes what still repeats in a fit's residuals.
+    notes
+        Sentences about what these recordings cannot show.
+    """
+
+    comparison: Comparison
+    remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BySelection:
+    """A method of diagnosis whose comparison is cheap: effects are named one by one."""
+
+    name: str
+    problem: Callable[[Task], Problem]
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        comparison = self.problem(task).comparison
+        names = ", ".join(candidate.name for candidate in comparison.candidates)
+        return f"{self.name}, {comparison.pieces[0].channel}; candidates {names}"
+
+    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = task.config.candidates
+        settings = Settings(asked.max_effects, asked.false_alarm)
+        return diagnose(self.problem(task), task.bench, settings, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    candidate: TestedEffect
+    fit: EffectsFit
+    log_p: float
+    held_out_z: float
+    closed: float
+    squares: float
+
+    def believed(self, threshold: float) -> bool:
+        amplitude = self.fit.effects[self.candidate.name][self.candidate.amplitude]
+        physical = amplitude >= 0.0 or not self.candidate.not_negative
+        physical = physical and self.candidate.name not in self.fit.at_edge
+        generalises = self.held_out_z > BETTER and self.closed > WORTH
+        return physical and generalises and self.log_p < math.log(threshold)
+
+
+def diagnose(
+    problem: Problem, bench: Bench, settings: Settings, progress: Progress | None = None
+) -> Diagnosis:
+    """Name what is missing; the disagreement before and after.
+
+    Parameters
+    ----------
+    bench
+        The one believed, for the tolerances of parameters that were fitted.
+    """
+    comparison = problem.comparison
+    before = comparison.fit((), None)
+    after = _select(comparison, before, settings, progress)
+    effects = tuple(_named(comparison, name, after) for name in after.effects)
+    estimates = _bench_estimates(comparison, after)
+    errors = _parameter_errors(bench, estimates)
+    remaining = problem.remaining(after)
+    pieces = residuals_of_pieces(comparison, before, after)
+    return Diagnosis(
+        verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
+        effects,
+        errors,
+        remaining,
+        disagreement_table(pieces, in_units_of_noise=False),
+        problem.notes,
+        bench_parameters=estimates,
+        signals=_signals(comparison, before, after),
+    )
+
+
+def _signals(
+    comparison: Comparison, before: EffectsFit, after: EffectsFit
+) -> tuple[PieceSignals, ...]:
+    return tuple(
+        PieceSignals(piece.name, piece.channel, piece.use, piece.time_s, piece.measured, *made)
+        for piece, *made in zip(
+            comparison.pieces, before.predictions, after.predictions, strict=True
+        )
+    )
+
+
+def _select(
+    comparison: Comparison, before: EffectsFit, settings: Settings, progress: Progress | None
+) -> EffectsFit:
+    """The fit with every effect that is believed."""
+    threshold = settings.false_alarm / max(1, len(comparison.candidates))
+    current, dropped = before, set[str]()
+    while len(current.effects) < settings.most:
+        trials = []
+        open_ones = _open(comparison.candidates, current, dropped)
+        for done, candidate in enumerate(open_ones):
+            trials.append(_trial(comparison, current, candidate))
+            if progress is not None:
+                progress(f"effect {len(current.effects) + 1}", done + 1, len(open_ones))
+        good = [trial for trial in trials if trial.believed(threshold)]
+        if not good:
+            break
+        best = _simplest(comparison, good)
+        current = best.fit
+        for name in [e for e in current.effects if e != best.candidate.name]:
+            candidate = _by_name(comparison, name)
+            if _wald(comparison, current, candidate)[1] > math.log(threshold):
+                dropped.add(name)
+                current = comparison.fit(tuple(e for e in current.effects if e != name), current)
+    return current
+
+
+def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
+    """The trial with the smallest residual, or a simpler one that cannot be told from it.
+
+    Simpler: fewer parameters, then earlier in the catalogue.
+    """
+    best = min(good, key=lambda trial: trial.squares)
+    noises = _noises(comparison, best.fit)
+    theirs = _used(comparison, best.fit)
+    alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
+    order = [candidate.name for candidate in comparison.candidates]
+
+    def simplicity(trial: _Trial) -> tuple[int, int]:
+        name = trial.candidate.name
+        return len(trial.fit.effects[name]), order.index(name)
+
+    return min(alike, key=simplicity)
+
+
+def _noises(comparison: Comparison, fit: EffectsFit) -> list[ResidualNoise]:
+    """Of the used pieces."""
+    return [ResidualNoise.of(part) for part in residuals(comparison, fit, "used")]
+
+
+def _used(comparison: Comparison, fit: EffectsFit) -> list[FloatArray]:
+    """Predictions of the used pieces, at the samples that count."""
+    pairs = zip(comparison.pieces, fit.predictions, strict=True)
+    return [piece.kept(prediction) for piece, prediction in pairs if piece.use == "used"]
+
+
+def _open(
+    candidates: tuple[TestedEffect, ...], current: EffectsFit, dropped: set[str]
+) -> list[TestedEffect]:
+    """Candidates still open: skip those named, dropped or contained in a named one.
+
+    A composite effect comes only after its simpler part.
+    """
+    inside = {c.contains for c in candidates if c.name in current.effects}
+    return [
+        c
+        for c in candidates
+        if c.name not in current.effects
+        and c.name not in dropped
+        and c.name not in inside
+        and (c.contains is None or c.contains in current.effects)
+    ]
+
+
+def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect) -> _Trial:
+    kept = tuple(name for name in current.effects if name != candidate.contains)
+    fit = comparison.fit((*kept, candidate.name), current)
+    _, log_p, _ = _wald(comparison, fit, candidate)
+    held_out_z, closed = _held_out(comparison, current, fit)
+    squares = sum_of_squares(residuals(comparison, fit, "used"))
+    return _Trial(candidate, fit, log_p, held_out_z, closed, squares)
+
+
+def _wald(
+    comparison: Comparison, fit: EffectsFit, candidate: TestedEffect
+) -> tuple[float, float, float]:
+    """z of the amplitude, ln p corrected for the shapes tried, and log evidence."""
+    noises = _noises(comparison, fit)
+    index = fit.names.index(f"{candidate.name}.{candidate.amplitude}")
+    variance = float(sandwich(fit.columns, noises)[index, index])
+    amplitude = fit.effects[candidate.name][candidate.amplitude]
+    z = abs(amplitude) / math.sqrt(variance) if variance > 0.0 else 0.0
+    phases = sum(name.startswith(f"{candidate.name}.phase_rad") for name in fit.names)
+    freedom = candidate.freedom * max(1, phases)
+    trials = math.log(fit.trials.get(candidate.name, 1.0))
+    log_p = min(0.0, float(chi2.logsf(z**2, freedom)) + trials)
+    sizes = [part.size for part in residuals(comparison, fit, "used")]
+    n = sum(noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True))
+    return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
+
+
+def _held_out(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> tuple[float, float]:
+    """How surely held-out pieces are predicted better: z, and the share of the RMS closed.
+
+    ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
+    """
+    first = residuals(comparison, old, "held_out")
+    last = residuals(comparison, new, "held_out")
+    gain = sum_of_squares(first) - sum_of_squares(last)
+    spread = 0.0
+    for a, b in zip(first, last, strict=True):
+        d = a - b
+        spread += float(d @ ResidualNoise.of(b).covariance_times(d))
+    if spread <= 0.0:
+        return 0.0, 0.0
+    closed = 1.0 - math.sqrt(sum_of_squares(last) / sum_of_squares(first))
+    return gain / (2.0 * math.sqrt(spread)), closed
+
+
+def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:
+    """A named effect, tested once more beside all the others."""
+    candidate = _by_name(comparison, name)
+    z, _, log_evidence = _wald(comparison, after, candidate)
+    spread = _deviations(comparison, after)
+    parameters = {
+        key: Estimate(value, spread.get(f"{name}.{key}", math.nan))
+        for key, value in after.effects[name].items()
+    }
+    alike = (*candidate.same_as, *_rivals(comparison, after, candidate))
+    return NamedEffect(name, parameters, probability_of(log_evidence), z, alike)
+
+
+def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> list[str]:
+    """Effects that, put in the place of a named one, predict what it predicts within the noise."""
+    used = _used(comparison, after)
+    noises = _noises(comparison, after)
+    others = tuple(name for name in after.effects if name != named.name)
+    without = comparison.fit(others, after)
+    found = []
+    for rival in comparison.candidates:
+        if rival.name in after.effects or named.name == rival.contains:
+            continue
+        fit = comparison.fit((*others, rival.name), without)
+        amplitude = fit.effects[rival.name][rival.amplitude]
+        if rival.name in fit.at_edge or (rival.not_negative and amplitude < 0.0):
+            continue  # at the end of its range it is only the named effect in disguise
+        if distance(used, _used(comparison, fit), noises) < ALIKE:
+            found += [rival.name, *rival.same_as]
+    return found
+
+
+def _deviations(comparison: Comparison, fit: EffectsFit) -> dict[str, float]:
+    noises = _noises(comparison, fit)
+    variances: FloatArray = np.diag(sandwich(fit.columns, noises)) if fit.names else np.array([])
+    return dict(zip(fit.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
+
+
+def _bench_estimates(comparison: Comparison, fit: EffectsFit) -> dict[str, Estimate]:
+    spread = _deviations(comparison, fit)
+    return {name: Estimate(value, spread.get(name, math.nan)) for name, value in fit.bench.items()}
+
+
+def _parameter_errors(bench: Bench, estimates: dict[str, Estimate]) -> tuple[ParameterError, ...]:
+    found = []
+    for name, fitted in estimates.items():
+        believed = bench.parameters[name]
+        beyond = abs(fitted.value - believed.value) - believed.tolerance
+        if beyond > SURE_PARAMETER * fitted.sd:
+            found.append(ParameterError(name, believed.value, believed.tolerance, fitted))
+    return tuple(found)
+
+
+def _by_name(comparison: Comparison, name: str) -> TestedEffect:
+    return next(c for c in comparison.candidates if c.name == name)

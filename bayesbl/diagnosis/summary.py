@@ -1,0 +1,217 @@
+"""``summary.json`` of a diagnosis, in the keys of the contract."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Mapping
+from statistics import NormalDist
+from typing import Any, Literal, NotRequired, TypedDict, cast
+
+import xarray as xr
+
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
+from bayesbl.diagnosis.disagreement import FloorFrom, Use
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.results.folder import AUGMENTED_BENCH
+from bayesbl.results.intervals import IntervalKind, interval
+from bayesbl.results.summary_types import Head, head
+
+_PLACE = ("recording", "channel", "use")
+
+
+class CredibleInterval(TypedDict):
+    """Bounds are ``None`` where the value was held."""
+
+    median: float
+    low: float | None
+    high: float | None
+    level: float
+    kind: IntervalKind
+
+
+class EffectSummary(TypedDict):
+    """A named effect; names of parameters to intervals."""
+
+    name: str
+    parameters: dict[str, CredibleInterval]
+    probability: float
+    z: float
+    indistinguishable_from: list[str]
+
+
+class ParameterErrorSummary(TypedDict):
+    """A bench parameter that is not what its file says."""
+
+    name: str
+    believed: float
+    tolerance: float
+    fitted: CredibleInterval
+    indistinguishable_from: list[str]
+
+
+class RemainingSummary(TypedDict):
+    """What still stands out after naming; the optional keys where a test of orders found it."""
+
+    channel: str
+    dependence: str
+    amplitude: float
+    unit: str
+    lowest_order: float | None
+    highest_order: float | None
+    frequency_hz: float | None
+    recordings: list[str]
+    repeats_with: NotRequired[Literal["motor_angle"]]
+    order: NotRequired[float]
+    chi_squared: NotRequired[float]
+
+
+class DisagreementSummary(TypedDict):
+    """RMS between bench and measurement in ``unit``; ``noise`` where it is over the noise floor."""
+
+    before: float
+    after: float
+    noise_floor: float
+    closed_fraction: float | None
+    unit: str
+    noise_floor_from: NotRequired[FloorFrom]
+
+
+class DisagreementTableSummary(TypedDict):
+    """By recording, channel and use, and over all by use; ``unit`` where all have one."""
+
+    unit: str | None
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]]
+    over_all: dict[Use, DisagreementSummary]
+
+
+class SuggestedRecording(TypedDict):
+    """A recording that would tell apart what these cannot."""
+
+    reference_speed_rpm: float
+    payload_share: float
+    distance: float
+    separates: list[list[str]]
+
+
+class SamplingSummary(TypedDict):
+    """How well the posterior was sampled."""
+
+    r_hat: float
+    ess_bulk: float
+    effective_after_simulation: float
+    outcome: str
+    reasons: list[str]
+
+
+class Answer(TypedDict):
+    """What a diagnosis says."""
+
+    verdict: Verdict
+    effects: list[EffectSummary]
+    parameter_errors: list[ParameterErrorSummary]
+    bench_parameters: dict[str, CredibleInterval]
+    remaining: list[RemainingSummary]
+    disagreement: DisagreementTableSummary
+    delta_rad_before: CredibleInterval | None
+    delta_rad_after: CredibleInterval | None
+    suggested_recording: SuggestedRecording | None
+    augmented_bench: NotRequired[str]
+    diagnostics: NotRequired[SamplingSummary]
+
+
+class DiagnosisSummary(Head, Answer):
+    """``summary.json``."""
+
+    kind: Literal["diagnose"]
+
+
+def summarise_diagnosis(tree: xr.DataTree) -> DiagnosisSummary:
+    """``summary.json`` of a stored diagnosis."""
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    return {"kind": "diagnose", **head(tree), **answer}
+
+
+def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
+    """The answer with credible intervals of this level and kind."""
+
+    def of(value: object) -> Any:
+        return plain(value, lambda estimate: interval_of(estimate, level, kind))
+
+    table = found.disagreement
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
+    for piece in table.pieces:
+        entry: Any = {key: value for key, value in of(piece).items() if key not in _PLACE}
+        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
+    answer: Answer = {
+        "verdict": found.verdict,
+        "effects": of(found.effects),
+        "parameter_errors": of(found.parameter_errors),
+        "bench_parameters": of(found.bench_parameters),
+        "remaining": [_remaining(entry) for entry in found.remaining],
+        "disagreement": {
+            "unit": table.unit,
+            "recordings": recordings,
+            "over_all": of(table.overall),
+        },
+        "delta_rad_before": of(found.delta_before),
+        "delta_rad_after": of(found.delta_after),
+        "suggested_recording": of(found.suggestion),
+    }
+    if found.augmented_bench is not None:
+        answer["augmented_bench"] = AUGMENTED_BENCH
+    if found.posterior is not None:
+        answer["diagnostics"] = _sampling(found.posterior)
+    return answer
+
+
+def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> CredibleInterval:
+    """From the draws; of a normal distribution, or lognormal one, where there are none."""
+    if estimate.draws is not None:
+        return cast(CredibleInterval, interval(estimate.draws, level, kind))
+    value = math.exp if estimate.logarithmic else float
+    known = math.isfinite(estimate.sd)
+    reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * estimate.sd if known else 0.0
+    return {
+        "median": value(estimate.value),
+        "low": value(estimate.value - reach) if known else None,
+        "high": value(estimate.value + reach) if known else None,
+        "level": level,
+        "kind": "equal_tailed",
+    }
+
+
+def plain(value: object, of_estimate: Callable[[Estimate], object] | None = None) -> Any:
+    """A value as JSON can hold it: dataclasses as objects, tuples as lists, NaN as null."""
+    if isinstance(value, Estimate) and of_estimate is not None:
+        return of_estimate(value)
+    if dataclasses.is_dataclass(value):
+        names = [field.name for field in dataclasses.fields(value)]
+        return {name: plain(getattr(value, name), of_estimate) for name in names}
+    if isinstance(value, Mapping):
+        return {key: plain(item, of_estimate) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item, of_estimate) for item in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _remaining(entry: Unexplained) -> RemainingSummary:
+    found: RemainingSummary = plain(entry)
+    if entry.chi_squared is None:
+        del found["chi_squared"]
+    else:
+        found |= {"repeats_with": "motor_angle", "order": entry.lowest_order}
+    return found
+
+
+def _sampling(posterior: DirectPosterior) -> SamplingSummary:
+    diagnostics = posterior.diagnostics
+    return {
+        "r_hat": max(diagnostics.r_hat.values()),
+        "ess_bulk": min(diagnostics.ess_bulk.values()),
+        "effective_after_simulation": posterior.effective,
+        "outcome": diagnostics.outcome,
+        "reasons": list(diagnostics.reasons),
+    }

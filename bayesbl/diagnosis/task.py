@@ -1,0 +1,151 @@
+"""What a method of diagnosis is given, and what all of them ask of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from bayesbl.bench.bench import Bench, Drive
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.diagnosis.comparison import Piece, TestedEffect
+from bayesbl.diagnosis.disagreement import Use
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.recording.checks import require_channels
+from bayesbl.recording.clipping import require_unclipped, without_rails
+from bayesbl.recording.types import Recording
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, done, of how many)."""
+
+MOST_EXCLUDED = 0.5
+"""Largest share of a piece that may be left out: what remains should still be a recording."""
+
+OTHER_METHODS = {
+    "two_mass": '"two_mass", or [comparison] method = "inverse" or "free_motion"',
+    "rigid": '"rigid", or [comparison] method = "forward"',
+}
+"""Drive of a bench that a method asks for to what may be changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """The configuration, the bench it names, and a recording for each of its entries.
+
+    ``work`` keeps what a method has finished.
+    """
+
+    config: DiagnoseConfig
+    bench: Bench
+    recordings: tuple[Recording, ...]
+    work: WorkStore = NOTHING_KEPT
+
+    def require_drive(self, drive: Drive, why: str) -> None:
+        """Refuse a bench of another kind."""
+        if self.bench.drive != drive:
+            raise ConfigError(
+                why,
+                file=self.config.bench,
+                where="drive",
+                found=f'"{self.bench.drive}"',
+                expected=OTHER_METHODS[drive],
+            )
+
+    def require_no_known_torque(self, why: str) -> None:
+        """Refuse torques known from outside."""
+        if self.config.comparison.known_torque:
+            names = ", ".join(self.config.comparison.known_torque)
+            raise refused(why, "[comparison] known_torque", names, "none")
+
+    def require_channels_of(self, channels: Sequence[str]) -> None:
+        """Refuse recordings without these channels."""
+        for recording in self.recordings:
+            require_channels(recording, channels)
+
+
+def cuts(config: DiagnoseConfig, recordings: Sequence[Recording]) -> list[tuple[int, Use, slice]]:
+    """Number of the recording, use and samples of every piece; a split one is cut in the middle."""
+    found: list[tuple[int, Use, slice]] = []
+    for i, (entry, recording) in enumerate(zip(config.recordings, recordings, strict=True)):
+        if entry.use == "split":
+            half = recording.samples // 2
+            found += [(i, "used", slice(None, half)), (i, "held_out", slice(half, None))]
+        else:
+            found.append((i, "used" if entry.use == "fit" else "held_out", slice(None)))
+    return found
+
+
+def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
+    """A recording, or some samples of it, as it is compared."""
+    excluded = recording.excluded
+    if excluded is not None and excluded.mean() > MOST_EXCLUDED:
+        raise RecordingError(
+            "Too little remains to compare beside lost and stray samples.",
+            file=recording.source.file if recording.source else recording.name,
+            where=channel,
+            found=f"{100.0 * excluded.mean():.3g} % of the samples left out, with all that "
+            "the filter of the motion carries them to",
+            expected=f"at most {100.0 * MOST_EXCLUDED:g} %; use the part with fewer lost samples, "
+            "or a higher [comparison] cutoff_hz, which reaches less far",
+        )
+    values = recording.channels[channel]
+    return Piece(recording.name, channel, use, recording.time_s, values, excluded)
+
+
+def rows_of(recording: Recording, rows: slice) -> Recording:
+    """Some samples of a recording."""
+    channels = {name: values[rows] for name, values in recording.channels.items()}
+    excluded = None if recording.excluded is None else recording.excluded[rows]
+    return replace(recording, time_s=recording.time_s[rows], channels=channels, excluded=excluded)
+
+
+def sound(
+    recording: Recording, channels: Sequence[str], unclipped: Sequence[str] = ()
+) -> Recording:
+    """The recording with strays of these channels excluded and noted.
+
+    Raises
+    ------
+    RecordingError
+        If there are too many, or the peaks of an ``unclipped`` channel are cut off.
+    """
+    for channel in channels:
+        recording = without_rails(recording, channel)
+    for channel in unclipped:
+        require_unclipped(recording, channel)
+    return recording
+
+
+def notes_of(recordings: Sequence[Recording]) -> list[str]:
+    """What was done to each recording, under its name."""
+    return [f"{recording.name}: {note}" for recording in recordings for note in recording.notes]
+
+
+def wanted(
+    config: DiagnoseConfig, bench: Bench, every: Iterable[TestedEffect]
+) -> list[TestedEffect]:
+    """Candidates that were asked for and that the bench does not have already.
+
+    A name that means the same law here finds a candidate too.
+    """
+    had = {effect.name for effect in bench.effects}
+    possible = [c for c in every if not {c.name, *c.same_as, c.contains} & had]
+    asked = config.candidates.effects
+    if asked == "all":
+        return possible
+    found = [c for c in possible if {c.name, *c.same_as} & set(asked)]
+    known = {name for c in possible for name in (c.name, *c.same_as)}
+    for name in asked:
+        if name not in known:
+            raise refused(
+                "This effect does not show in this comparison.",
+                "[candidates] effects",
+                name,
+                "one of " + ", ".join(sorted(known)),
+            )
+    return found
+
+
+def refused(problem: str, where: str, found: str | None, expected: str) -> ConfigError:
+    """The error for a field of the configuration."""
+    return ConfigError(problem, where=where, found=found, expected=expected)

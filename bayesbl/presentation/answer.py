@@ -1,0 +1,221 @@
+"""A fit or a comparison in words: its gaps, their change, and everything that limits the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from bayesbl.presentation import direct_route, wear, words
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+from bayesbl.units import number
+
+GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
+
+SHRANK = (
+    "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
+    "between them?"
+)
+
+
+def snapshots(summary: words.Summary) -> list[tuple[str, words.Summary]]:
+    """(name, part) of every snapshot; the name of a fit's only one is empty."""
+    if "snapshots" in summary:
+        return [(part["name"], part) for part in summary["snapshots"]]
+    return [("", summary)]
+
+
+def blocks(summary: words.Summary) -> Iterator[Block]:
+    """Everything below the headline: table of the snapshots, wear, and what limits the answer."""
+    _, *others = lead(summary)
+    for sentence in (*others, *steps(summary), above_limit(summary)):
+        if sentence:
+            yield Sentence(sentence)
+    if has_shrunk(summary):
+        yield Sentence(SHRANK, "warning")
+    yield _snapshot_table(summary)
+    for name, part in snapshots(summary):
+        if "sampler_check" in part:
+            yield Sentence(sampler_check(part["sampler_check"]), "aside", name)
+    if summary.get("wear"):
+        yield from wear.blocks(summary)
+    yield Sentence(GAP_EXPLAINED, "aside")
+    for sentence in (*outliers(summary), *budget(summary)):
+        yield Sentence(sentence, "aside")
+    for name, part in snapshots(summary):
+        if "amplitude_route" in part:
+            yield Sentence(direct_route.by_amplitude(name, part["amplitude_route"]), "aside")
+    for label, sentence in reasons(summary):
+        yield Sentence(sentence, "warning", label)
+
+
+def lead(summary: words.Summary) -> Iterator[str]:
+    """What a fit or a comparison leads with: the wear where it has a rate, else gap or change."""
+    if not wear.has_rate(summary):
+        yield headline(summary)
+        return
+    yield wear.headline(summary)
+    if not wear.spans_repair(summary):
+        yield headline(summary)
+
+
+def headline(summary: words.Summary) -> str:
+    """The gap, or the change of compared ones."""
+    compared = "snapshots" in summary
+    found = summary["change_rad" if compared else "delta_rad"]
+    if found is None:
+        what = "change of the gap" if compared else "gap"
+        return f"The {what} is withheld: these data do not give an answer that can be trusted."
+    if compared:
+        return f"{change_in_words(found)}; {grew(summary['probability_increase'])}."
+    return f"The gap is {words.in_mrad(found)}."
+
+
+def change_in_words(change: words.Summary) -> str:
+    """Whether the gap grew, shrank, or may have done neither."""
+    if change["low"] > 0.0:
+        return f"The gap grew by {words.in_mrad(change)}"
+    if change["high"] < 0.0:
+        return f"The gap shrank by {words.in_mrad(change, -1.0)}"
+    return f"The gap may not have changed: the change is {words.in_mrad(change)}"
+
+
+def grew(value: float) -> str:
+    """The probability of growth as part of a sentence."""
+    return f"probability that it grew: {words.probability(value)}"
+
+
+def has_shrunk(summary: words.Summary) -> bool:
+    """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
+    change = summary.get("change_rad")
+    return change is not None and change["high"] < 0.0 and not summary.get("wear")
+
+
+def steps(summary: words.Summary) -> Iterator[str]:
+    """Each step between neighbours, where there are more than two snapshots."""
+    changes = summary.get("changes", [])
+    for step in changes if len(changes) > 1 else []:
+        change = "withheld"
+        if step["change_rad"] is not None:
+            change = f"{words.in_mrad(step['change_rad'])}; {grew(step['probability_increase'])}"
+        yield f"From {step['from']} to {step['to']}: {change}."
+
+
+def is_by_other_machine(summary: words.Summary) -> bool:
+    """Whether the answer rests on the gap curve of the paper's test bench."""
+    from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
+
+    return summary.get("curve") == PUBLISHED and not direct_route.is_direct(summary)
+
+
+def explained(summary: words.Summary) -> str:
+    """What δ and the range beneath it are, and what they rest on."""
+    direct = direct_route.is_direct(summary)
+    condition = "the bench is as its file says" if direct else "the curve fits your joint"
+    return (
+        "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point "
+        "1 m away by 1 mm). The range below a number holds the true value with the stated "
+        f"probability, if {condition}."
+    )
+
+
+def above_limit(summary: words.Summary) -> str | None:
+    """The probability of each snapshot above the limit; ``None`` without a limit."""
+    limited = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
+    if not limited:
+        return None
+    each = ", ".join(
+        _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in limited
+    )
+    limit = 1e3 * limited[0][1]["limit_rad"]
+    return f"Probability that the gap is above its limit of {limit:g} mrad: {each}."
+
+
+def budget(summary: words.Summary) -> Iterator[str]:
+    """Where the width of the last interval given comes from, in one line."""
+    answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
+    for name, part in answered[-1:]:
+        shares = sorted(part["budget"].items(), key=lambda item: -item[1])
+        each = [
+            f"{words.source_in_words(source)} {words.probability(share)}"
+            for source, share in shares
+            if share >= words.RAREST
+        ]
+        if each:
+            yield f"Variance of the gap{of(name)}, by source: {', '.join(each)}."
+
+
+def reasons(summary: words.Summary) -> Iterator[tuple[str, str]]:
+    """(``Withheld`` or ``Note``, sentence) of all that limits an answer, each once.
+
+    The names of the snapshots that it applies to come first.
+    """
+    names: dict[tuple[str, str], list[str]] = {}
+    for name, part in snapshots(summary):
+        found: Sequence[str] = part["diagnostics"]["reasons"]
+        for sentence in found:
+            label = "Withheld" if sentence in (part["reason"] or "") else "Note"
+            names.setdefault((label, sentence), []).append(name)
+    for (label, sentence), whose in names.items():
+        yield label, f"{', '.join(whose)}: {sentence}" if any(whose) else sentence
+
+
+def outliers(summary: words.Summary) -> Iterator[str]:
+    """A sentence for every snapshot whose noise is Student-t."""
+    for name, part in snapshots(summary):
+        freedom = part["noise"]["degrees_of_freedom"]
+        if freedom is not None:
+            evidence = number(part["noise"]["student_t_evidence"], 0)
+            yield (
+                f"The noise{of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
+                f"(log evidence against normal noise: {evidence})."
+            )
+
+
+def sampler_check(check: words.Summary) -> str:
+    """What the second sampler found of every parameter."""
+    each = "; ".join(
+        f"{symbol} {number(found['difference_sd'], 2)} sd, width × {found['width_ratio']:.2f}"
+        for symbol, found in check["symbols"].items()
+    )
+    verdict = "agrees with" if check["agrees"] else "disagrees with"
+    return f"Nested sampling {verdict} emcee (difference, width over emcee's): {each}."
+
+
+def of(name: str) -> str:
+    """Whose, as part of a sentence; nothing for a fit's only snapshot."""
+    return f" of {name}" if name else ""
+
+
+def _probability_or_withheld(part: words.Summary) -> str:
+    value = part["probability_above_limit"]
+    return "withheld" if value is None else words.probability(value)
+
+
+def _snapshot_table(summary: words.Summary) -> Table:
+    parts = snapshots(summary)
+    compared = "snapshots" in summary
+    first = parts[0][1]
+    # There may be an answer where the ringing gives no amplitude.
+    kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
+    places = words.common_decimals(part["delta_rad"] for _, part in parts)
+    columns = (
+        *([text("Snapshot")] if compared else []),
+        numbers("Gap δ\n(mrad)"),
+        numbers(f"{kind}\n(mrad)"),
+        numbers("Ringing A\n(rpm)"),
+        numbers("Load\nrotations"),
+        numbers("Noise sd\n(rpm)"),
+        text("Outcome"),
+    )
+    return table(columns, [_row(name if compared else None, part, places) for name, part in parts])
+
+
+def _row(name: str | None, part: words.Summary, places: int) -> Iterator[str]:
+    if name is not None:
+        yield name
+    delta = part["delta_rad"]
+    yield "withheld" if delta is None else number(1e3 * delta["median"], places)
+    yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+    yield words.median_of(part["amplitude_rpm"], 1)
+    yield f"{part['rotations']:.1f}"
+    yield f"{part['noise']['sd_rpm']:.2f}"
+    yield part["diagnostics"]["outcome"]

@@ -1,0 +1,62 @@
+"""What a result says, as headings, sentences and tables: terminal and page render the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+Tone = Literal["", "answer", "withheld", "aside", "warning"]
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """The title of what follows."""
+
+    kind: ClassVar[str] = "heading"
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A sentence, with a label before it or none."""
+
+    kind: ClassVar[str] = "sentence"
+    text: str
+    tone: Tone = ""
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """The head of a column; a line break in ``title`` is for the terminal alone."""
+
+    title: str
+    numeric: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns, and rows with a text for each of them."""
+
+    kind: ClassVar[str] = "table"
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+Block = Heading | Sentence | Table
+
+
+def text(title: str) -> Column:
+    """A column of text, set to the left."""
+    return Column(title, numeric=False)
+
+
+def numbers(title: str) -> Column:
+    """A column of numbers, set to the right."""
+    return Column(title, numeric=True)
+
+
+def table(columns: Iterable[Column], rows: Iterable[Iterable[object]]) -> Table:
+    """A table; cells as text."""
+    return Table(tuple(columns), tuple(tuple(str(cell) for cell in row) for row in rows))

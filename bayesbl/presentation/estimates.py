@@ -1,0 +1,89 @@
+"""What was estimated of each snapshot: parameters, noise, sampling, rival optima."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from bayesbl.presentation import answer, direct_route, words
+from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
+from bayesbl.units import number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def blocks(tree: xr.DataTree, summary: words.Summary) -> Iterator[Block]:
+    """Parameters and diagnostics of every snapshot."""
+    for name, part in answer.snapshots(summary):
+        yield Heading(f"Snapshot {name}" if name else "Fit")
+        if "cramer_rao_sd" in part:
+            yield from direct_route.blocks(part)
+        else:
+            yield from _of_amplitude(part, "; ".join(_rivals(tree, name)) or "none")
+
+
+def noise(part: words.Summary) -> str:
+    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
+    found = part["noise"]
+    kind = f"AR({found['order']})" if found["order"] else "white"
+    if found["differentiated"]:
+        kind = f"differentiated {kind}"
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm"
+    if found["order"]:
+        text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
+    if found["degrees_of_freedom"] is not None:
+        text += f", Student-t with {found['degrees_of_freedom']:g} degrees of freedom"
+    if found["student_t_evidence"] is not None:
+        text += f" (log evidence for Student-t: {number(found['student_t_evidence'], 0)})"
+    if found["repeating_rounding_sd_rpm"]:
+        text += (
+            f"; and rounding of {found['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
+            "rotation"
+        )
+    return text
+
+
+def _of_amplitude(part: words.Summary, rivals: str) -> Iterator[Block]:
+    yield _parameter_table(part)
+    lines = {
+        **({"Search": part["start"]} if "start" in part else {}),
+        "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
+        "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
+        "Noise": noise(part),
+        "Sampling": words.sampling(part),
+        "Rival optima": rivals,
+    }
+    for label, sentence in lines.items():
+        yield Sentence(sentence, label=label)
+
+
+def _parameter_table(part: words.Summary) -> Table:
+    """All nine symbols: the free ones with their interval, the others as fixed."""
+    from bayesbl.ringing.symbols import SYMBOLS
+
+    kind = words.short_kind(part["amplitude_rpm"])
+    columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
+    return table(columns, [_row(part, symbol.name, symbol.unit) for symbol in SYMBOLS.values()])
+
+
+def _row(part: words.Summary, name: str, unit: str) -> tuple[str, ...]:
+    best, found = part["optimum"][name], part["parameters"].get(name)
+    if found is None:
+        return name, f"{best:g}", "", "fixed", unit
+    places = words.decimals(found, units=20.0)
+    shown = (number(value, places) for value in (best, found["median"]))
+    return name, *shown, words.bounds(found, places=places), unit
+
+
+def _rivals(tree: xr.DataTree, name: str) -> list[str]:
+    """Other local optima of one snapshot, as amplitude and RMSE."""
+    optimum = tree["optimum"].to_dataset()
+    if name:
+        optimum = optimum.sel(snapshot=name)
+    amplitudes, errors = optimum["rival_amplitude_rpm"].values, optimum["rival_rmse_rpm"].values
+    return [
+        f"A = {a:.1f} rpm at RMSE {e:.3f} rpm"
+        for a, e in zip(amplitudes, errors, strict=True)
+        if a == a  # padding of snapshots with fewer rivals is NaN
+    ]

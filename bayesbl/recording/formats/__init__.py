@@ -1,0 +1,49 @@
+"""File formats of recordings: each module here that declares a :class:`Format` adds one.
+
+Asked by the command line's help and by configurations before any number is read, so a format
+imports what it reads with only when it reads.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesbl.declared import declared
+
+if TYPE_CHECKING:
+    from bayesbl.recording.columns import Table
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A kind of file that holds a recording.
+
+    Attributes
+    ----------
+    name
+        What the help calls it.
+    suffixes
+        Of its files, in small letters with the dot.
+    read
+        From path and bytes to named columns; raises :class:`RecordingError` for a damaged file.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, bytes], Table]
+
+
+def formats() -> dict[str, Format]:
+    """Suffix to the format of files that end in it."""
+    found = declared(sys.modules[__name__], Format)
+    return {suffix: format_ for format_ in found for suffix in format_.suffixes}
+
+
+def names() -> str:
+    """``CSV, TSV, MATLAB, NetCDF or Parquet``."""
+    *most, last = dict.fromkeys(format_.name for format_ in formats().values())
+    return f"{', '.join(most)} or {last}"

@@ -1,0 +1,165 @@
+"""Files and folders that appear whole or not at all, by one writer at a time.
+
+What is being written is in a hidden folder beside its place and is renamed when it is whole. A
+process that is killed leaves at most such a folder, which the next writer of the same place clears
+away: one that is still in use is known by a lock, which the system drops with the process.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from bayesbl.errors import ResultError
+
+if sys.platform != "win32":
+    import fcntl
+
+_STAGING = ".staging"
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary file that takes the name ``path`` when the block ends without exception.
+
+    Raises
+    ------
+    ResultError
+        If nothing can be written there.
+    """
+    path = Path(path)
+    with staging(path) as folder:
+        yield folder / path.name
+        os.replace(folder / path.name, path)
+
+
+@contextmanager
+def staging(path: Path) -> Iterator[Path]:
+    """A hidden folder beside ``path`` to write into; what is still in it at the end is deleted.
+
+    Raises
+    ------
+    ResultError
+        If no folder can be made there.
+    """
+    folder, handle = _new_staging(path)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if handle is not None:
+            os.close(handle)
+
+
+@contextmanager
+def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
+    """The hidden folder ``.<name><suffix>`` beside an output folder, made, locked and kept.
+
+    Raises
+    ------
+    ResultError
+        If another process holds the lock, or no folder can be made there.
+    """
+    folder = sibling(output, suffix)
+    made = [parent for parent in folder.parents if not parent.exists()]
+    try:
+        handle = _locked(folder, output)
+    except OSError as error:
+        raise _unwritable(output, error) from None
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):
+            for empty in (folder, *made):
+                empty.rmdir()  # a run that failed leaves no empty folders
+        if handle is not None:
+            os.close(handle)
+
+
+def sibling(output: Path, suffix: str) -> Path:
+    """The hidden folder ``.<name><suffix>`` beside an output folder."""
+    return output.with_name(f".{output.name}{suffix}")
+
+
+def _locked(folder: Path, output: Path) -> int | None:
+    """A handle that holds the lock of a folder, which is made; ``None`` where there are none."""
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
+        if sys.platform == "win32":
+            return None
+        handle = _lock(folder)
+        if handle is None and folder.exists():
+            raise ResultError(
+                "Another run into this output folder is under way.",
+                file=output,
+                expected="one at a time",
+            )
+        if handle is not None and _is_still(folder, handle):
+            return handle
+        if handle is not None:
+            os.close(handle)  # the run that held the lock has removed the folder
+
+
+def _new_staging(path: Path) -> tuple[Path, int | None]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _clear_leftovers(path)
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
+        # mkdtemp keeps its folders private; a result is as readable as any folder made here.
+        folder.chmod(0o777 & ~_umask())
+    except OSError as error:
+        raise _unwritable(path, error) from None
+    return folder, _lock(folder)
+
+
+def _clear_leftovers(path: Path) -> None:
+    """Delete what killed writers of this path left, and nothing of living ones."""
+    for entry in path.parent.iterdir():
+        if entry.name.startswith(f".{path.name}.") and entry.name.endswith(_STAGING):
+            handle = _lock(entry)
+            if handle is not None:
+                shutil.rmtree(entry, ignore_errors=True)
+                os.close(handle)
+
+
+def _lock(folder: Path) -> int | None:
+    """An open, locked handle on a folder; ``None`` if another process holds it, or cannot tell."""
+    if sys.platform == "win32":
+        return None  # folders cannot be locked there: leftovers stay, and do no harm
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
+
+
+def _is_still(folder: Path, handle: int) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), os.stat(folder))
+    except FileNotFoundError:
+        return False
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _unwritable(path: Path, error: OSError) -> ResultError:
+    return ResultError(
+        "Nothing can be written here.",
+        file=path,
+        found=error.strerror,
+        expected="a place that can be written to",
+    )

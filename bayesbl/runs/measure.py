@@ -1,0 +1,54 @@
+"""``fit`` and ``compare``: from recordings of one joint to their gaps, by the route asked for."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
+from bayesbl.measurement.compatibility import require_plausible_limit, same_files
+from bayesbl.measurement.routes import measure, route_of
+from bayesbl.measurement.task import curve_of, estimator_of, recording_of
+from bayesbl.recording.types import Recording
+from bayesbl.runs.workflow import Options, Plan, Summary, run_into_folder
+
+
+def run(config: SnapshotConfig, options: Options) -> Summary:
+    """Measure, and write the output folder."""
+    return run_into_folder(
+        config, options, lambda work: measure(config, options.progress, work, options.say)
+    )
+
+
+def describe(config: SnapshotConfig, plan: Plan) -> None:
+    """What would be measured, and by what."""
+    estimator, curve = estimator_of(config), curve_of(config)
+    plan.lines += [
+        ("curve", curve.name),
+        ("estimator", f"search {estimator.search}, noise {estimator.noise_kind}"),
+        ("interval", f"{100.0 * config.interval.level:g} %, {config.interval.kind}"),
+    ]
+    measurer = route_of(config.estimator.route).prepare(config)
+    for label, text in measurer.describe():
+        plan.add(label, text)
+
+    def checked(entry: SnapshotRecording) -> str:
+        recording = recording_of(entry, config)
+        measurer.require_usable(recording)
+        rate = 1.0 / recording.sampling_period_s
+        sound.append(recording)
+        plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
+        return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+
+    sound: list[Recording] = []
+    for entry in config.recordings:
+        plan.add(f"recording {entry.name}", partial(checked, entry))
+    plan.warnings += [*same_files(sound), *measurer.notes()]
+    plan.add("speed", partial(measurer.require_together, sound))
+    if config.joint.limit_rad is not None:
+        plan.add("limit", partial(_limit, config.joint.limit_rad, measurer.gap_range_rad))
+
+
+def _limit(limit_rad: float, range_rad: tuple[float, float]) -> str:
+    require_plausible_limit(limit_rad, range_rad)
+    return f"{1e3 * limit_rad:g} mrad"

@@ -1,0 +1,169 @@
+"""What every kind of run shares: its options, its finished work, and the folder it writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from bayesbl.config.fields import RESULT_FILE
+from bayesbl.config.loading import dump_config
+from bayesbl.errors import ResultError, UserError
+from bayesbl.results.folder import (
+    AUGMENTED_BENCH,
+    CONFIG_FILE,
+    FIGURES,
+    SUMMARY_FILE,
+    is_finished,
+    new_result,
+    require_free,
+)
+from bayesbl.results.work import WorkStore, problem_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.config.sections import RunConfig
+
+Progress = Callable[[str, int, int], None]
+"""Called with (what is worked on, steps made, steps allowed)."""
+
+Draw = Callable[["xr.DataTree", Path], object]
+"""Draws the figures of a result into a folder; passed in, as figures are made from results."""
+
+Summary = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How a run is to be made, whatever its kind.
+
+    Attributes
+    ----------
+    force
+        Replace a finished result; start over where a run was left unfinished.
+    say
+        Called with sentences for the user.
+    """
+
+    draw: Draw = lambda tree, folder: None
+    force: bool = False
+    progress: Progress | None = None
+    say: Callable[[str], None] = print
+
+
+@dataclass(slots=True)
+class Plan:
+    """What a configuration would do, in pairs of label and text, and what speaks against it."""
+
+    lines: list[tuple[str, str]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    problems: list[UserError] = field(default_factory=list)
+
+    def add(self, label: str, text: Callable[[], str | None]) -> None:
+        """A line, or the problem that making it met; no line for ``None``."""
+        try:
+            line = text()
+        except UserError as problem:
+            self.problems.append(problem)
+        else:
+            if line is not None:
+                self.lines.append((label, line))
+
+
+class Workflow(Protocol):
+    """The module of a kind of run."""
+
+    def run(self, config: Any, options: Options) -> Summary:
+        """Run a configuration and write its output folder; the summary that was stored."""
+
+    def describe(self, config: Any, plan: Plan) -> None:
+        """Everything that can be checked without running."""
+
+
+def run_into_folder(
+    config: RunConfig, options: Options, make: Callable[[WorkStore], xr.DataTree]
+) -> Summary:
+    """Make a result, going on where an unfinished run of the same problem was left, and write it.
+
+    Parameters
+    ----------
+    make
+        Makes the result; what takes long goes through the store that it is given.
+
+    Raises
+    ------
+    UserError
+        If the folder may not be written, the unfinished run there was for another problem, or
+        anything in the configuration cannot be used.
+    """
+    output = config.run.output
+    if is_finished(output):
+        with suppress(ResultError), WorkStore.beside(output, fresh=True):
+            pass  # forgets the work of a run that was killed after its result was there
+    require_free(output, force=options.force)
+    problem = problem_of(settings_of(config))
+    with WorkStore.beside(output, problem, fresh=options.force) as work:
+        if work.resumes:
+            options.say("This goes on where an unfinished run was left.")
+        try:
+            tree = make(work)
+        except UserError:
+            work.clear()  # it would end the same way again
+            raise
+        # Imported after the questions that can be answered at once: xarray takes a second.
+        from bayesbl.runs.summary import summarise
+
+        texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench")}
+        summary = summarise(tree)
+        write_result(tree, summary, config, options, {k: v for k, v in texts.items() if v}, work)
+    return summary
+
+
+def settings_of(config: RunConfig) -> dict[str, Any]:
+    """The tables of a configuration, without what changes no number."""
+    return config.model_dump(
+        by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
+    )
+
+
+def write_result(
+    tree: xr.DataTree,
+    summary: Mapping[str, Any],
+    config: RunConfig,
+    options: Options,
+    texts: Mapping[str, str],
+    work: WorkStore,
+) -> None:
+    """The output folder of a result, whole or not at all; finished work is then forgotten.
+
+    Figures can be made again at once, what was computed cannot: where drawing fails, the result is
+    stored with the figures drawn so far, and the failure raised only then, with a note that says
+    so.
+
+    Parameters
+    ----------
+    texts
+        Further files by name.
+    """
+    from bayesbl.results.store import write_json, write_text, write_tree
+
+    failure: Exception | None = None
+    with new_result(config.run.output, force=options.force, also=texts) as folder:
+        write_tree(tree, folder / RESULT_FILE)
+        write_json(summary, folder / SUMMARY_FILE)
+        for name, text in {CONFIG_FILE: dump_config(config), **texts}.items():
+            write_text(text, folder / name)
+        try:
+            options.draw(tree, folder / FIGURES)
+        except Exception as error:
+            failure = error
+    work.clear()
+    if failure is not None:
+        failure.add_note(
+            f"The result is stored in {config.run.output}; only figures are missing. To draw them "
+            f"again: bayesbl figures {config.run.output}"
+        )
+        raise failure

@@ -1,0 +1,310 @@
+"""The causes of mishandling that issue 16 lists, each by what must not happen.
+
+Those that still happen stand in ``failing.txt``, and are expected to fail until they are mended.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from attack import commands, configurations, own_process, recordings, results, unfinished
+from attack.engine import HARM, Finding, Prepare, Trial
+from attack.workshop import (
+    CONFIGURATIONS,
+    REPOSITORY,
+    Originals,
+    example,
+    plain_csv,
+    put_configuration,
+    put_inputs,
+)
+from bayesbl import cli
+
+Findings = Callable[[Prepare], list[Finding]]
+
+
+# 1
+
+
+@pytest.mark.parametrize("command", ["report", "figures", "inspect"])
+def test_a_received_result_runs_nothing(
+    command: str, originals: Originals, findings: Findings
+) -> None:
+    def prepare(place: Path, rng: np.random.Generator) -> Trial:
+        import shutil
+
+        folder = originals.copy("study", place)
+        shutil.rmtree(folder / "figures", ignore_errors=True)
+        (place / "study_file_was_run").unlink(missing_ok=True)
+        (place / "study.py").write_text("open('study_file_was_run', 'w')\n")
+
+        def judge(ended: object) -> list[Finding]:
+            run = (place / "study_file_was_run").exists()
+            return [(HARM, "the file that the result names was run")] if run else []
+
+        return Trial([(command, "result")], lambda ended: iter(judge(ended)), outputs=["*"])
+
+    assert not findings(prepare)
+
+
+# 2
+
+
+@pytest.mark.parametrize("make", commands.COLLISIONS, ids=lambda make: make.__name__)
+def test_no_output_is_an_input(make: Callable[[Path], object], findings: Findings) -> None:
+    assert not findings(commands.collided(make))
+
+
+# 3, 4
+
+
+def test_a_package_that_is_read_only_measures_without_a_home(findings: Findings) -> None:
+    # The check imports all that a measurement compiles; compiling it takes half a minute.
+    def work(place: Path) -> own_process.Findings:
+        return own_process.read_only_package(place, ("check", "direct.toml"))
+
+    assert not findings(own_process.in_own_process(work))
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437"])
+def test_a_terminal_that_is_not_utf_8_is_printed_to(encoding: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "bayesbl", "effects", "load_coulomb_friction"],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), "PYTHONIOENCODING": encoding},
+        capture_output=True,
+    )
+    assert ended.returncode == 0, ended.stderr.decode()
+
+
+# 5
+
+
+@pytest.mark.parametrize("name", commands.NAMES.values(), ids=list(commands.NAMES))
+def test_a_recording_may_have_any_name(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bayesbl.config.loading import config_from_options
+
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(plain_csv(example()))
+    assert config_from_options("fit", [name]).kind == "fit"
+
+
+# 6
+
+
+def wide(path: Path, columns: int) -> Path:
+    names = ",".join(f"{i * 0.001:.3f}" for i in range(columns))
+    path.write_text("".join(f"{name},{names}\n" for name in example()))
+    return path
+
+
+def test_a_file_that_is_transposed_is_said_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.status(["fit", str(wide(tmp_path / "a.csv", 5_000))]) == cli.WRONG
+    assert "transposed" in capsys.readouterr().err
+
+
+def test_a_wide_header_is_refused_in_no_time(tmp_path: Path) -> None:
+    path = wide(tmp_path / "a.csv", 20_000)
+    begin = time.process_time()
+    assert cli.status(["fit", str(path)]) == cli.WRONG
+    assert time.process_time() - begin < 1.0
+
+
+# 7, 8
+
+
+DAMAGED = [
+    "kind missing",
+    'kind "nonsense"',
+    'kind "sweep"',
+    "another attribute not JSON",
+    "a group's attribute not JSON",
+    "a group missing",
+    "a variable missing",
+    "an answer NaN",
+    "an answer negative",
+    "one bit of the gap",
+]
+
+
+@pytest.mark.parametrize("change", DAMAGED)
+def test_a_changed_result_is_refused_or_says_the_same(
+    change: str, originals: Originals, findings: Findings
+) -> None:
+    cases = results.Cases(originals)
+    steps = (results.INSPECT, results.JSON, results.REPORT)
+    assert not findings(cases.changed("fit", results.CHANGES[change], *steps))
+
+
+@pytest.mark.parametrize("change", ["a variable missing", "an answer NaN", "one bit of an answer"])
+def test_a_changed_curve_is_refused(change: str, originals: Originals, findings: Findings) -> None:
+    def prepare(place: Path, rng: np.random.Generator) -> Trial:
+        import h5py
+
+        with h5py.File(originals.copy("sweep", place) / "result.nc", "r+") as file:
+            curve = file["gap_curve"]
+            if change == "a variable missing":
+                del curve["coefficients"]
+            elif change == "an answer NaN":
+                curve["coefficients"][...] = np.nan
+            else:
+                curve["coefficients"][...] = results.one_bit(curve["coefficients"][...], rng)
+        (place / "later.toml").write_text(results.BY_CURVE)
+        return Trial([results.CHECK_LATER], statuses=(cli.WRONG,), names=["result.nc"])
+
+    assert not findings(prepare)
+
+
+# 9
+
+
+CHECKED: Mapping[str, tuple[str, configurations.Edit]] = {
+    **{
+        name: ("fit", (configurations.RUN_EDITS | configurations.SNAPSHOT_EDITS)[name])
+        for name in (
+            "output a file",
+            "output root",
+            "output here",
+            "output /dev/null",
+            "output of 300 characters",
+            "speed read as rad/s",
+            "a wrong gear ratio",
+            "another speed asked for",
+        )
+    },
+    **{
+        f"{kind}: {name}": (kind, configurations.ROTATION_EDITS[name])
+        for kind in ("simulate", "sweep")
+        for name in ("1e9 rotations", "1e12 Hz")
+    },
+}
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_check_asks_what_run_asks(name: str, findings: Findings) -> None:
+    kind, edit = CHECKED[name]
+    assert not findings(configurations.edited(kind, edit, False))
+
+
+# 10
+
+
+@pytest.mark.parametrize("name", commands.STUDY_FILES)
+def test_a_study_file_that_fails_is_named(name: str, findings: Findings) -> None:
+    assert not findings(commands.study_file(commands.STUDY_FILES[name]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "act"),
+    [
+        ("study", "a line of garbage"),
+        ("study", "a line that is foreign"),
+        ("fit", "archives of other arrays"),
+    ],
+)
+def test_finished_work_that_is_not_its_own_is_not_used(
+    kind: str, act: str, originals: Originals, findings: Findings
+) -> None:
+    assert not findings(unfinished.resumed(originals, kind, unfinished.ACTS[act]))
+
+
+# 11
+
+
+SPECIAL = ("/dev/zero", "/dev/urandom", "a FIFO", "a link to /dev/zero", "a socket")
+
+
+@pytest.mark.parametrize("name", SPECIAL)
+@pytest.mark.parametrize("command", ["fit", "check", "--curve"])
+def test_only_regular_files_are_read(command: str, name: str, findings: Findings) -> None:
+    assert not findings(commands.asked_for_nothing(command, commands.MISSING[name]))
+
+
+def test_a_large_csv_takes_a_few_times_its_size(findings: Findings) -> None:
+    def work(place: Path) -> own_process.Findings:
+        return own_process.memory_of_a_large_csv(place, 15_000_000)
+
+    assert not findings(own_process.in_own_process(work))
+
+
+# 12
+
+
+@pytest.mark.parametrize("writer", ["fit", "init", "simulate"])
+@pytest.mark.parametrize("out", ["300 characters", "an escape", "a NUL"])
+def test_an_output_name_that_cannot_be_is_refused(
+    writer: str, out: str, findings: Findings
+) -> None:
+    assert not findings(commands.written_to(writer, commands.OUTPUTS[out]))
+
+
+ODD = [n for n in recordings.VALUES if n.startswith(("a huge", "dates", "time"))]
+ESCAPES = [n for n in recordings.STRUCTURE if "escape" in n]
+
+
+@pytest.mark.parametrize("name", [*ODD, *ESCAPES])
+def test_absurd_numbers_dates_and_names_are_refused_in_plain_text(
+    name: str, findings: Findings
+) -> None:
+    change = (recordings.VALUES | recordings.STRUCTURE)[name]
+    assert not findings(recordings.with_lines(change, recordings.need_not_be_seen))
+
+
+# 13
+
+
+@pytest.mark.parametrize("kind", ["fit", "sweep", "simulate"])
+def test_a_full_disk_is_named_and_nothing_is_left(kind: str, findings: Findings) -> None:
+    assert not findings(commands.full_disk(kind))
+
+
+# From a new user's trial
+
+
+def test_a_command_and_a_configuration_of_one_name_have_their_own_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bayesbl.config.loading import config_from_options, load_config
+
+    monkeypatch.chdir(tmp_path)
+    put_inputs(tmp_path)
+    text = CONFIGURATIONS["compare"].replace('output = "result"\n', "")
+    Path("before.toml").write_text(text)
+    fitted = config_from_options("fit", ["before.csv"])
+    assert fitted.run.output != load_config("before.toml").run.output
+
+
+def test_a_mistake_is_told_before_the_folder_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    put_configuration(tmp_path, "fit")
+    (tmp_path / "result").mkdir()
+    (tmp_path / "result" / "summary.json").write_text("{}")
+    (tmp_path / "before.csv").write_text("time_s,speed\n0,1\n")
+    assert cli.status(["run", "fit.toml"]) == cli.WRONG
+    assert "before.csv" in capsys.readouterr().err
+
+
+def test_exchanged_columns_are_said_to_be_no_speed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    put_configuration(tmp_path, "fit")
+    text = plain_csv(example()).replace(
+        "motor_speed_rpm,motor_current_a", "motor_current_a,motor_speed_rpm", 1
+    )
+    (tmp_path / "before.csv").write_text(text)
+    assert cli.status(["check", "fit.toml"]) == cli.WRONG
+    assert "does not look like a speed" in capsys.readouterr().err

@@ -1,0 +1,95 @@
+"""One noise floor and one closed fraction, whatever the method."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayesbl.config.diagnose import Method as Configured
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
+from bayesbl.diagnosis.groups import diagnosis_tree
+from bayesbl.diagnosis.methods import METHODS, method_named
+from bayesbl.diagnosis.summary import summarise_diagnosis
+
+LAG = 500
+ROTATIONS = 8
+SD = 1.5
+
+
+def noise(seed: int, phi: float = 0.6) -> np.ndarray:
+    """AR(1) noise of standard deviation 1.5 over eight rotations."""
+    white = np.random.default_rng(seed).standard_normal(ROTATIONS * LAG)
+    return SD * np.sqrt(1.0 - phi**2) * lfilter([1.0], [1.0, -phi], white)
+
+
+def misfit(size: float) -> np.ndarray:
+    """What repeats every rotation, RMS ``size``."""
+    angle = 2.0 * np.pi * np.arange(ROTATIONS * LAG) / LAG
+    return size * np.sqrt(2.0) * np.sin(3.0 * angle)
+
+
+def piece(before, after, rotation=LAG, channel="motor_speed_rpm"):
+    return piece_residuals("made", channel, "used", before, after, rotation)
+
+
+def test_what_repeats_is_no_noise_where_whole_rotations_show_it() -> None:
+    left = noise(1) + misfit(4.0)
+    found = piece(left, left)
+    assert found.noise_floor_from == "rotation"
+    # 3500 differences of φ 0.6 scatter by 2.5 %.
+    assert found.noise_floor == pytest.approx(SD, rel=0.08)
+
+
+def test_what_follows_from_the_samples_before_is_no_noise_elsewhere() -> None:
+    found = piece(noise(2), noise(2), rotation=None)
+    assert found.noise_floor_from == "samples"
+    assert found.noise_floor == pytest.approx(0.8 * SD, rel=0.05)  # √(1 − φ²) of it
+
+
+@pytest.mark.parametrize("left", [0.0, 0.5, 1.0])
+def test_the_closed_fraction_is_the_share_of_the_misfit_that_is_gone(left: float) -> None:
+    made = noise(3)
+    table = disagreement_table(
+        [piece(made + misfit(4.0), made + misfit(left))], in_units_of_noise=False
+    )
+    (found,) = table.pieces
+    assert found.closed_fraction == pytest.approx(1.0 - (left / 4.0) ** 2, abs=0.02)
+    assert found.unit == table.unit == "rpm"
+
+
+def test_no_share_is_given_of_a_misfit_that_noise_may_have_made() -> None:
+    table = disagreement_table([piece(noise(4) + misfit(0.2), noise(4))], in_units_of_noise=False)
+    assert table.pieces[0].closed_fraction is None
+
+
+def test_over_all_channels_no_unit_counts() -> None:
+    speed = piece(noise(5) + misfit(4.0), noise(5))
+    tables = []
+    for factor in (1.0, 1e-3):
+        before, after = noise(6) + misfit(2.0), noise(6)
+        current = piece(factor * before, factor * after, channel="motor_current_a")
+        tables.append(disagreement_table([speed, current], in_units_of_noise=True))
+    one, other = (dataclasses.astuple(table.overall["used"]) for table in tables)
+    assert one[:4] == pytest.approx(other[:4])
+    assert one[-1] == "noise"
+
+
+def test_where_a_floor_is_from_is_stored_beside_it() -> None:
+    pieces = [piece(noise(7), noise(7)), piece(noise(8), noise(8), None, "motor_current_a")]
+    table = disagreement_table(pieces, in_units_of_noise=True)
+    tree = diagnosis_tree(Diagnosis("nothing_missing", (), (), (), table), 0.9, "hdi")
+    stored = tree["disagreement"].to_dataset()
+    assert stored["noise_floor_from"].values.tolist() == ["rotation", "samples"]
+    summary = summarise_diagnosis(tree)["disagreement"]["recordings"]["made"]
+    assert summary["motor_speed_rpm"]["used"]["noise_floor_from"] == "rotation"
+    assert summary["motor_current_a"]["used"]["noise_floor_from"] == "samples"
+
+
+def test_every_method_that_may_be_configured_is_there_under_its_name() -> None:
+    assert set(METHODS) == set(typing.get_args(Configured))
+    assert {method_named(name).name for name in METHODS} == set(METHODS)

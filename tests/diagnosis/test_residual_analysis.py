@@ -1,0 +1,347 @@
+"""Laws of residual analysis: what is planted is found where it is, and noise is nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.signal import lfilter
+
+from bayesbl.diagnosis.residual_groups import residuals_dataset
+from bayesbl.diagnosis.residuals.analysis import analyse_residuals
+from bayesbl.diagnosis.residuals.attribution import offset_dependence
+from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
+from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
+from bayesbl.diagnosis.summary import plain
+from bayesbl.errors import RecordingError
+from bayesbl.matching.signals import Observed
+from bayesbl.presentation.figures.residuals_by_angle import residuals_by_angle
+from bayesbl.presentation.figures.style import look
+from bayesbl.presentation.residuals import residual_sentences, unexplained_phrase
+
+HZ = 500.0
+GEAR = 40.0
+ROTATIONS = 5
+SD = np.array([1.5, 0.05])  # rpm, A
+SWING = 30.0  # rpm, by which gravity swings the motor's speed
+CHANNELS = ("motor_speed_rpm", "motor_current_a")
+
+
+def ar_noise(rng, size, phi=0.6):
+    white = rng.standard_normal((2, size))
+    white[:, 1:] *= math.sqrt(1.0 - phi * phi)
+    return SD[:, None] * lfilter([1.0], [1.0, -phi], white)
+
+
+def recording(seed=None, speed=2000.0, swing=SWING, planted=None, name="made", start=0.4):
+    """(Observed, prediction): a swinging speed, a current with two pulses, noise if seeded.
+
+    ``planted(time, motor angle, load angle)`` is what the recording holds beyond its prediction,
+    shape (2, n).
+    """
+    period = 60.0 * GEAR / abs(speed)
+    time = np.arange(round(ROTATIONS * period * HZ) + 1) / HZ
+    turning = 2.0 * math.pi / period
+    load = start + math.copysign(turning, speed) * time
+    simulated = np.stack(
+        (
+            speed + swing * np.sin(load),
+            3.0 * np.sin(load) + np.exp(20.0 * (np.cos(load - 1.0) - 1.0)),
+        )
+    )
+    faster = swing / RPM * (math.cos(start) - np.cos(load)) / math.copysign(turning, speed)
+    motor = speed / RPM * time + faster
+    signals = simulated.copy()
+    if planted is not None:
+        signals += planted(time, motor, load)
+    if seed is not None:
+        signals += ar_noise(np.random.default_rng(seed), time.size)
+    return Observed(name, signals, HZ, speed, period), simulated
+
+
+RPM = 60.0 / (2.0 * math.pi)
+
+
+def in_channel(index, values):
+    both = np.zeros((2, values.size))
+    both[index] = values
+    return both
+
+
+def analysed(*pairs, **options):
+    seen, made = zip(*pairs, strict=True)
+    return analyse_residuals(seen, made, [0.4] * len(seen), **options)
+
+
+def only_line(channel):
+    assert len(channel.lines) == 1
+    return channel.lines[0]
+
+
+def test_noise_alone_shows_a_line_no_more_often_than_stated():
+    # At a rate of 0.1 over both channels, 120 recordings of noise: 12 expected at most. More than
+    # 24 would happen by chance once in a thousand times.
+    alarms = 0
+    for seed in range(120):
+        found = analysed(recording(seed), false_discovery_rate=0.1).recordings[0].channels
+        alarms += any(c.lines or c.offset_significant for c in found)
+    assert alarms <= 24
+
+
+def test_noise_alone_is_called_nothing():
+    found = analysed(*(recording(seed, speed) for seed, speed in ((1, 2e3), (2, -2e3), (3, 1.2e3))))
+    assert describe_unexplained(found) == []
+    sentences = residual_sentences(residuals_dataset(found, "before"))
+    assert len(sentences) == 1
+    assert sentences[0].startswith("Nothing repeats")
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize(
+    ("dependence", "order", "wave"),
+    [
+        ("motor angle", 3.0 * GEAR, lambda t, m, a: np.cos(3.0 * m + 0.7)),
+        ("motor angle", 0.73 * GEAR, lambda t, m, a: np.cos(0.73 * m + 0.7)),
+        ("time", 23.7 * 1.2, lambda t, m, a: np.cos(2.0 * np.pi * 23.7 * t + 0.7)),
+        ("load angle", 7.0, lambda t, m, a: np.cos(7.0 * (a - 0.4) + 0.7)),
+    ],
+    ids=["whole motor order", "belt", "time", "load"],
+)
+def test_a_wave_is_found_in_its_channel_with_its_angle_and_amplitude(
+    channel, dependence, order, wave
+):
+    size = 1.5 * SD[channel]
+    found = analysed(
+        recording(11, planted=lambda t, m, a: in_channel(channel, size * wave(t, m, a)))
+    )
+    line = only_line(found.recordings[0].channels[channel])
+    assert line.dependence == dependence
+    assert line.load_order == pytest.approx(order, abs=0.02)
+    # Standard error of an amplitude where the noise is loudest: sqrt(2·4 sd²/n) = 0.05 sd.
+    assert line.amplitude == pytest.approx(size, abs=0.2 * SD[channel])
+    assert line.phase_rad == pytest.approx(0.7, abs=0.3)
+    assert not found.recordings[0].channels[1 - channel].lines
+
+
+def test_an_evenly_turning_motor_cannot_tell_time_from_angle_but_two_speeds_can():
+    def in_time(t, m, a):
+        return in_channel(0, 1.5 * np.cos(2.0 * np.pi * 7.3 * t))
+
+    def in_angle(t, m, a):
+        return in_channel(0, 1.5 * np.cos(0.73 * m))
+
+    for planted, dependence in ((in_time, "time"), (in_angle, "motor angle")):
+        one = recording(5, swing=0.0, planted=planted)
+        two = recording(6, speed=1200.0, swing=0.0, planted=planted, name="slow")
+        alone = analysed(one).recordings[0].channels[0]
+        assert only_line(alone).dependence == "angle or time"
+        for part in analysed(one, two).recordings:
+            assert only_line(part.channels[0]).dependence == dependence
+
+
+def test_a_frequency_that_is_a_load_order_by_chance_is_unmasked_by_the_other_speed():
+    def in_time(t, m, a):  # load order 12 at 2000 rpm, 20 at 1200 rpm
+        return in_channel(0, 1.5 * np.cos(2.0 * np.pi * 10.0 * t))
+
+    one = recording(5, planted=in_time)
+    two = recording(6, speed=1200.0, planted=in_time, name="slow")
+    assert only_line(analysed(one).recordings[0].channels[0]).dependence == "load angle"
+    found = analysed(one, two)
+    for part in found.recordings:
+        assert only_line(part.channels[0]).dependence == "time"
+    assert [entry.dependence for entry in describe_unexplained(found)] == ["time"]
+
+
+def test_mean_squares_add_up_to_that_of_the_difference():
+    def much(t, m, a):
+        wave = 2.0 * np.cos(3.0 * m) + 3.0 * np.cos(5.0 * a) + np.sin(2.0 * np.pi * 7.3 * t)
+        return in_channel(0, wave + 0.3 * t + 1.0)
+
+    seen, made = recording(3, planted=much)
+    part = analysed((seen, made)).recordings[0]
+    difference = (seen.signals - made)[0, : part.whole.samples]
+    split = part.channels[0].split
+    assert split.total == pytest.approx(np.mean(difference**2), rel=1e-9)
+    # Parseval: the map holds what repeats, the offset included (half the sampling rate, where a
+    # sampled cosine has another mean square than a drawn one, is one order of 300).
+    power = np.mean(part.channels[0].load_map ** 2)
+    assert power == pytest.approx(split.offset + split.load_angle, rel=1e-4)
+    # The mean over five rotations keeps a fifth of the noise.
+    assert split.load_angle == pytest.approx(4.5 + SD[0] ** 2 / 5, rel=0.05)
+    assert split.noise == pytest.approx(0.8 * SD[0] ** 2, rel=0.1)
+
+
+def test_scaling_a_channel_scales_what_is_found_and_not_how_surely():
+    seen, made = recording(7, planted=lambda t, m, a: in_channel(1, 0.03 * np.cos(4.0 * a)))
+    factor = np.array([[10.0], [1000.0]])
+    scaled = dataclasses.replace(seen, signals=factor * seen.signals - (factor - 1.0) * made)
+    plain = analysed((seen, made)).recordings[0].channels[1]
+    large = analysed((scaled, made)).recordings[0].channels[1]
+    assert large.repeating_rms == pytest.approx(1000.0 * plain.repeating_rms, rel=1e-6)
+    assert [x.probability for x in large.lines] == pytest.approx(
+        [x.probability for x in plain.lines], rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("speed", [2000.0, -2000.0])
+def test_the_map_stands_at_the_load_angle_whatever_the_direction(speed):
+    def bump(t, m, a):
+        return in_channel(0, 5.0 * np.exp(60.0 * (np.cos(a - 2.0) - 1.0)))
+
+    channel = analysed(recording(speed=speed, planted=bump)).recordings[0].channels[0]
+    angle = 2.0 * np.pi * np.arange(720) / 720
+    assert angle[np.argmax(channel.load_map)] == pytest.approx(2.0, abs=0.02)
+    assert channel.load_map.max() == pytest.approx(5.0, rel=0.02)
+
+
+@pytest.mark.parametrize("lag", [4e-3, -6e-3])
+def test_a_channel_that_lags_is_recognised(lag):
+    seen, made = recording(21)
+    time = np.arange(seen.samples) / HZ
+    late = np.interp(time - lag, time, made[1]) - made[1]
+    signals = seen.signals + np.stack((np.zeros_like(late), late))
+    channel = analysed((dataclasses.replace(seen, signals=signals), made)).recordings[0].channels[1]
+    assert abs(channel.skew.lag_s - lag) < 4.0 * channel.skew.standard_error_s
+    assert channel.skew.standard_error_s < 0.1 * abs(lag)
+    assert channel.skew.explained > 0.9
+
+
+def test_a_bend_in_the_signal_is_no_lag():
+    planted = lambda t, m, a: in_channel(1, 0.2 * np.cos(2.0 * a + 1.0))  # noqa: E731
+    channel = analysed(recording(22, planted=planted)).recordings[0].channels[1]
+    assert channel.skew.explained < 0.5
+
+
+def test_drift_is_measured_within_its_error_and_is_no_line():
+    drift = 0.02
+    found = analysed(recording(31, planted=lambda t, m, a: in_channel(1, drift * t)))
+    channel = found.recordings[0].channels[1]
+    assert abs(channel.drift_per_s - drift) < 4.0 * channel.drift_error_per_s
+    assert channel.drift_error_per_s < 0.2 * drift
+    assert not channel.lines
+    assert "drift" in {entry.dependence for entry in describe_unexplained(found)}
+
+
+def test_lost_samples_are_told_from_noise():
+    def lost(t, m, a):
+        return in_channel(0, np.where(np.isin(np.arange(t.size) % 700, (5, 6, 7)), -400.0, 0.0))
+
+    channels = analysed(recording(41, planted=lost)).recordings[0].channels
+    assert channels[0].outliers >= 8
+    assert channels[1].outliers == 0
+
+
+def test_offsets_are_split_by_direction_and_speed():
+    speeds = np.array([2000.0, -2000.0, 1200.0])
+    offsets = 0.1 + 0.3 * np.sign(speeds) + 0.05 * speeds / 1000.0
+    found = offset_dependence("motor_current_a", speeds, offsets, np.full(3, 1e-3))
+    parts = (found.constant, found.with_direction, found.per_1000_rpm)
+    assert parts == pytest.approx((0.1, 0.3, 0.05))
+    both = offset_dependence("motor_current_a", speeds[:2], offsets[:2], np.full(2, 1e-3))
+    assert math.isnan(both.per_1000_rpm)
+    assert both.with_direction == pytest.approx(0.4)  # Coulomb and viscous in one
+
+
+def test_the_floor_of_noise_does_not_see_lines():
+    rng = np.random.default_rng(8)
+    noise = ar_noise(rng, 6000)[0]
+    time = np.arange(6000)
+    turn = 2.0 * np.pi / 6000 * time
+    loud = noise + 40.0 * np.cos(301 * turn) + 15.0 * np.cos(1102 * turn)
+    lines_at = comb(6000, 5)
+    quiet, among = (noise_floor(x, lines_at).at_bins(6000) for x in (noise, loud))
+    transfer = np.abs(1.0 - 0.6 * np.exp(-2j * np.pi * np.arange(3001) / 6000)) ** 2
+    true = SD[0] ** 2 * 0.64 / transfer
+    # 6000 samples give an autoregressive coefficient to 0.01, so the floor to a few per cent.
+    assert np.max(np.abs(np.log(quiet / true))) < 0.15
+    assert np.max(np.abs(np.log(among / true))) < 0.25
+
+
+def test_false_discoveries_keep_to_their_rate():
+    # 900 true nulls among 1000: the mean share of false ones is 0.9·rate; 200 draws, 4 errors.
+    rng = np.random.default_rng(9)
+    shares = []
+    for _ in range(200):
+        null = rng.uniform(size=900)
+        threshold = benjamini_hochberg(np.concatenate((null, np.full(100, 1e-9))), 0.1)
+        false = np.count_nonzero(null <= threshold)
+        shares.append(false / (false + 100))
+    assert np.mean(shares) == pytest.approx(0.09, abs=4.0 * np.std(shares) / math.sqrt(200))
+
+
+def test_too_short_or_unfinished_predictions_are_refused():
+    seen, made = recording(1)
+    short = dataclasses.replace(seen, signals=seen.signals[:, :1000])
+    with pytest.raises(RecordingError, match="at least two"):
+        analyse_residuals([short], [made[:, :1000]])
+    made[0, 5] = np.nan
+    with pytest.raises(RecordingError, match="does not fit"):
+        analyse_residuals([seen], [made])
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Motor order 3 in the speed and a load-angle pulse in the current of three recordings."""
+
+    def planted(t, m, a):
+        pulse = 0.4 * np.exp(60.0 * (np.cos(a - 2.0) - 1.0))
+        return np.stack((2.0 * np.cos(3.0 * m), pulse))
+
+    runs = [("forward", 2000.0), ("reverse", -2000.0), ("slow", 1200.0)]
+    return analysed(
+        *(recording(50 + i, v, planted=planted, name=n) for i, (n, v) in enumerate(runs))
+    )
+
+
+def test_what_is_left_is_described_once_for_all_recordings(three):
+    entries = describe_unexplained(three)
+    kinds = {(entry.channel, entry.dependence) for entry in entries}
+    assert ("motor_speed_rpm", "motor angle") in kinds
+    assert ("motor_current_a", "load angle") in kinds
+    motor = next(entry for entry in entries if entry.dependence == "motor angle")
+    assert motor.recordings == ("forward", "reverse", "slow")
+    assert motor.lowest_order == pytest.approx(3.0, abs=1e-3)
+    assert unexplained_phrase(plain(motor)).startswith("motor speed: 2.")
+    sentences = residual_sentences(residuals_dataset(three, "before"))
+    assert any(s.startswith("Motor speed: 2.") and "order 3 of the motor" in s for s in sentences)
+
+
+def test_the_dataset_carries_units_and_survives_a_file(three, tmp_path):
+    data = residuals_dataset(three, "before")
+    for name, variable in data.data_vars.items():
+        assert variable.attrs.get("long_name"), name
+        assert "units" in variable.attrs or name.endswith("dependence")
+    data.to_netcdf(tmp_path / "left.nc")
+    with xr.open_dataset(tmp_path / "left.nc") as stored:
+        xr.testing.assert_equal(stored.load(), data)
+
+
+def test_the_figure_marks_every_significant_line(three, tmp_path):
+    data = residuals_dataset(three, "before")
+    figure = residuals_by_angle(data, "reverse", data)
+    assert len(figure.axes) == 8
+    for row, channel in enumerate(three.recordings[1].channels):
+        marks = [
+            line
+            for line in figure.axes[4 * row + 3].get_lines()
+            if line.get_linestyle() == "None" and len(line.get_xdata())
+        ]
+        orders = sorted(x for line in marks for x in line.get_xdata())
+        assert orders == sorted(2 * [x.load_order for x in channel.lines])
+    for panel in figure.axes:
+        outer = panel.get_subplotspec()
+        assert panel.get_xlabel() or not outer.is_last_row()
+        assert "(" in panel.get_ylabel() or not outer.is_first_row()
+
+
+def test_what_was_left_before_and_after_never_hide_each_other(three):
+    data = residuals_dataset(three, "before")
+    shown = residuals_by_angle(data, "reverse", data).axes[1:3]
+    for index, panel in enumerate(shown):
+        (line,) = [line for line in panel.lines if len(line.get_xdata()) > 2]
+        assert line.get_color() == look(index).colour
+    assert shown[0].get_ylim() == shown[1].get_ylim()
+    assert not shown[0].bbox.overlaps(shown[1].bbox)

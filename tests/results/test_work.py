@@ -1,0 +1,155 @@
+"""Finished work is recalled bit for bit, or not at all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.errors import ResultError
+from bayesbl.results.codec import address, decoder, encoded
+from bayesbl.results.work import WorkStore
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    values: np.ndarray
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    number: float
+    part: Part | None
+    parts: tuple[Part, ...]
+    by_name: dict[str, float]
+    scratch: list[int] = field(default_factory=list, compare=False)
+
+
+WORK = Work(
+    0.1 + 0.2,
+    Part(np.array([math.nan, -0.0, math.inf, 1e-308])),
+    (Part(np.arange(6, dtype=np.int32).reshape(2, 3)[:, ::2], ("a", "β")), Part(np.array(True))),
+    {"z": math.nan, "a": -math.inf},
+)
+
+
+def store(folder: Path, **options) -> WorkStore:
+    folder.mkdir(exist_ok=True)
+    return WorkStore(folder, **options)
+
+
+def never() -> Work:
+    raise AssertionError("made again")
+
+
+def test_work_is_recalled_bit_for_bit(tmp_path):
+    store(tmp_path / "kept").get("work", 1, lambda: WORK, Work)
+    found = store(tmp_path / "kept").get("work", 1, never, Work)
+    assert encoded(found) == encoded(WORK)
+    assert found.parts[0].names == ("a", "β")
+    assert list(found.by_name) == ["z", "a"]
+    assert found.parts[0].values.dtype == np.int32
+    assert np.signbit(found.part.values[1])
+
+
+def test_other_inputs_work_or_code_are_another_address(tmp_path):
+    kept = store(tmp_path / "kept")
+    kept.keep("work", {"seed": 1, "x": np.arange(3)}, WORK)
+    assert kept.recall("work", {"x": np.arange(3), "seed": 1}, Work) is not None
+    for what, inputs in (
+        ("other", {"seed": 1, "x": np.arange(3)}),
+        ("work", {"seed": 2, "x": np.arange(3)}),
+        ("work", {"seed": 1, "x": np.arange(3.0)}),
+        ("work", {"seed": 1, "x": np.arange(3)[::-1]}),
+    ):
+        assert kept.recall(what, inputs, Work) is None
+    other_code = store(tmp_path / "kept", code="other")
+    assert other_code.recall("work", {"seed": 1, "x": np.arange(3)}, Work) is None
+
+
+def test_seeds_are_told_apart_by_their_place():
+    first, second = np.random.SeedSequence(1).spawn(2)
+    assert address(first) != address(second)
+    assert address(first) == address(np.random.SeedSequence(1).spawn(1)[0])
+
+
+def test_damaged_and_foreign_entries_are_not_believed(tmp_path):
+    kept = store(tmp_path / "kept")
+    kept.keep("work", 1, WORK)
+    [file] = kept.folder.iterdir()
+    whole = file.read_bytes()
+    generator = np.random.default_rng(3)
+    for place in generator.integers(len(whole), size=100):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << int(generator.integers(8))
+        file.write_bytes(bytes(flipped))
+        assert kept.recall("work", 1, Work) is None
+    for content in (b"", whole[:-1], whole[: len(whole) // 2], whole + b"x", b"\x80\x04N."):
+        file.write_bytes(content)
+        assert kept.recall("work", 1, Work) is None
+    kept.keep("work", 2, WORK)
+    [other] = set(kept.folder.iterdir()) - {file}
+    file.write_bytes(other.read_bytes())  # whole, but of another address
+    assert kept.recall("work", 1, Work) is None
+    assert kept.recall("work", 2, Part) is None  # of another type
+    assert kept.recall("work", 2, Work) is not None
+
+
+def test_what_could_be_executed_is_not_stored():
+    class Evil:
+        def __reduce__(self):
+            return (print, ("executed",))
+
+    for value in (Evil(), np.array([Evil()], dtype=object), {"a": Evil()}):
+        with pytest.raises(TypeError, match="cannot be stored"):
+            encoded(value)
+
+
+def test_pickled_arrays_are_not_read(tmp_path, capsys):
+    class Evil:
+        def __reduce__(self):
+            return (print, ("executed",))
+
+    np.savez(tmp_path / "evil.npz", text=np.array([Evil()], dtype=object))
+    with pytest.raises(ValueError, match="allow_pickle"):
+        decoder(Work)((tmp_path / "evil.npz").read_bytes())
+    assert not capsys.readouterr().out
+
+
+def test_fresh_work_replaces_what_is_kept(tmp_path):
+    store(tmp_path / "kept").keep("work", 1, WORK)
+    other = Work(2.0, None, (), {})
+    fresh = store(tmp_path / "kept", fresh=True)
+    assert fresh.get("work", 1, lambda: other, Work) == other
+    assert store(tmp_path / "kept").recall("work", 1, Work) == other
+
+
+def test_two_runs_into_one_folder_do_not_mix(tmp_path):
+    with WorkStore.beside(tmp_path / "out", {"a": "1"}) as kept:
+        kept.keep("work", 1, WORK)
+        with (
+            pytest.raises(ResultError, match="under way"),
+            WorkStore.beside(tmp_path / "out", {"a": "1"}),
+        ):
+            pass
+    with (
+        pytest.raises(ResultError, match="a was 1, is 2"),
+        WorkStore.beside(tmp_path / "out", {"a": "2"}),
+    ):
+        pass
+    with WorkStore.beside(tmp_path / "out", {"a": "1"}) as kept:
+        assert kept.resumes
+        kept.clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_work_without_its_problem_belongs_to_nothing(tmp_path):
+    with WorkStore.beside(tmp_path / "out", {"a": "1"}) as kept:
+        kept.keep("work", 1, WORK)
+        (kept.folder / "problem.json").unlink()
+    with WorkStore.beside(tmp_path / "out", {"a": "1"}) as kept:
+        assert kept.recall("work", 1, Work) is None

@@ -1,0 +1,269 @@
+"""A run that is killed goes on to the same numbers, or is refused in words."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench
+from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.errors import RecordingError, ResultError
+from bayesbl.results.store import read_tree
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.posterior import SamplerSettings
+from bayesbl.runs.run import load_run, run
+from bayesbl.runs.simulate import recording_csv
+
+RUN = '[run]\nseed = 5\nworkers = 1\noutput = "out"\n'
+POSTERIOR = "[posterior]\nensembles = 2\nmax_steps = 500\n"
+BEFORE = '[[recordings]]\nfile = "before.csv"\n'
+AFTER = '[[recordings]]\nfile = "after.csv"\n'
+BENCH = 'bench = "bench.toml"\n'
+SWEEP = """[sweep]
+gap_rad = {low = 2e-4, high = 3e-3, count = 8}
+start_angles = 2
+rotations = 2.0
+sampling_hz = 250.0
+bench_draws = 4
+"""
+KINDS = {
+    "fit": f'kind = "fit"\n{RUN}{BEFORE}{POSTERIOR}',
+    "compare": f'kind = "compare"\n{RUN}{BEFORE}{AFTER}{POSTERIOR}',
+    "direct": f'kind = "fit"\n{RUN}{BEFORE}{POSTERIOR}[estimator]\nroute = "direct"\n{BENCH}',
+    "sweep": f'kind = "sweep"\n{BENCH}{RUN}{SWEEP}',
+    "diagnose": f'kind = "diagnose"\n{BENCH}{RUN}{BEFORE}use = "fit"\n{AFTER}use = "hold_out"\n'
+    '[candidates]\neffects = ["load_coulomb_friction"]\n',
+    "study": f'kind = "study"\nstudy = "study.py"\n{RUN}[[rows]]\nname = "slow"\n',
+}
+STUDY = """
+import time
+import numpy as np
+
+def count(row):
+    return 12
+
+def run_case(row, index, seed):
+    time.sleep(0.1)
+    return {"mean_rpm": np.random.default_rng(seed).standard_normal(9).mean()}
+
+def summarise(row, cases):
+    return {"mean_rpm": float(cases["mean_rpm"].mean())}
+"""
+
+
+def configure(folder: Path, kind: str) -> Path:
+    """A small run of a kind, with its inputs, in a folder of its own; its configuration."""
+    folder.mkdir()
+    bench = reference_bench()
+    for seed, (name, gap_rad) in enumerate({"before": 8e-4, "after": 9e-4}.items()):
+        made = bench.simulate(
+            gap_rad, rotations=3.0, sampling_hz=250.0, seed=np.random.default_rng(seed)
+        )
+        rows = recording_csv(made).splitlines(keepends=True)
+        if kind == "compare":
+            del rows[300]  # a lost sample is bridged, and left out of every sum
+        (folder / f"{name}.csv").write_text("".join(rows))
+    (folder / "bench.toml").write_text(_tolerant(bench))
+    (folder / "study.py").write_text(STUDY)
+    config = folder / "config.toml"
+    config.write_text(f"schema = 1\n{KINDS[kind]}")
+    return config
+
+
+def _tolerant(bench: Bench) -> str:
+    name = "[parameters.shaft_stiffness_nm_per_rad]\n"
+    return dump_bench(bench).replace(name, f"{name}relative_tolerance = 0.02\n")
+
+
+def finish(config: Path, **options) -> list[str]:
+    """Run without figures; what was said meanwhile."""
+    said: list[str] = []
+    force = options.pop("force", False)
+    run(load_run(config, **options), lambda *_: None, force=force, say=said.append)
+    return said
+
+
+def numbers(config: Path) -> dict[str, bytes]:
+    """Every number of the result but times, bit for bit."""
+    return {
+        f"{node.path}/{name}": variable.values.tobytes()
+        for node in read_tree(config.parent / "out").subtree
+        for name, variable in node.to_dataset(inherit=False).data_vars.items()
+        if variable.dtype.kind in "biuf" and "seconds" not in str(name)
+    }
+
+
+def unfinished(config: Path) -> Path:
+    return config.parent / ".out.unfinished"
+
+
+def entries(config: Path) -> list[Path]:
+    """Finished work of the run, the rows of sweeps included."""
+    folders = (unfinished(config), config.parent / ".sweep-cache")
+    return [
+        file
+        for folder in folders
+        if folder.is_dir()
+        for file in folder.iterdir()
+        if file.is_file() and file.name != "problem.json"
+    ]
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def whole(request, tmp_path_factory) -> tuple[str, dict[str, bytes]]:
+    """A kind, and the numbers of a run of it that nobody disturbed."""
+    config = configure(tmp_path_factory.mktemp("whole") / "run", request.param)
+    assert finish(config) == []
+    return request.param, numbers(config)
+
+
+def kill(config: Path, seconds: float) -> None:
+    """Start the command, and kill it that long after it has finished something."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bayesbl", "run", config], stdout=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 120.0
+    while not entries(config) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(seconds)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+def test_a_run_that_is_killed_ends_with_the_same_numbers(whole, tmp_path):
+    kind, expected = whole
+    config = configure(tmp_path / "run", kind)
+    generator = np.random.default_rng(crc32(kind.encode()))
+    kill(config, 0.5 * float(generator.uniform()))
+    if not (config.parent / "out").exists():
+        assert entries(config)
+        finish(config)
+    assert numbers(config) == expected
+    assert not unfinished(config).exists()
+    assert not list(config.parent.glob(".out*"))
+
+
+def interrupted(config: Path, **options) -> None:
+    """Run a comparison until the second recording is begun, and stop it by Ctrl-C."""
+
+    def progress(recording: str, done: int, allowed: int) -> None:
+        if recording == "after":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(load_run(config, **options), lambda *_: None, progress=progress, say=lambda _: None)
+
+
+@pytest.fixture
+def config(tmp_path) -> Path:
+    """A comparison of which one recording is finished."""
+    config = configure(tmp_path / "run", "compare")
+    interrupted(config)
+    assert len(entries(config)) == 1
+    return config
+
+
+def test_what_was_finished_is_not_done_again(config, monkeypatch):
+    searched: list[str] = []
+    fit = Estimator.fit
+
+    def counted(self, recording, *arguments, **options):
+        searched.append(recording.name)
+        return fit(self, recording, *arguments, **options)
+
+    monkeypatch.setattr(Estimator, "fit", counted)
+    assert finish(config) == ["This goes on where an unfinished run was left."]
+    assert searched == ["after"]
+
+
+@pytest.mark.parametrize("whole", ["compare"], indirect=True)
+def test_any_number_of_workers_gives_the_same_numbers_and_resumes_those_of_one(
+    config, whole, monkeypatch
+):
+    monkeypatch.setattr("bayesbl.measurement.fits.FEWEST_PER_PROCESS", 1)
+    finish(config, workers=2)
+    assert numbers(config) == whole[1]
+
+
+@pytest.mark.parametrize("whole", ["compare"], indirect=True)
+def test_damaged_work_is_made_again_and_force_makes_all_again(config, whole):
+    [entry] = entries(config)
+    entry.write_bytes(entry.read_bytes()[:1000])
+    finish(config)
+    assert numbers(config) == whole[1]
+    interrupted(config, out=config.parent / "forced")
+    assert finish(config, force=True, out=config.parent / "forced") == []
+    assert not list(config.parent.glob(".forced*"))
+
+
+def test_a_changed_problem_is_refused_in_words(config):
+    with pytest.raises(ResultError, match=r"another problem.*run\.seed was 5, is 6.*--force"):
+        finish(config, seed=6)
+    with pytest.raises(ResultError, match=r"joint\.limit_rad was not given, is 0\.001"):
+        finish(config, limit_rad=1e-3)
+    file = unfinished(config) / "problem.json"
+    problem = json.loads(file.read_text())
+    file.write_text(json.dumps(problem | {"version of emcee": "3.0.0"}))
+    with pytest.raises(ResultError, match=r"version of emcee was 3\.0\.0, is"):
+        finish(config)
+    file.write_text(json.dumps(problem))
+    recording = config.parent / "after.csv"
+    lines = recording.read_text().splitlines(keepends=True)
+    recording.write_text("".join(lines[:-1]))
+    with pytest.raises(ResultError, match=r"content of .*after\.csv was SHA-256"):
+        finish(config)
+    recording.write_text("".join(lines))
+    assert finish(config)  # it can still go on
+
+
+def test_a_stored_optimum_that_the_recording_denies_is_refused(tmp_path):
+    recording = reference_bench().simulate(8e-4, rotations=3.0, sampling_hz=250.0)
+    estimator = Estimator(sampler=SamplerSettings(2, 500))
+    finished = estimator.fit(recording, np.random.SeedSequence(1)).finished
+    assert estimator.restored(finished, recording).finished == finished
+    symbols = {name: value * (1.0 + 1e-5) for name, value in finished.optimum.symbols.items()}
+    other = replace(finished, optimum=replace(finished.optimum, symbols=symbols))
+    with pytest.raises(ResultError, match="does not agree with the recording"):
+        estimator.restored(other, recording)
+
+
+def test_a_figure_that_cannot_be_drawn_costs_no_result(tmp_path):
+    def draw(tree: object, place: Path) -> None:
+        raise ValueError("no such colour")
+
+    config = configure(tmp_path / "run", "sweep")
+    with pytest.raises(ValueError, match="no such colour") as failure:
+        run(load_run(config), draw)
+    assert f"bayesbl figures {config.parent / 'out'}" in failure.value.__notes__[0]
+    assert numbers(config)
+    assert not unfinished(config).exists()
+
+
+def test_a_run_that_cannot_end_leaves_nothing(tmp_path):
+    config = configure(tmp_path / "run", "fit")
+    recording = config.parent / "before.csv"
+    recording.write_text("".join(recording.read_text().splitlines(keepends=True)[:700]))
+    before = sorted(config.parent.iterdir())
+    with pytest.raises(RecordingError):
+        finish(config)
+    assert sorted(config.parent.iterdir()) == before
+
+
+def test_what_a_kill_after_the_result_leaves_is_cleared_away(config):
+    kept = {file.name: file.read_bytes() for file in unfinished(config).iterdir()}
+    finish(config)
+    unfinished(config).mkdir()
+    for name, content in kept.items():
+        (unfinished(config) / name).write_bytes(content)
+    with pytest.raises(ResultError, match="finished result"):
+        finish(config)
+    assert not unfinished(config).exists()
