@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import answer, diagnosis, wear
 from bayesbl.presentation.words import SURE, Summary
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import SnapshotSummary
 
 CLOSE = 0.05
 """Relative distance from the limit that a guess in two digits does not resolve."""
@@ -108,7 +111,7 @@ def _by_other_machine(head: Advice) -> Advice:
     return Advice("watch" if head.tone == "fine" else head.tone, title, head.sentences)
 
 
-def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
+def _by_forecast(summary: Summary, last: SnapshotSummary) -> Advice | None:
     """Until when no repair is due, where the limit is ahead and there is a forecast."""
     above = last.get("probability_above_limit")
     if above is None or above > 1.0 - SURE or not wear.has_rate(summary):
@@ -126,7 +129,7 @@ def _by_forecast(summary: Summary, last: Summary) -> Advice | None:
     return Advice(tone, f"Plan the repair for {found['limit_not_before']} or before.", sentences)
 
 
-def _by_limit(summary: Summary, last: Summary) -> Advice | None:
+def _by_limit(summary: Summary, last: SnapshotSummary) -> Advice | None:
     """Repair or not, by the probability that the last gap is above its limit."""
     above, why = last.get("probability_above_limit"), answer.above_limit(summary)
     if above is None or why is None:
@@ -155,7 +158,7 @@ def _without_limit(summary: Summary) -> Advice:
     return Advice("fine", "No wear is shown: measure again later.", (why, ask))
 
 
-def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
+def _caveats(summary: Summary, last: SnapshotSummary) -> Iterator[str]:
     change, found = summary.get("change_rad"), summary.get("wear")
     if found is not None and found["reason"]:
         yield found["reason"]
@@ -175,10 +178,10 @@ def _caveats(summary: Summary, last: Summary) -> Iterator[str]:
         )
 
 
-def _growth_again(last: Summary, change_rad: float) -> Iterator[str]:
+def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
     """Where as much wear again would end, as long as the limit may be ahead."""
-    limit_rad = last.get("limit_rad")
-    if limit_rad is None or last["probability_above_limit"] >= SURE:
+    limit_rad, above = last.get("limit_rad"), last.get("probability_above_limit")
+    if limit_rad is None or above is None or above >= SURE or last["delta_rad"] is None:
         return
     further_rad = last["delta_rad"]["median"] + change_rad
     if abs(further_rad / limit_rad - 1.0) < CLOSE:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import direct_route, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import SamplerCheckSummary, SnapshotSummary
+    from bayesbl.results.intervals import Interval
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
 
@@ -16,11 +21,12 @@ SHRANK = (
 )
 
 
-def snapshots(summary: words.Summary) -> list[tuple[str, words.Summary]]:
+def snapshots(summary: words.Summary) -> list[tuple[str, SnapshotSummary]]:
     """(name, part) of every snapshot; the name of a fit's only one is empty."""
     if "snapshots" in summary:
         return [(part["name"], part) for part in summary["snapshots"]]
-    return [("", summary)]
+    alone: Any = summary  # a fit is a snapshot itself
+    return [("", alone)]
 
 
 def blocks(summary: words.Summary) -> Iterator[Block]:
@@ -69,7 +75,7 @@ def headline(summary: words.Summary) -> str:
     return f"The gap is {words.in_mrad(found)}."
 
 
-def change_in_words(change: words.Summary) -> str:
+def change_in_words(change: Interval) -> str:
     """Whether the gap grew, shrank, or may have done neither."""
     if change["low"] > 0.0:
         return f"The gap grew by {words.in_mrad(change)}"
@@ -162,15 +168,15 @@ def outliers(summary: words.Summary) -> Iterator[str]:
     """A sentence for every snapshot whose noise is Student-t."""
     for name, part in snapshots(summary):
         freedom = part["noise"]["degrees_of_freedom"]
-        if freedom is not None:
-            evidence = number(part["noise"]["student_t_evidence"], 0)
+        evidence = part["noise"].get("student_t_evidence")
+        if freedom is not None and evidence is not None:
             yield (
                 f"The noise{of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
-                f"(log evidence against normal noise: {evidence})."
+                f"(log evidence against normal noise: {number(evidence, 0)})."
             )
 
 
-def sampler_check(check: words.Summary) -> str:
+def sampler_check(check: SamplerCheckSummary) -> str:
     """What the second sampler found of every parameter."""
     each = "; ".join(
         f"{symbol} {number(found['difference_sd'], 2)} sd, width × {found['width_ratio']:.2f}"
@@ -185,7 +191,7 @@ def of(name: str) -> str:
     return f" of {name}" if name else ""
 
 
-def _probability_or_withheld(part: words.Summary) -> str:
+def _probability_or_withheld(part: SnapshotSummary) -> str:
     value = part["probability_above_limit"]
     return "withheld" if value is None else words.probability(value)
 
@@ -209,7 +215,7 @@ def _snapshot_table(summary: words.Summary) -> Table:
     return table(columns, [_row(name if compared else None, part, places) for name, part in parts])
 
 
-def _row(name: str | None, part: words.Summary, places: int) -> Iterator[str]:
+def _row(name: str | None, part: SnapshotSummary, places: int) -> Iterator[str]:
     if name is not None:
         yield name
     delta = part["delta_rad"]

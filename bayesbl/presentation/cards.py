@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from bayesbl.presentation import answer, diagnosis, wear, words
 from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.results.intervals import Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ def of_diagnosis(summary: words.Summary) -> Iterator[Card]:
         yield _of_interval("Gap δ", found, words.common_decimals([found]))
 
 
-def _of_interval(label: str, found: words.Summary | None, places: int) -> Card:
+def _of_interval(label: str, found: Interval | None, places: int) -> Card:
     if found is None:
         return Card(label, "withheld", "", "")
     value = number(1e3 * found["median"], places)
@@ -78,5 +82,5 @@ def _of_wear(summary: words.Summary) -> Iterator[Card]:
         yield Card("Limit reached", middle, "", _note(rate, dates))
 
 
-def _note(interval: words.Summary, shown: str) -> str:
+def _note(interval: Interval, shown: str) -> str:
     return f"{100.0 * interval['level']:g} %: {shown}"

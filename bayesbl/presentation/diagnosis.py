@@ -145,14 +145,14 @@ def suggestion(summary: Summary) -> Iterator[str]:
     )
 
 
-def _sized(parameter: str, interval: dict[str, Any]) -> str:
+def _sized(parameter: str, interval: Any) -> str:
     """``torque 15.00 N m (14.99 to 15.02)``; of one recording, ``phase (reverse) 0.71 rad``."""
     name, space, recording = parameter.partition(" ")
     quantity, unit = quantity_and_unit(name)
     return f"{quantity}{space}{recording} {_value(interval, unit)}"
 
 
-def _value(interval: dict[str, Any], unit: str) -> str:
+def _value(interval: Any, unit: str) -> str:
     if interval["low"] is None:
         return _with_unit(_digits(interval["median"]), unit)
     middle = number(interval["median"], words.decimals(interval))

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import ByAmplitudeSummary, SnapshotSummary
 
 BOUND_EXPLAINED = (
     "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
@@ -23,7 +27,7 @@ def is_direct(summary: words.Summary) -> bool:
     return "amplitude_route" in summary.get("snapshots", [summary])[0]
 
 
-def blocks(part: words.Summary) -> Iterator[Block]:
+def blocks(part: SnapshotSummary) -> Iterator[Block]:
     """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
     yield _parameter_table(part)
     yield Sentence(BOUND_EXPLAINED, "aside")
@@ -38,7 +42,7 @@ def blocks(part: words.Summary) -> Iterator[Block]:
         yield Sentence(sentence, label=label)
 
 
-def joint_noise(part: words.Summary) -> str:
+def joint_noise(part: SnapshotSummary) -> str:
     """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
@@ -46,7 +50,7 @@ def joint_noise(part: words.Summary) -> str:
     return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
 
 
-def corrected(part: words.Summary) -> str:
+def corrected(part: SnapshotSummary) -> str:
     """How much the surrogate had to be corrected."""
     found = part["diagnostics"]
     return (
@@ -55,7 +59,7 @@ def corrected(part: words.Summary) -> str:
     )
 
 
-def by_amplitude(name: str, route: words.Summary) -> str:
+def by_amplitude(name: str, route: ByAmplitudeSummary) -> str:
     """The amplitude's δ, with the curve that it was read from."""
     whose = f" of {name}" if name else ""
     source = f"For comparison{whose}, by the ringing's amplitude and the curve {route['curve']}"
@@ -65,14 +69,14 @@ def by_amplitude(name: str, route: words.Summary) -> str:
     return f"{source}{warning}: {words.in_mrad(route['delta_rad'])}."
 
 
-def _parameter_table(part: words.Summary) -> Table:
+def _parameter_table(part: SnapshotSummary) -> Table:
     kind = words.short_kind(next(iter(part["parameters"].values())))
     titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
     rows = [_row(part, name) for name in part["optimum"]]
     return table((text("Parameter"), *map(numbers, titles)), rows)
 
 
-def _row(part: words.Summary, name: str) -> tuple[str, ...]:
+def _row(part: SnapshotSummary, name: str) -> tuple[str, ...]:
     found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
     errors = (words.significant(part[key][name], 3) for key in ("posterior_sd", "cramer_rao_sd"))
     if found is None:
@@ -81,7 +85,7 @@ def _row(part: words.Summary, name: str) -> tuple[str, ...]:
     return name, best, *errors, words.bounds(found, places=words.decimals(found))
 
 
-def _check_table(part: words.Summary) -> Table:
+def _check_table(part: SnapshotSummary) -> Table:
     titles = ("Load orders\nup to", "Repeating\nover noise", "Probability")
     rows = [
         (

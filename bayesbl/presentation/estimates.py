@@ -12,6 +12,8 @@ from bayesbl.units import number
 if TYPE_CHECKING:
     import xarray as xr
 
+    from bayesbl.measurement.summary_types import SnapshotSummary
+
 
 def blocks(tree: xr.DataTree, summary: words.Summary) -> Iterator[Block]:
     """Parameters and diagnostics of every snapshot."""
@@ -23,7 +25,7 @@ def blocks(tree: xr.DataTree, summary: words.Summary) -> Iterator[Block]:
             yield from _of_amplitude(part, "; ".join(_rivals(tree, name)) or "none")
 
 
-def noise(part: words.Summary) -> str:
+def noise(part: SnapshotSummary) -> str:
     """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
@@ -44,7 +46,7 @@ def noise(part: words.Summary) -> str:
     return text
 
 
-def _of_amplitude(part: words.Summary, rivals: str) -> Iterator[Block]:
+def _of_amplitude(part: SnapshotSummary, rivals: str) -> Iterator[Block]:
     yield _parameter_table(part)
     lines = {
         **({"Search": part["start"]} if "start" in part else {}),
@@ -58,16 +60,16 @@ def _of_amplitude(part: words.Summary, rivals: str) -> Iterator[Block]:
         yield Sentence(sentence, label=label)
 
 
-def _parameter_table(part: words.Summary) -> Table:
+def _parameter_table(part: SnapshotSummary) -> Table:
     """All nine symbols: the free ones with their interval, the others as fixed."""
     from bayesbl.ringing.symbols import SYMBOLS
 
-    kind = words.short_kind(part["amplitude_rpm"])
+    kind = words.short_kind(next(iter(part["parameters"].values())))
     columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
     return table(columns, [_row(part, symbol.name, symbol.unit) for symbol in SYMBOLS.values()])
 
 
-def _row(part: words.Summary, name: str, unit: str) -> tuple[str, ...]:
+def _row(part: SnapshotSummary, name: str, unit: str) -> tuple[str, ...]:
     best, found = part["optimum"][name], part["parameters"].get(name)
     if found is None:
         return name, f"{best:g}", "", "fixed", unit

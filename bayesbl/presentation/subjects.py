@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import (
     advice,
@@ -51,8 +51,8 @@ class Subject:
 
     key: str
     title: str
-    headline: Callable[[Summary], str]
-    blocks: Callable[[Summary], Iterator[Block]]
+    headline: Callable[[Any], str]
+    blocks: Callable[[Any], Iterator[Block]]
     advice: Callable[[Summary], Advice]
     assumptions: Callable[[Summary], Iterator[str]]
     cards: Callable[[Summary], Iterator[Card]] = _no_cards

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from bayesbl.presentation.answer import GAP_EXPLAINED
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import Summary, percent, significant, source_in_words
+from bayesbl.presentation.words import percent, significant, source_in_words
 from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.runs.sweep_summary import SweepSummary
 
 DEGREES_EXPLAINED = (
     "Departure of δ from the polynomial alone, fitted with relative weights. The log evidence is "
@@ -19,7 +23,7 @@ _KINDS = {1: "straight line", 2: "parabola", 3: "cubic"}
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def headline(summary: Summary) -> str:
+def headline(summary: SweepSummary) -> str:
     """Over which gaps the bench was swept, and how it then rings."""
     first, last = (f"{1e3 * gap:g}" for gap in summary["gap_rad"])
     low, high = (f"{amplitude:.1f}" for amplitude in summary["amplitude_rpm"])
@@ -29,7 +33,7 @@ def headline(summary: Summary) -> str:
     )
 
 
-def blocks(summary: Summary) -> Iterator[Block]:
+def blocks(summary: SweepSummary) -> Iterator[Block]:
     """The curve in words, its polynomial, and other degrees beside it."""
     for sentence in curve_quality(summary):
         yield Sentence(sentence)
@@ -40,7 +44,7 @@ def blocks(summary: Summary) -> Iterator[Block]:
     yield Sentence(DEGREES_EXPLAINED, "aside")
 
 
-def curve_quality(summary: Summary) -> Iterator[str]:
+def curve_quality(summary: SweepSummary) -> Iterator[str]:
     """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
     degree = summary["degree"]
     found = summary["degrees"].get(str(degree))
@@ -59,7 +63,7 @@ def curve_quality(summary: Summary) -> Iterator[str]:
     )
 
 
-def polynomial(summary: Summary) -> str:
+def polynomial(summary: SweepSummary) -> str:
     """What the coefficients are, and what they lack."""
     return (
         "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
@@ -68,7 +72,7 @@ def polynomial(summary: Summary) -> str:
     )
 
 
-def _coefficient_table(summary: Summary) -> Table:
+def _coefficient_table(summary: SweepSummary) -> Table:
     rows = []
     for power, value in enumerate(summary["coefficients"]):
         raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
@@ -77,7 +81,7 @@ def _coefficient_table(summary: Summary) -> Table:
     return table((text("Term"), numbers("Coefficient"), text("Unit")), rows)
 
 
-def _degree_table(summary: Summary) -> Table:
+def _degree_table(summary: SweepSummary) -> Table:
     titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
     best = max(found["log_evidence"] for found in summary["degrees"].values())
     rows = [

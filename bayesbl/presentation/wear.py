@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from datetime import date
+from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.presentation.words import Summary
 from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.results.intervals import Interval
 
 MODEL = (
     "Wear is taken as linear in time since the last repair, and never as healing: draws in which "
@@ -62,7 +66,7 @@ def headline(summary: Summary) -> str:
     )
 
 
-def median_in_mrad(interval: Summary) -> str:
+def median_in_mrad(interval: Interval) -> str:
     """The median in mrad, with as many digits as its interval bears."""
     return number(1e3 * interval["median"], words.decimals(interval, 1e3))
 
@@ -171,7 +175,7 @@ def _table(wear: Summary) -> Table:
     return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
 
 
-def _row(name: str, found: Summary, scale: float, unit: str) -> tuple[str, ...]:
+def _row(name: str, found: Interval, scale: float, unit: str) -> tuple[str, ...]:
     low, middle, high = (_cell(scale * found[key]) for key in ("low", "median", "high"))
     return name, middle, f"{low} to {high}", unit
 

@@ -8,9 +8,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import SnapshotSummary
+    from bayesbl.results.intervals import Interval
 
 Summary = Mapping[str, Any]
 """``summary.json`` as :func:`bayesbl.runs.summary.summarise` makes it, or a part of it."""
@@ -40,44 +44,44 @@ def probability(value: float) -> str:
     return f"{100.0 * value:.0f} %" if 0.1 <= value <= 0.9 else f"{100.0 * value:.1f} %"
 
 
-def decimals(interval: Summary, scale: float = 1.0, units: float = 5.0) -> int:
+def decimals(interval: Interval, scale: float = 1.0, units: float = 5.0) -> int:
     """Fewest decimals at which the interval is at least ``units`` of the last one wide."""
     width = abs(scale * (interval["high"] - interval["low"]))
     return max(0, math.ceil(math.log10(units / width))) if width > 0.0 else 3
 
 
-def common_decimals(intervals: Iterable[Summary | None]) -> int:
+def common_decimals(intervals: Iterable[Interval | None]) -> int:
     """Decimals in mrad that show the narrowest of some gaps in rad; 3 if there is none."""
     return max((decimals(found, 1e3) for found in intervals if found is not None), default=3)
 
 
-def bounds(interval: Summary, scale: float = 1.0, places: int | None = None) -> str:
+def bounds(interval: Interval, scale: float = 1.0, places: int | None = None) -> str:
     """``0.685 to 0.731``."""
     shown = decimals(interval, scale) if places is None else places
     low, high = sorted((scale * interval["low"], scale * interval["high"]))
     return f"{number(low, shown)} to {number(high, shown)}"
 
 
-def interval_kind(interval: Summary) -> str:
+def interval_kind(interval: Interval) -> str:
     """``90 % interval``: how much it holds, and of which kind."""
     kind = "highest-density interval" if interval["kind"] == "hdi" else "interval"
     return f"{100.0 * interval['level']:g} % {kind}"
 
 
-def short_kind(interval: Summary) -> str:
+def short_kind(interval: Interval) -> str:
     """As :func:`interval_kind`, for the head of a column."""
     kind = "HDI" if interval["kind"] == "hdi" else "interval"
     return f"{100.0 * interval['level']:g} % {kind}"
 
 
-def in_mrad(interval: Summary, sign: float = 1.0) -> str:
+def in_mrad(interval: Interval, sign: float = 1.0) -> str:
     """``0.25 mrad (90 % interval 0.21 to 0.28 mrad)`` for an interval in rad."""
     scale = 1e3 * sign
     middle = number(scale * interval["median"], decimals(interval, scale))
     return f"{middle} mrad ({interval_kind(interval)} {bounds(interval, scale)} mrad)"
 
 
-def median_of(interval: Summary | None, places: int) -> str:
+def median_of(interval: Interval | None, places: int) -> str:
     """The median, or a dash where there are no draws."""
     return "–" if interval is None else number(interval["median"], places)
 
@@ -99,7 +103,7 @@ def source_in_words(source: str) -> str:
     return _SOURCES.get(source, source.replace("_", " "))
 
 
-def sampling(part: Summary) -> str:
+def sampling(part: SnapshotSummary) -> str:
     """Convergence in one line."""
     found = part["diagnostics"]
     return (

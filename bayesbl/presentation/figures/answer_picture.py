@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from bayesbl.measurement.summary_types import SnapshotSummary
 from bayesbl.presentation.figures import layout, style
 
 _WIDTH_IN, _ROW_IN, _MARGINS_IN = 3.7, 0.42, 0.95
@@ -15,7 +15,7 @@ _LONGEST_NAME = 18
 
 
 @style.publication_style()
-def answer_picture(parts: Sequence[tuple[str, Mapping[str, Any]]], decimals: int = 2) -> Figure:
+def answer_picture(parts: Sequence[tuple[str, SnapshotSummary]], decimals: int = 2) -> Figure:
     """A line per snapshot, large enough to be read on a phone.
 
     Parameters

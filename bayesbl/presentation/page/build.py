@@ -6,11 +6,11 @@ import base64
 import io
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
@@ -20,9 +20,11 @@ from bayesbl.presentation.citations import all_bibtex, citations
 from bayesbl.presentation.figures.answer_picture import answer_picture
 from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
 from bayesbl.presentation.subjects import blocks, subject_of, summary_of
-from bayesbl.presentation.words import Summary
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import read_tree, write_text
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import SnapshotSummary
 
 PAGE_FILE = "report.html"
 
@@ -113,13 +115,13 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     }
 
 
-def _shares(budget: Summary) -> Iterator[tuple[str, float, str]]:
+def _shares(budget: Mapping[str, float]) -> Iterator[tuple[str, float, str]]:
     """(source, share in percent, share in words), largest first."""
     for source, share in sorted(budget.items(), key=lambda item: -item[1]):
         yield words.source_in_words(source), 100.0 * share, words.probability(share)
 
 
-def _answer_picture(gaps: Sequence[tuple[str, Summary]]) -> Picture | None:
+def _answer_picture(gaps: Sequence[tuple[str, SnapshotSummary]]) -> Picture | None:
     """Every gap with its interval and the limit; nothing if all of them are withheld."""
     if all(part["delta_rad"] is None for _, part in gaps):
         return None
