@@ -232,7 +232,8 @@ def _prediction_variance(fit: Fit) -> FloatArray:
     point = fit.point
     objective, posterior = point.objective, fit.posterior
     flat = {name: values.ravel() for name, values in posterior.draws.items()}
-    baseline = posterior.baseline_rpm.reshape(-1, posterior.baseline_rpm.shape[-1])
+    chains, draws, terms = posterior.baseline_rpm.shape
+    baseline = posterior.baseline_rpm.reshape(chains * draws, terms)  # no -1: it may have no terms
     picked = np.linspace(0, len(baseline) - 1, PREDICTIVE_DRAWS).round().astype(int)
     total, square = np.zeros(objective.samples), np.zeros(objective.samples)
     centre = point.optimum.predict(objective.time_s)
