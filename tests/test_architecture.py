@@ -54,6 +54,7 @@ SAME_IDEA = {
     "direct_route": "the direct route: the measurement, its words",
     "first_configuration": "what init writes: the making, its words",
     "measurement": "a measurement: its configuration, what every route returns",
+    "method": "a method of diagnosis behind the protocol, one in each of its rooms",
     "misfit": "what repeats and the model lacks: the numbers, their figure",
     "posterior": "draws of the parameters of a model: of the ringing, of the matched bench",
     "simulate": "the kind simulate: its configuration, its run",
@@ -61,6 +62,7 @@ SAME_IDEA = {
     "summary": "what summary.json holds: of any result, of a measurement",
     "summary_types": "the keys of summary.json: of any result, of a measurement",
     "sweep": "the kind sweep: its configuration, the curve, its run, its words",
+    "task": "what a run is given: of a measurement, of a diagnosis",
     "wear": "wear over dates: the numbers, their words, their figure",
 }
 """Names that several files share, and what these have in common."""
@@ -70,8 +72,6 @@ SAME_IDEA = {
 STILL_UPWARDS: dict[tuple[str, str], str] = {}
 STILL_LONGER = {"ringing/sums_of_squares.py": "one compiled kernel, to be divided or shortened"}
 STILL_ONE_NAME = {
-    "naming": "forward and rigid name with a judge each",
-    "problem": "forward and rigid set up their problem each",
     "tree": "the former writer of groups beside the tree of a measurement",
 }
 STILL_CIRCULAR: dict[tuple[str, ...], str] = {}

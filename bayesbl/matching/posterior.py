@@ -17,18 +17,9 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import (
-    BOUND_TOLERANCE_SD,
-    STEPS_BETWEEN_CHECKS,
-    Progress,
-    SamplerSettings,
-    burn_in,
-    thinned,
-)
+from bayesbl.sampling.chains import Progress, SamplerSettings, Walk, thinned, walk
 from bayesbl.sampling.convergence import (
-    STEPS_PER_AUTOCORRELATION,
     Diagnostics,
-    integrated_time,
     judge,
     rank_r_hat_and_ess,
 )
@@ -89,17 +80,6 @@ class _LogDensity:
         return self._model.log_prior(points) - 0.5 * self._surrogate.chi_square(points)
 
 
-@dataclass(frozen=True, slots=True)
-class _Walk:
-    """What the ensembles found: draws (chain, draw, d), and how well they mixed."""
-
-    draws: FloatArray
-    autocorrelation_steps: float
-    steps: int
-    acceptance: FloatArray
-    stable: bool
-
-
 def sample_direct(
     fit: SimulatedFit,
     settings: SamplerSettings,
@@ -126,12 +106,12 @@ def sample_direct(
     failed = float(np.mean(~np.isfinite(chi_square)))
     refits = 0
     while True:
-        walk = _walk(model, surrogate, centre, covariance, settings, walk_seeds[refits], progress)
-        draws = walk.draws
+        walked = _walk(model, surrogate, centre, covariance, settings, walk_seeds[refits], progress)
+        draws = np.stack([thinned(c, DRAWS // len(walked.chains)) for c in walked.chains])
         flat = draws.reshape(-1, draws.shape[-1])
         expected = surrogate.chi_square(flat)
         if not corrected:
-            diagnostics = _judge(model, walk, draws, math.nan, failed)
+            diagnostics = _judge(model, walked, draws, math.nan, failed)
             return DirectPosterior(
                 fit, draws, expected.reshape(draws.shape[:2]), math.nan, 0, 0, diagnostics
             )
@@ -145,7 +125,7 @@ def sample_direct(
         if effective >= GOOD_SHARE * len(flat) or refits == MOST_REFITS:
             break
         surrogate, refits = better, refits + 1
-    diagnostics = _judge(model, walk, draws, effective, failed)
+    diagnostics = _judge(model, walked, draws, effective, failed)
     weights = log_weights.reshape(draws.shape[:2])
     picked = resampled(weights, draws.shape[1], np.random.default_rng(pick_seed))
     return DirectPosterior(
@@ -188,36 +168,21 @@ def _walk(
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None,
-) -> _Walk:
-    """emcee until its chains are long enough and the gap's interval is stable."""
+) -> Walk:
+    """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
     ensembles = [
         Ensemble(target, centre, covariance, (model.low, model.high), s)
         for s in seed.spawn(settings.ensembles)
     ]
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
-    sd = np.sqrt(np.diag(covariance))[gaps]
     tail = 0.5 - 0.5 * settings.level
-    steps, tau, stable = 0, math.inf, False
-    last: FloatArray | None = None
-    while steps < settings.max_steps:
-        count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
-        for ensemble in ensembles:
-            ensemble.run(count)
-        steps += count
-        tau = max(integrated_time(e.chain[steps // 4 :]) for e in ensembles)
-        pooled = np.concatenate([thinned(e.chain[steps // 4 :])[:, gaps] for e in ensembles])
-        edges = np.quantile(pooled, [tail, 1.0 - tail], axis=0)
-        stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
-        last = edges
-        if progress is not None:
-            progress(steps, settings.max_steps)
-        if stable and steps - burn_in(tau, steps) > STEPS_PER_AUTOCORRELATION * tau:
-            break
-    burn = burn_in(tau, steps)
-    draws = np.stack([thinned(e.chain[burn:], DRAWS // len(ensembles)) for e in ensembles])
-    acceptance = np.array([e.acceptance for e in ensembles])
-    return _Walk(draws, tau, steps - burn, acceptance, stable)
+
+    def bounds(chains: Sequence[FloatArray]) -> FloatArray:
+        pooled = np.concatenate([thinned(chain)[:, gaps] for chain in chains])
+        return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
+
+    return walk(ensembles, settings, bounds, np.sqrt(np.diag(covariance))[gaps], progress)
 
 
 def _covariance(points: FloatArray) -> FloatArray:
@@ -227,17 +192,17 @@ def _covariance(points: FloatArray) -> FloatArray:
 
 
 def _judge(
-    model: SimulatedSignals, walk: _Walk, draws: FloatArray, effective: float, failed: float
+    model: SimulatedSignals, walked: Walk, draws: FloatArray, effective: float, failed: float
 ) -> Diagnostics:
     """The usual checks of sampling, and those special to this route, which withhold the answer."""
     r_hat, ess = rank_r_hat_and_ess({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
     found = judge(
         r_hat,
         ess,
-        walk.autocorrelation_steps,
-        walk.steps,
-        walk.acceptance,
-        walk.stable,
+        walked.autocorrelation_steps,
+        walked.steps,
+        walked.acceptance,
+        walked.stable,
         math.inf,
         {},
     )

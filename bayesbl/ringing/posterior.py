@@ -19,19 +19,10 @@ from bayesbl.ringing.covariance import Covariance, signal_to_noise
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
-from bayesbl.sampling.chains import (
-    BOUND_TOLERANCE_SD,
-    STEPS_BETWEEN_CHECKS,
-    Progress,
-    SamplerSettings,
-    burn_in,
-    thinned,
-)
+from bayesbl.sampling.chains import Progress, SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import (
-    STEPS_PER_AUTOCORRELATION,
     Contender,
     Diagnostics,
-    integrated_time,
     judge,
     rank_r_hat_and_ess,
 )
@@ -106,28 +97,15 @@ def sample_posterior(
     box = (target.low, target.high)
     ensembles = [Ensemble(target, optimum.searched, local, box, s) for s in ensemble_seeds]
 
-    steps, tau, stable = 0, math.inf, False
-    last: FloatArray | None = None
-    while steps < settings.max_steps:
-        count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
-        for ensemble in ensembles:
-            ensemble.run(count)
-        steps += count
-        chains = [e.chain[steps // 4 :] for e in ensembles]
-        tau = max(integrated_time(chain) for chain in chains)
-        edges = _interval_edges(objective, chains, settings.level)
-        sd = math.sqrt(spread.sandwich[0, 0])
-        stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
-        last = edges
-        if progress is not None:
-            progress(steps, settings.max_steps)
-        kept = steps - burn_in(tau, steps)
-        if stable and kept > STEPS_PER_AUTOCORRELATION * tau:
-            break
-
-    burn = burn_in(tau, steps)
+    walked = walk(
+        ensembles,
+        settings,
+        lambda chains: _interval_edges(objective, chains, settings.level),
+        math.sqrt(spread.sandwich[0, 0]),
+        progress,
+    )
     generator = np.random.default_rng(linear_seed)
-    points = np.stack([thinned(e.chain[burn:]) for e in ensembles])
+    points = np.stack([thinned(chain) for chain in walked.chains])
     draws, baseline, log_likelihood = complete(objective, optimum, spread, points, generator)
     r_hat, ess = rank_r_hat_and_ess(draws)
     if contenders is None:
@@ -135,10 +113,10 @@ def sample_posterior(
     diagnostics = judge(
         r_hat,
         ess,
-        tau,
-        steps - burn,
-        np.array([e.acceptance for e in ensembles]),
-        stable,
+        walked.autocorrelation_steps,
+        walked.steps,
+        walked.acceptance,
+        walked.stable,
         signal_to_noise(optimum, spread),
         _at_bound(objective, points),
         _other_answer(contenders, optimum, spread),

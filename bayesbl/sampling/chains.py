@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_time
+from bayesbl.sampling.ensemble import Ensemble
 
 STEPS_BETWEEN_CHECKS = 250
 BURN_IN_AUTOCORRELATIONS = 5.0
@@ -36,6 +38,68 @@ class SamplerSettings:
     ensembles: int = 4
     max_steps: int = 20000
     level: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """Ensembles that have run until they were long enough, or as long as they may.
+
+    Attributes
+    ----------
+    chains
+        After the burn-in, one for each ensemble, shape (step, walker, d).
+    autocorrelation_steps
+        The longest of all ensembles and dimensions.
+    steps
+        Of each chain.
+    acceptance
+        Of each ensemble.
+    stable
+        Whether interval bounds had stopped to move at the last check.
+    """
+
+    chains: tuple[FloatArray, ...]
+    autocorrelation_steps: float
+    steps: int
+    acceptance: FloatArray
+    stable: bool
+
+
+def walk(
+    ensembles: Sequence[Ensemble],
+    settings: SamplerSettings,
+    bounds: Callable[[Sequence[FloatArray]], FloatArray],
+    sd: FloatArray | float,
+    progress: Progress | None = None,
+) -> Walk:
+    """Run until chains hold enough autocorrelation times and interval bounds stand still.
+
+    Parameters
+    ----------
+    bounds
+        Of the intervals, from the last three quarters of each chain; checked against ``sd``, the
+        standard deviations of what they bound.
+    """
+    steps, tau, stable = 0, math.inf, False
+    last: FloatArray | None = None
+    while steps < settings.max_steps:
+        count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
+        for ensemble in ensembles:
+            ensemble.run(count)
+        steps += count
+        chains = [ensemble.chain[steps // 4 :] for ensemble in ensembles]
+        tau = max(integrated_time(chain) for chain in chains)
+        edges = bounds(chains)
+        stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
+        last = edges
+        if progress is not None:
+            progress(steps, settings.max_steps)
+        if stable and steps - burn_in(tau, steps) > STEPS_PER_AUTOCORRELATION * tau:
+            break
+    burn = burn_in(tau, steps)
+    kept = tuple(ensemble.chain[burn:] for ensemble in ensembles)
+    acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
+    return Walk(kept, tau, steps - burn, acceptance, stable)
 
 
 def burn_in(tau: float, steps: int) -> int:

@@ -19,7 +19,7 @@ from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece, residuals, residuals_of_pieces
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import disagreement_table
-from bayesbl.diagnosis.free_motion.comparison import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.free_motion.trajectory import FreeMotionComparison, free_motion_candidates
 from bayesbl.diagnosis.residual_noise import ResidualNoise, sandwich
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of, settled

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bayesbl.diagnosis.free_motion.comparison import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.free_motion.trajectory import FreeMotionComparison, free_motion_candidates
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
