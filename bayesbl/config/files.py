@@ -15,6 +15,7 @@ from bayesbl.config.kinds import FILES
 from bayesbl.config.problems import Problem, config_error, line_numbers, problems_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean_file
+from bayesbl.recording.files import read_input
 from bayesbl.recording.formats import formats
 
 _Model = TypeVar("_Model", bound=Section)
@@ -62,7 +63,7 @@ def read_toml(
             expected=instead_of_recording or expected,
         )
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_input(path).decode("utf-8-sig")
     except (FileNotFoundError, NotADirectoryError):
         raise ConfigError(
             "There is no such file." + did_you_mean_file(path), file=path, expected=expected

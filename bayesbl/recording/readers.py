@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
-from bayesbl.recording.formats import formats
+from bayesbl.recording.files import read_input
+from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.lost_samples import bridge
 from bayesbl.recording.types import FloatArray, Recording, Source
 
@@ -53,8 +54,7 @@ def read_recording(
         column.
     """
     path = Path(path)
-    data = _read_bytes(path)
-    table = _parsed(path, data)
+    table, sha256 = _parsed(path)
     time_column, *others = choose_columns(path, table, columns or {})
     stamps, values = _values(path, table, time_column, others)
     _check_length(path, values)
@@ -76,7 +76,7 @@ def read_recording(
         channels=series,
         source=Source(
             file=str(path),
-            sha256=hashlib.sha256(data).hexdigest(),
+            sha256=sha256,
             unused_columns=tuple(
                 column or f"column {i + 1}"
                 for i, column in enumerate(table.columns)
@@ -97,7 +97,7 @@ def read_table(path: str | Path) -> Table:
         If the file cannot be read or is no table.
     """
     path = Path(path)
-    return _parsed(path, _read_bytes(path))
+    return _parsed(path)[0]
 
 
 def _values(
@@ -176,7 +176,7 @@ def _seconds(
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_input(path)
     except (FileNotFoundError, NotADirectoryError):
         raise RecordingError(
             "There is no such file." + did_you_mean_file(path),
@@ -199,7 +199,13 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _parsed(path: Path, data: bytes) -> Table:
+def _parsed(path: Path) -> tuple[Table, str]:
+    """The table in a file, and the SHA-256 of the file."""
+    data = _read_bytes(path)
+    return _format_of(path).read(path, data), hashlib.sha256(data).hexdigest()
+
+
+def _format_of(path: Path) -> Format:
     known = formats()
     if path.suffix.lower() not in known:
         raise RecordingError(
@@ -208,7 +214,7 @@ def _parsed(path: Path, data: bytes) -> Table:
             found=f'"{path.suffix}"' if path.suffix else "no suffix",
             expected=" or ".join(known),
         )
-    return known[path.suffix.lower()].read(path, data)
+    return known[path.suffix.lower()]
 
 
 def _check_length(path: Path, values: FloatArray) -> None:

@@ -12,6 +12,7 @@ from typing import Any, cast
 from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
+from bayesbl.recording.files import read_input
 from bayesbl.results.folder import is_finished
 from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
 
@@ -55,7 +56,7 @@ def load_run(path: str | Path, *, kind: str | None = None, **options: object) ->
 def kind_of(path: str | Path) -> str:
     """What a file says of its kind; empty where it cannot, and loading will tell why."""
     try:
-        kind = tomllib.loads(Path(path).read_text(encoding="utf-8-sig")).get("kind")
+        kind = tomllib.loads(read_input(Path(path)).decode("utf-8-sig")).get("kind")
     except (OSError, ValueError, RecursionError):
         return ""
     return kind if isinstance(kind, str) else ""

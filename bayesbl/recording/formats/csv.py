@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
+from array import array
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,9 @@ _BYTE_ORDER_MARKS = (
 )
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
+MOST_COLUMNS = 1000
+"""A file may have more if it has as many lines."""
+
 _EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
 
@@ -86,12 +90,13 @@ class CsvTable:
         """
         import numpy as np
 
-        body = "\n".join(self.lines)
-        if self._is_clean(body):
-            text = body if self.separator == "," else body.replace(",", ".")
+        if self._is_clean():
+            comma_is_decimal = self.separator != ","
+            # Line by line: the whole text once more would be a multiple of the file in memory.
+            lines = (line.replace(",", ".") if comma_is_decimal else line for line in self.lines)
             try:
                 values: FloatArray = np.loadtxt(
-                    io.StringIO(text),
+                    lines,
                     delimiter=self.separator,
                     comments=None,
                     usecols=list(columns),
@@ -103,13 +108,13 @@ class CsvTable:
                 return values
         return self._numbers_cell_by_cell(columns)
 
-    def _is_clean(self, body: str) -> bool:
+    def _is_clean(self) -> bool:
         """Whether each line surely has one cell per column and one kind of decimal point."""
-        mixed_decimals = self.separator != "," and "," in body and "." in body
-        return (
-            '"' not in body
-            and not mixed_decimals
-            and all(line.count(self.separator) == len(self.columns) - 1 for line in self.lines)
+        marks, lines = len(self.columns) - 1, self.lines
+        if self.separator != "," and _in_any(",", lines) and _in_any(".", lines):
+            return False
+        return not _in_any('"', lines) and all(
+            line.count(self.separator) == marks for line in lines
         )
 
     def _numbers_cell_by_cell(self, columns: Sequence[int]) -> FloatArray:
@@ -193,9 +198,10 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
     header_index = next((i for i, line in enumerate(lines) if line.strip()), None)
     if header_index is None:
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
-    separator, columns = _header(file, lines[header_index], header_index + 1)
+    separator, columns = _header(file, lines, header_index)
     blank = f' "\t{separator}'
-    kept = [i for i in range(header_index + 1, len(lines)) if lines[i].strip(blank)]
+    rows = range(header_index + 1, len(lines))
+    kept = array("q", (i for i in rows if lines[i].strip(blank)))
     if not kept:
         raise RecordingError(
             "The file has a header but no sample.",
@@ -208,7 +214,7 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
         columns=columns,
         separator=separator,
         lines=[lines[i] for i in kept],
-        line_numbers=[i + 1 for i in kept],
+        line_numbers=array("q", (i + 1 for i in kept)),
     )
 
 
@@ -226,9 +232,9 @@ def _decode(file: Path, data: bytes) -> str:
     return text
 
 
-def _header(file: Path, line: str, number: int) -> tuple[str, tuple[str, ...]]:
-    """Separator and column names of a header line."""
-    where = f"line {number}"
+def _header(file: Path, lines: Sequence[str], index: int) -> tuple[str, tuple[str, ...]]:
+    """Separator and column names of the header line, which is the first that is not blank."""
+    line, where = lines[index], f"line {index + 1}"
     unquoted = re.sub(r'"[^"]*"', "", line)
     separator = next((mark for mark in _SEPARATORS if mark in unquoted), None)
     if separator is None:
@@ -246,6 +252,14 @@ def _header(file: Path, line: str, number: int) -> tuple[str, tuple[str, ...]]:
             f"The header cannot be read ({error}).", file=file, where=where, expected=_EXPECTED
         ) from None
     columns = tuple(cell.strip() for cell in cells)
+    if len(columns) > max(MOST_COLUMNS, len(lines)):
+        raise RecordingError(
+            "The file has more columns than lines: is it transposed?",
+            file=file,
+            where=where,
+            found=f"{len(columns)} columns in {len(lines)} lines",
+            expected="a column for each channel and a line for each sample",
+        )
     if any(columns) and all(_is_number(name.replace(",", ".")) for name in columns if name):
         raise RecordingError(
             "The columns have no names.",
@@ -254,7 +268,7 @@ def _header(file: Path, line: str, number: int) -> tuple[str, tuple[str, ...]]:
             found=repr(shortened(line.strip())),
             expected="a header line with column names",
         )
-    twice = sorted({name for name in columns if name and columns.count(name) > 1})
+    twice = sorted(name for name, times in Counter(columns).items() if name and times > 1)
     if twice:
         raise RecordingError(
             "Two columns have the same name.",
@@ -264,6 +278,10 @@ def _header(file: Path, line: str, number: int) -> tuple[str, tuple[str, ...]]:
             expected="a different name for each column",
         )
     return separator, columns
+
+
+def _in_any(mark: str, lines: Sequence[str]) -> bool:
+    return any(mark in line for line in lines)
 
 
 def _is_number(text: str) -> bool:
