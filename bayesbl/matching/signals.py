@@ -23,7 +23,7 @@ from bayesbl.bench.simulation import simulate_channels, simulate_speeds
 from bayesbl.errors import RecordingError
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
-from bayesbl.recording.checks import speed_in_another_unit
+from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
 from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 
 GAP = "gap_rad"
@@ -138,6 +138,7 @@ def observed(
         )
     rows = [speed]
     if MOTOR_CURRENT in recording.channels:
+        require_plausible_current(recording, bench.value("current_limit_a"))
         rows.append(recording.channels[MOTOR_CURRENT])
     return Observed(
         recording.name,

@@ -10,6 +10,7 @@ from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
 from bayesbl.measurement.amplitude_summary import summarise_amplitude
 from bayesbl.measurement.change import Gap
 from bayesbl.measurement.compatibility import (
+    other_speed,
     require_one_speed_of_all,
     require_same_estimator,
     unsuited,
@@ -57,6 +58,13 @@ class AmplitudeMeasurer:
     def require_usable(self, recording: Recording) -> None:
         """The curve means the same amplitude as a fit of this recording."""
         require_same_estimator(self.curve, self.estimator, recording)
+
+    def doubts(self, recording: Recording) -> Iterator[str]:
+        """Why δ would be withheld whatever the fit finds."""
+        if not self.config.curve.allow_extrapolation:
+            against = other_speed(recording, self.curve)
+            question = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
+            yield from (sentence for sentence in (against and question, against) if sentence)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """All recordings are of one speed, which is said where there are several."""

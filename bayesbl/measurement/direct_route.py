@@ -45,6 +45,9 @@ from bayesbl.sampling.chains import SamplerSettings
 FALSE_ALARM = 0.01
 """Of the predictive check, over all channels and bands of a run."""
 
+GEAR_RATIOS_APART = 0.01
+"""Largest relative difference between the joint's gear ratio and its bench's."""
+
 
 @dataclass(frozen=True, slots=True)
 class DirectMatch:
@@ -100,6 +103,10 @@ class DirectMeasurer:
         observed_of(self.config, self.bench, recording)
         require_same_estimator(self.curve, self.estimator, recording)
 
+    def doubts(self, recording: Recording) -> Iterator[str]:
+        """None: what cannot be compared is refused."""
+        return iter(())
+
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Recordings may be of any speeds: each is simulated at its own."""
         return None
@@ -138,7 +145,12 @@ class DirectMeasurer:
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(found, posterior.fit.model.recordings[index], recording.notes),
+            direct_verdict(
+                found,
+                posterior.fit.model.recordings[index],
+                recording.notes,
+                self.config.interval.level,
+            ),
             direct_groups(posterior, recording, index, check, beside),
             {"amplitude_route": beside.reason},
         )
@@ -194,6 +206,14 @@ def bench_of(config: SnapshotConfig) -> Bench:
             file=file,
             found='drive = "rigid"',
             expected='drive = "two_mass"',
+        )
+    stated, known = config.joint.gear_ratio, bench.value("gear_ratio")
+    if stated is not None and abs(stated / known - 1.0) > GEAR_RATIOS_APART:
+        raise ConfigError(
+            "The joint's gear ratio is not that of its bench.",
+            where="[joint] gear_ratio",
+            found=f"{stated:g}, and {known:g} in {file}",
+            expected="the same in both",
         )
     low, high = config.estimator.gap_rad
     try:
@@ -251,10 +271,12 @@ def fit_directly(
     return DirectMatch(posterior, tuple(disagreements(fit)))
 
 
-def direct_verdict(found: DirectMatch, recording: Observed, notes: Sequence[str] = ()) -> Verdict:
+def direct_verdict(
+    found: DirectMatch, recording: Observed, notes: Sequence[str] = (), level: float = 0.9
+) -> Verdict:
     """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
-    ``notes``: what was done to the recording.
+    ``notes``: what was done to the recording; ``level``: of the interval.
     """
     diagnostics = found.posterior.diagnostics
     outcome, reasons = diagnostics.outcome, list(diagnostics.reasons)
@@ -262,6 +284,10 @@ def direct_verdict(found: DirectMatch, recording: Observed, notes: Sequence[str]
     if repeating:
         outcome = "withheld"
         reasons.insert(0, _disagreement_in_words(repeating))
+    beyond = found.posterior.beyond_tolerance(recording.name, level)
+    if beyond:
+        outcome = "withheld"
+        reasons.insert(0, beyond)
     reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:
         reasons.append(

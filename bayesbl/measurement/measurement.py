@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -98,6 +98,9 @@ class Measurer(Protocol):
 
     def require_usable(self, recording: Recording) -> None:
         """Raises where this recording cannot be measured."""
+
+    def doubts(self, recording: Recording) -> Iterable[str]:
+        """Why δ of this recording would be withheld, where that is known before it is measured."""
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Raises where these cannot be compared; what they share, where that is worth saying."""

@@ -43,6 +43,12 @@ STEP_OVER_SCATTER = 6.0
 MOST_STRETCHES = 6
 """Of :func:`require_one_speed`."""
 
+LARGEST_CURRENT = 2.0
+"""Over the bench's limit: peaks of the phase and of the sine differ by √2, units by far more."""
+
+EVENLY, STAYS = 0.9999, 0.01
+"""Correlation with a straight line, and share of the range, of a signal that is no speed."""
+
 STANDSTILL_RPM = 1.0
 """A motor that turned slower would need minutes for one rotation even without a gear."""
 
@@ -263,6 +269,7 @@ def require_one_speed(recording: Recording) -> None:
         found = f"{there:.5g} rpm there, {usual:.5g} rpm for most of the recording"
     else:
         return
+    _require_a_speed(recording, means)
     raise _error(
         recording,
         "The speed changes: a fit needs one constant speed.",
@@ -270,6 +277,32 @@ def require_one_speed(recording: Recording) -> None:
         found=found,
         expected="one speed; split the file there into one recording per speed, each of two "
         "load rotations or more",
+    )
+
+
+def _require_a_speed(recording: Recording, means: FloatArray) -> None:
+    """Of a signal that is not constant: it stays somewhere, as a speed does between its changes.
+
+    It is no speed if it varies by more than its size, and either follows a straight line or moves
+    on by a hundredth of its range in most quarters of a second.
+    """
+    span = float(np.ptp(means))
+    if span <= abs(float(np.median(means))):
+        return
+    line = np.linspace(-1.0, 1.0, means.size)
+    if abs(float(np.corrcoef(line, means)[0, 1])) > EVENLY:
+        how = "it grows or falls evenly, as a position or a time does"
+    elif float(np.median(np.abs(np.diff(means)))) > STAYS * span:
+        how = "it never stays at one value, as a current or a torque does"
+    else:
+        return
+    raise _error(
+        recording,
+        f"This does not look like a speed: {how}.",
+        where=MOTOR_SPEED,
+        found=f"{means.min():.5g} to {means.max():.5g} in means over {BLOCK_S:g} s",
+        expected="the motor's speed; are columns exchanged, or is the wrong one named under "
+        "[columns]?",
     )
 
 
@@ -344,6 +377,20 @@ def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
     require_channels(recording, [MOTOR_SPEED])
     speed = abs(float(recording.motor_speed_rpm.mean()))
     _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of", 0.02)
+
+
+def require_plausible_current(recording: Recording, limit_a: float) -> None:
+    """The current is not far beyond what the drive gives; a hundredth of it may be stray samples."""
+    size = float(np.quantile(np.abs(recording.channels[MOTOR_CURRENT]), 0.99))
+    if size <= LARGEST_CURRENT * limit_a:
+        return
+    raise _error(
+        recording,
+        "The motor current is far beyond the limit of the bench's drive.",
+        where=MOTOR_CURRENT,
+        found=f"{size:.4g} A, where current_limit_a = {limit_a:g}",
+        expected="a current in A; state another unit under [columns], or correct the bench file",
+    )
 
 
 def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> str | None:

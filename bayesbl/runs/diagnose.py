@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import xarray as xr
 
@@ -18,7 +19,14 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.workflow import Options, Plan, Summary, run_into_folder, settings_of
+from bayesbl.runs.workflow import (
+    Options,
+    Plan,
+    Summary,
+    require_output,
+    run_into_folder,
+    settings_of,
+)
 
 FEWEST_SAMPLES = 200
 
@@ -54,6 +62,7 @@ def run_diagnose(
 
 def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared, without comparing it."""
+    plan.add("output", partial(require_output, config.run.output))
     method = method_named(config.comparison.method)
     plan.add("comparison", lambda: method.describe(task_of(config)))
 

@@ -10,7 +10,7 @@ from bayesbl.measurement.compatibility import require_plausible_limit, same_file
 from bayesbl.measurement.routes import measure, route_of
 from bayesbl.measurement.task import curve_of, estimator_of, recording_of
 from bayesbl.recording.types import Recording
-from bayesbl.runs.workflow import Options, Plan, Summary, run_into_folder
+from bayesbl.runs.workflow import Options, Plan, Summary, require_output, run_into_folder
 
 
 def run(config: SnapshotConfig, options: Options) -> Summary:
@@ -22,6 +22,7 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:
     """What would be measured, and by what."""
+    plan.add("output", partial(require_output, config.run.output))
     estimator, curve = estimator_of(config), curve_of(config)
     plan.lines += [
         ("curve", curve.name),
@@ -38,12 +39,13 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         rate = 1.0 / recording.sampling_period_s
         sound.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
+        plan.withheld += [f"{entry.name}: {why}" for why in measurer.doubts(recording)]
         return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
 
     sound: list[Recording] = []
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
-    plan.warnings += [*same_files(sound), *measurer.notes()]
+    plan.warnings += [*plan.withheld, *same_files(sound), *measurer.notes()]
     plan.add("speed", partial(measurer.require_together, sound))
     if config.joint.limit_rad is not None:
         plan.add("limit", partial(_limit, config.joint.limit_rad, measurer.gap_range_rad))

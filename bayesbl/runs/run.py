@@ -13,7 +13,6 @@ from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.files import read_input
-from bayesbl.results.folder import is_finished
 from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
 
 WORKFLOWS: Mapping[str, str] = MappingProxyType(
@@ -85,7 +84,13 @@ def run(
     UserError
         If the folder may not be written, or anything in the configuration cannot be used.
     """
-    return _workflow(config.kind).run(config, Options(draw, force, progress, say))
+    workflow = _workflow(config.kind)
+    plan = Plan()
+    workflow.describe(config, plan)
+    plan.require_sound()
+    for sentence in plan.withheld:
+        say(sentence)
+    return workflow.run(config, Options(draw, force, progress, say))
 
 
 def check(path: str | Path) -> Plan:
@@ -102,16 +107,10 @@ def check(path: str | Path) -> Plan:
         _workflow(kind).describe(Path(path), plan)
         return plan
     config = load_run(path)
-    plan.lines += [("output", _output(config)), ("seed", str(config.run.seed))]
+    plan.lines.append(("seed", str(config.run.seed)))
     _workflow(kind).describe(config, plan)
     return plan
 
 
 def _workflow(kind: str) -> Workflow:
     return cast(Workflow, importlib.import_module(f"bayesbl.runs.{WORKFLOWS[kind]}"))
-
-
-def _output(config: RunConfig) -> str:
-    """The output folder; a result in it stops a run, but is no fault of the file."""
-    folder = config.run.output
-    return f"{folder} (holds a finished result)" if is_finished(folder) else str(folder)

@@ -16,11 +16,17 @@ import numpy as np
 from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import dump_bench, load_bench
-from bayesbl.config.simulate import SimulatedRecording, load_simulation
+from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
 from bayesbl.results.atomic import replacing
-from bayesbl.runs.workflow import Plan
+from bayesbl.runs.workflow import Plan, require_affordable
+
+BYTES_PER_SAMPLE = 400.0
+"""Of a simulated recording: its channels, and all of them as text."""
+
+SECONDS_PER_SAMPLE, SECONDS_PER_SECOND = 5e-6, 1e-4
+"""What writing a sample takes, and integrating a second of the bench's time."""
 
 
 def run_simulate(
@@ -66,6 +72,7 @@ def run_simulate(
     files = [folder / entry.file for entry in config.recordings]
     truth = None if config.truth_file is None else folder / config.truth_file
     targets = [*files, *([] if truth is None else [truth])]
+    _require_possible(config, bench)
     _refuse_existing(targets, force)
 
     # A generator of its own for each recording: neither order nor workers change the numbers.
@@ -88,9 +95,26 @@ def describe(path: Path, plan: Plan) -> None:
     """Which recordings would be made, and on which bench."""
     config = load_simulation(path)
     plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")
+    plan.add("size", lambda: _require_possible(config, load_bench(config.bench)))
     for entry in config.recordings:
         text = f"{entry.file}, gap {entry.gap_rad:g} rad, {entry.rotations:g} rotations"
         plan.lines.append((f"recording {entry.name}", text))
+
+
+def _require_possible(config: SimulateFile, bench: Bench) -> None:
+    """All recordings together fit into memory, where they are until all are written."""
+    turned_s = [
+        entry.rotations * bench.rotation_period_s(entry.reference_speed_rpm)
+        for entry in config.recordings
+    ]
+    pairs = zip(turned_s, config.recordings, strict=True)
+    samples = sum(seconds * entry.sampling_hz for seconds, entry in pairs)
+    require_affordable(
+        "The simulation",
+        "fewer rotations, or a lower sampling_hz under [[recordings]]",
+        BYTES_PER_SAMPLE * samples,
+        SECONDS_PER_SAMPLE * samples + SECONDS_PER_SECOND * sum(turned_s),
+    )
 
 
 def recording_csv(recording: Recording) -> str:

@@ -30,7 +30,7 @@ from bayesbl.results.work import WorkStore
 from bayesbl.runs.cases import Case, Job, run_in_processes
 from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
-from bayesbl.runs.workflow import Options, Plan, Summary, write_result
+from bayesbl.runs.workflow import Options, Plan, Summary, require_output, write_result
 
 TABLE_FILE = "table.csv"
 
@@ -101,6 +101,7 @@ def run(config: StudyConfig, options: Options) -> Summary:
 
 def describe(config: StudyConfig, plan: Plan) -> None:
     """What would run, in words."""
+    plan.add("output", partial(require_output, config.run.output, {TABLE_FILE}))
     plan.add("study", partial(_in_words, config))
 
 

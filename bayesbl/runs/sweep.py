@@ -31,9 +31,20 @@ from bayesbl.runs.sweep_groups import (
     example_group,
     sweep_group,
 )
-from bayesbl.runs.workflow import Options, Plan, Progress, Summary, run_into_folder
+from bayesbl.runs.workflow import (
+    Options,
+    Plan,
+    Progress,
+    Summary,
+    require_affordable,
+    require_output,
+    run_into_folder,
+)
 
 CACHE = ".sweep-cache"
+
+BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
+"""What simulating and fitting takes, roughly: all recordings of a row are held at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +84,7 @@ def run(config: SweepConfig, options: Options) -> Summary:
 
 def describe(config: SweepConfig, plan: Plan) -> None:
     """Which bench would be swept, and over which gaps."""
+    plan.add("output", partial(require_output, config.run.output))
     bench = load_bench(config.bench)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
     plan.add("gaps", partial(_gaps, config, bench))
@@ -80,6 +92,7 @@ def describe(config: SweepConfig, plan: Plan) -> None:
 
 def _gaps(config: SweepConfig, bench: Bench) -> str:
     require_drawable(config, bench)
+    _require_possible(config, bench)
     gap = config.sweep.gap_rad
     return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
 
@@ -167,6 +180,19 @@ def require_drawable(config: SweepConfig, bench: Bench) -> None:
             found=config.sweep.bench_draws,
             expected="a tolerance or relative_tolerance in the bench file, or bench_draws = 0",
         )
+
+
+def _require_possible(config: SweepConfig, bench: Bench) -> None:
+    section = config.sweep
+    recordings = float(section.gap_rad.count * section.start_angles)
+    samples = recordings * section.rotations * bench.rotation_period_s() * section.sampling_hz
+    require_affordable(
+        "The sweep",
+        "fewer rotations, gaps or draws, or a lower sampling_hz under [sweep]",
+        BYTES_PER_SAMPLE * samples,
+        SECONDS_PER_SAMPLE * samples * (1 + section.bench_draws) / config.run.workers,
+    )
+    bench.simulate(section.gap_rad.high, rotations=0.1, sampling_hz=section.sampling_hz)
 
 
 def _model(config: SweepConfig) -> DisturbanceModel:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+import tempfile
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from bayesbl.config.fields import RESULT_FILE
 from bayesbl.config.loading import dump_config
-from bayesbl.errors import ResultError, UserError
+from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,
     CONFIG_FILE,
@@ -35,6 +37,10 @@ Draw = Callable[["xr.DataTree", Path], object]
 
 Summary = Mapping[str, Any]
 
+LONGEST_S = 7 * 24 * 3600.0
+USUAL_MEMORY_BYTES = 8e9
+"""Of :func:`require_affordable`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -56,10 +62,14 @@ class Options:
 
 @dataclass(slots=True)
 class Plan:
-    """What a configuration would do, in pairs of label and text, and what speaks against it."""
+    """What a configuration would do, in pairs of label and text, and what speaks against it.
+
+    ``withheld``: why an answer would be withheld, where that is known beforehand.
+    """
 
     lines: list[tuple[str, str]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    withheld: list[str] = field(default_factory=list)
     problems: list[UserError] = field(default_factory=list)
 
     def add(self, label: str, text: Callable[[], str | None]) -> None:
@@ -72,6 +82,11 @@ class Plan:
             if line is not None:
                 self.lines.append((label, line))
 
+    def require_sound(self) -> None:
+        """Raise the first problem, if there is one."""
+        if self.problems:
+            raise self.problems[0]
+
 
 class Workflow(Protocol):
     """The module of a kind of run."""
@@ -80,7 +95,10 @@ class Workflow(Protocol):
         """Run a configuration and write its output folder; the summary that was stored."""
 
     def describe(self, config: Any, plan: Plan) -> None:
-        """Everything that can be checked without running."""
+        """Ask everything that can be asked before the first expensive step.
+
+        The one place where a kind asks: ``check`` prints the plan, ``run`` goes by it.
+        """
 
 
 def run_into_folder(
@@ -120,6 +138,66 @@ def run_into_folder(
         summary = summarise(tree)
         write_result(tree, summary, config, options, {k: v for k, v in texts.items() if v}, work)
     return summary
+
+
+def require_output(folder: Path, also: Collection[str] = ()) -> str:
+    """A result can be written into this folder; one that is there already is no fault of it.
+
+    Raises
+    ------
+    ResultError
+        If something else is there, or no folder can be made where it would be.
+    """
+    require_free(folder, force=True, also=also)
+    require_writable(folder.absolute().parent)
+    return f"{folder} (holds a finished result)" if is_finished(folder) else str(folder)
+
+
+def require_writable(folder: Path) -> None:
+    """A folder can be made here, or in the nearest folder above that exists.
+
+    Raises
+    ------
+    ResultError
+        If not.
+    """
+    existing = next(place for place in (folder, *folder.parents) if place.is_dir())
+    try:
+        # Asked by doing: permissions do not tell of a file system that is full or of another kind.
+        os.rmdir(tempfile.mkdtemp(prefix=".bayesbl-", dir=existing))
+    except OSError as error:
+        raise ResultError(
+            "Nothing can be written here.",
+            file=folder,
+            found=error.strerror,
+            expected="a folder that can be written to",
+        ) from None
+
+
+def require_affordable(what: str, expected: str, memory_bytes: float, seconds: float) -> None:
+    """A run fits into the memory of this machine, and ends.
+
+    Raises
+    ------
+    ConfigError
+        With both estimates.
+    """
+    largest = _memory_bytes()
+    if memory_bytes <= largest and seconds <= LONGEST_S:
+        return
+    raise ConfigError(
+        f"{what} would take more memory or time than there is.",
+        found=f"about {memory_bytes / 1e9:.2g} GB of memory and {seconds / 3600.0:.2g} hours",
+        expected=f"at most {largest / 1e9:.3g} GB and {LONGEST_S / 3600.0:g} hours: {expected}",
+    )
+
+
+def _memory_bytes() -> float:
+    """Memory of this machine, or of an ordinary one where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return USUAL_MEMORY_BYTES
 
 
 def settings_of(config: RunConfig) -> dict[str, Any]:

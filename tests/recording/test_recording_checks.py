@@ -200,3 +200,20 @@ def test_a_part_at_another_speed_is_named_with_its_time_range(example: Recording
     slow = np.interp(time_s, [0.0, 2.0, 5.0], [0.2, 0.2, 1.0])
     with pytest.raises(RecordingError, match=r"from 0 to 4\.25 s.* rpm for most"):
         checks.require_one_speed(with_speed(example, slow * example.motor_speed_rpm))
+
+
+@pytest.mark.parametrize(
+    ("channel", "how"), [("motor_position_rad", "evenly"), ("motor_current_a", "never stays")]
+)
+def test_what_is_no_speed_is_said_to_be_none(example: Recording, channel: str, how: str) -> None:
+    exchanged = replace(example, channels={"motor_speed_rpm": example.channels[channel]})
+    with pytest.raises(RecordingError, match=f"does not look like a speed.*{how}"):
+        checks.require_one_speed(exchanged)
+
+
+def test_a_current_a_thousand_times_the_drives_is_refused(example: Recording) -> None:
+    checks.require_plausible_current(example, 20.0)
+    current = 1e3 * example.channels["motor_current_a"]
+    wrong = replace(example, channels={**example.channels, "motor_current_a": current})
+    with pytest.raises(RecordingError, match="far beyond the limit"):
+        checks.require_plausible_current(wrong, 20.0)

@@ -11,7 +11,7 @@ import csv
 import re
 from array import array
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +36,23 @@ MOST_COLUMNS = 1000
 _EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
 
+class _Lines:
+    """Some lines of a text, cut out when asked for: copies would take twice the text."""
+
+    def __init__(self, text: str, begins: array[int], ends: array[int]) -> None:
+        self._text, self._begins, self._ends = text, begins, ends
+
+    def __len__(self) -> int:
+        return len(self._begins)
+
+    def __getitem__(self, row: int) -> str:
+        return self._text[self._begins[row] : self._ends[row]]
+
+    def __iter__(self) -> Iterator[str]:
+        for begin, end in zip(self._begins, self._ends, strict=True):
+            yield self._text[begin:end]
+
+
 @dataclass(frozen=True, slots=True)
 class CsvTable:
     """The text of a CSV file, split into a header and the lines that hold samples.
@@ -55,7 +72,7 @@ class CsvTable:
     file: str
     columns: tuple[str, ...]
     separator: str
-    lines: Sequence[str]
+    lines: _Lines
     line_numbers: Sequence[int]
 
     def place(self, row: int, column: int) -> str:
@@ -194,7 +211,11 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
     RecordingError
         If they are not text, or not a table with a header, or hold no sample.
     """
-    lines = _decode(file, data).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    text = _decode(file, data).replace("\r\n", "\n").replace("\r", "\n")
+    ends = array("q", _ends_of_lines(text))
+    begins = array("q", [0])
+    begins.extend(end + 1 for end in ends[:-1])
+    lines = _Lines(text, begins, ends)
     header_index = next((i for i, line in enumerate(lines) if line.strip()), None)
     if header_index is None:
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
@@ -213,7 +234,7 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
         file=str(file),
         columns=columns,
         separator=separator,
-        lines=[lines[i] for i in kept],
+        lines=_Lines(text, _picked(begins, kept), _picked(ends, kept)),
         line_numbers=array("q", (i + 1 for i in kept)),
     )
 
@@ -232,7 +253,19 @@ def _decode(file: Path, data: bytes) -> str:
     return text
 
 
-def _header(file: Path, lines: Sequence[str], index: int) -> tuple[str, tuple[str, ...]]:
+def _picked(places: array[int], kept: Iterable[int]) -> array[int]:
+    return array("q", (places[i] for i in kept))
+
+
+def _ends_of_lines(text: str) -> Iterator[int]:
+    end = text.find("\n")
+    while end >= 0:
+        yield end
+        end = text.find("\n", end + 1)
+    yield len(text)
+
+
+def _header(file: Path, lines: _Lines, index: int) -> tuple[str, tuple[str, ...]]:
     """Separator and column names of the header line, which is the first that is not blank."""
     line, where = lines[index], f"line {index + 1}"
     unquoted = re.sub(r'"[^"]*"', "", line)
@@ -280,7 +313,7 @@ def _header(file: Path, lines: Sequence[str], index: int) -> tuple[str, tuple[st
     return separator, columns
 
 
-def _in_any(mark: str, lines: Sequence[str]) -> bool:
+def _in_any(mark: str, lines: Iterable[str]) -> bool:
     return any(mark in line for line in lines)
 
 
