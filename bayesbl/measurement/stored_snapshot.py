@@ -150,7 +150,8 @@ def _snapshot(
         groups,
         Verdict(verdict["outcome"], tuple(verdict["reasons"]), verdict["reason"] or None),
         reasons,
-        tree["curve"].attrs["name"],
+        # Figures are also drawn from parts of a result, without it.
+        tree["curve"].attrs["name"] if "curve" in tree.children else "",
         float(tree.attrs["interval_level"]),
         tree.attrs["interval_kind"],
         None if limit is None else float(limit),

@@ -541,7 +541,8 @@ def direct_result(names):
     tree = xr.DataTree.from_dict({**groups, "diagnostics": None, "curve": None})
     tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
     tree["curve"].attrs = {"name": "published"}
-    verdicts = {n: {"outcome": "converged", "reasons": [], "reason": None} for n in names}
+    verdict = {"outcome": "converged", "reasons": [], "reason": None}
+    verdicts = dict.fromkeys(names, verdict)
     tree["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
     return tree
 
