@@ -23,10 +23,10 @@ def run_file(
     if (kind or kind_of(config)) == "simulate":
         _simulate(config, force, json, options)
     else:
-        run_config(load_run(config, kind=kind, **options), force, json)
+        run_config(load_run(config, kind=kind, **options), force, json, config)
 
 
-def run_config(config: RunConfig, force: bool, json: bool) -> None:
+def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
     from bayesbl.presentation.console import print_result
@@ -36,7 +36,7 @@ def run_config(config: RunConfig, force: bool, json: bool) -> None:
 
     console = make_console(stderr=True)
     with progress(console, of_cases=config.kind == "study") as tell:
-        summary = run(config, draw, force=force, progress=tell, say=console.print)
+        summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
     if json:
         print_json(config.run.output)
     else:

@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayesbl.errors import ConfigError
+from bayesbl.recording.formats import formats
 from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
 from bayesbl.recording.readers import read_table
+from bayesbl.results.inputs import require_apart
 from bayesbl.results.store import write_text
 
 _LONGEST_NAME = 60
@@ -34,10 +36,18 @@ def start_config(
     Raises
     ------
     UserError
-        If a recording cannot be read, the first holds no speed, or the file is there.
+        If a recording cannot be read, the first holds no speed, or the file is there or is a
+        recording.
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{_name(first.stem)}.toml")
+    require_apart([path], [Path(file) for file in recordings])
+    if path.suffix.lower() in formats():
+        raise ConfigError(
+            "A configuration under this name would be taken for a recording.",
+            file=path,
+            expected="a name ending in .toml",
+        )
     if path.exists() and not force:
         raise ConfigError(
             "The configuration is there already, and is not written over.",
