@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import os
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
-from bayesbl.config.loading import config_from_options, load_config
+from bayesbl.config.loading import config_from_options, inputs_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.results.folder import is_finished
+from bayesbl.results.inputs import require_apart
 from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
 
 WORKFLOWS: Mapping[str, str] = MappingProxyType(
@@ -68,6 +70,7 @@ def run(
     force: bool = False,
     progress: Progress | None = None,
     say: Callable[[str], None] = print,
+    file: Path | None = None,
 ) -> Summary:
     """Run a configuration and write its output folder; the summary that was stored.
 
@@ -78,13 +81,23 @@ def run(
     say
         Called with sentences: what a study takes over or computes again, what a run goes on from,
         and what a search starts from.
+    file
+        Where the configuration comes from, if from a file.
 
     Raises
     ------
     UserError
         If the folder may not be written, or anything in the configuration cannot be used.
     """
-    return _workflow(config.kind).run(config, Options(draw, force, progress, say))
+    output, workflow = config.run.output, _workflow(config.kind)
+    require_apart([output], [*inputs_of(config), *([] if file is None else [file])])
+    if os.path.lexists(output):
+        # The user who must give way to what is in the folder first hears of every other mistake.
+        plan = Plan()
+        workflow.describe(config, plan)
+        for problem in plan.problems:
+            raise problem
+    return workflow.run(config, Options(draw, force, progress, say))
 
 
 def check(path: str | Path) -> Plan:
