@@ -90,8 +90,9 @@ def run(config: str | Path | RunConfig, *, force: bool = False) -> Mapping[str, 
     from bayesbl.runs.run import load_run
     from bayesbl.runs.run import run as run_config
 
-    loaded = config if isinstance(config, RunConfig) else load_run(config)
-    return run_config(loaded, draw, force=force)
+    if isinstance(config, RunConfig):
+        return run_config(config, draw, force=force)
+    return run_config(load_run(config), draw, force=force, file=Path(config))
 
 
 def write_page(result: str | Path) -> Path:

@@ -19,6 +19,7 @@ ROOMS = (
     "units",
     "declared",
     "processes",
+    "compiled",
     "recording",
     "noise",
     "bench",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import sys
 
 import bayesbl
 
@@ -27,3 +28,22 @@ def test_no_compiled_function_uses_one_of_another_file() -> None:
                 if isinstance(other, CPUDispatcher):
                     assert other.__module__ == found.name, (function, other)
     assert compiled > 10
+
+
+def test_a_cache_in_a_temporary_folder_is_the_users_alone(tmp_path, monkeypatch) -> None:
+    import tempfile
+
+    import numba
+
+    from bayesbl import compiled
+
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    compiled._use_temporary_folder()
+    (folder,) = tmp_path.iterdir()
+    assert str(folder) == numba.config.CACHE_DIR
+    if sys.platform != "win32":
+        folder.chmod(0o777)
+        numba.config.CACHE_DIR = ""
+        compiled._use_temporary_folder()
+        assert not numba.config.CACHE_DIR

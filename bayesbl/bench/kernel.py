@@ -19,9 +19,10 @@ import math
 from enum import IntEnum, auto
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from bayesbl.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
@@ -143,15 +144,14 @@ class Constants(NamedTuple):
 
 
 _OPTIONS: dict[str, Any] = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     # fused multiply-add only: nan and inf keep their meaning
     "fastmath": {"contract"},
 }
-_jit = numba.njit(**_OPTIONS)
+_jit = compiled(**_OPTIONS)
 # In the innermost loop a call with its two dozen constants costs as much as the work.
-_inlined = numba.njit(**_OPTIONS, forceinline=True)
+_inlined = compiled(**_OPTIONS, forceinline=True)
 
 
 @_jit

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,6 +21,9 @@ from bayesbl.cli.stored import cite_command, figures_command, inspect_command, r
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
+
+_UsageError: Any = typer.BadParameter.__bases__[0]
+"""click's, or that of typer's own copy of click."""
 
 INTERRUPTED = 130
 """How typer ends after Ctrl-C."""
@@ -81,30 +84,40 @@ def main() -> None:
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, ``sys.argv``'s by default, and return its exit status."""
-    from bayesbl.presentation.terminal import error, make_console
+    from bayesbl.presentation.terminal import (
+        error,
+        make_console,
+        plain,
+        say,
+        spell_what_cannot_be_printed,
+    )
 
+    spell_what_cannot_be_printed()
     try:
-        app(arguments, prog_name="bayesbl")
-    except SystemExit as end:
-        # Usage errors, --help and Ctrl-C end inside typer.
-        code = end.code if isinstance(end.code, int) else FAILED
-        if code == INTERRUPTED:
-            print("Interrupted; nothing was written over.", file=sys.stderr)
-            return FAILED
-        return code
+        # --help, --version and Ctrl-C end inside typer, with the status as value.
+        code = app(arguments, prog_name="bayesbl", standalone_mode=False)
+    except _UsageError as usage:
+        usage.message = plain(usage.message)
+        usage.show()
+        return WRONG
+    except SystemExit as end:  # typer's for a pipe that nobody reads any more
+        return end.code if isinstance(end.code, int) else FAILED
     except UserError as problem:
         error(make_console(stderr=True), problem)
         return WRONG
     except OSError as problem:
         place = f"{problem.filename}: " if problem.filename else ""
-        print(f"Error: {place}{problem.strerror or problem}.", file=sys.stderr)
+        say(f"Error: {place}{problem.strerror or problem}.", err=True)
         for note in getattr(problem, "__notes__", ()):
-            print(note, file=sys.stderr)
+            say(note, err=True)
         return FAILED
     except Exception:
         import traceback
 
-        print(f"This is a bug in bayesbl {__version__}; please report it:\n", file=sys.stderr)
-        traceback.print_exc()
+        say(f"This is a bug in bayesbl {__version__}; please report it:\n", err=True)
+        say(traceback.format_exc(), err=True)
         return FAILED
-    return 0
+    if code == INTERRUPTED:
+        say("Interrupted; nothing was written over.", err=True)
+        return FAILED
+    return code or 0

@@ -44,13 +44,14 @@ def run_command(
 
 def check_command(config: ConfigPath) -> None:
     """Check everything that can be checked without running."""
+    from bayesbl.presentation.terminal import say
     from bayesbl.runs.run import check
 
     plan = check(config)
     for label, text in plan.lines:
-        typer.echo(f"{label}: {text}")
+        say(f"{label}: {text}")
     _print_findings(plan)
-    typer.echo("Ready to run.")
+    say("Ready to run.")
 
 
 def init_command(
@@ -66,23 +67,23 @@ def init_command(
 ) -> None:
     """Write a first configuration for recordings, with columns and units guessed."""
     from bayesbl.presentation.first_configuration import guessed, what_next
-    from bayesbl.presentation.terminal import make_console, print_blocks
+    from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.run import check
 
     path, guess = start_config(recordings, out, force=force)
     plan = check(path)
     print_blocks(guessed(guess), make_console())
-    typer.echo(what_next(path, sound=not plan.problems))
+    say(what_next(path, sound=not plan.problems))
     _print_findings(plan)
 
 
 def _print_findings(plan: Plan) -> None:
     """Warnings and problems; with a problem the command ends here."""
-    from bayesbl.presentation.terminal import error, make_console
+    from bayesbl.presentation.terminal import error, make_console, say
 
     for warning in plan.warnings:
-        typer.echo(f"warning: {warning}")
+        say(f"warning: {warning}")
     for problem in plan.problems:
         error(make_console(stderr=True), problem)
     if plan.problems:

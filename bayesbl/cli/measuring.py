@@ -98,7 +98,7 @@ def _measure(
 
     loaded = config_from_options(kind, recordings, config, **given)
     try:
-        run_config(loaded, force, json)
+        run_config(loaded, force, json, config)
     except RecordingError as error:
         if config is not None or error.where != "header":
             raise

@@ -42,7 +42,14 @@ ResultPath = Annotated[
 BaseConfig = Annotated[
     Path | None, _option("--config", "FILE", "Configuration; options override it.")
 ]
-Out = Annotated[Path | None, _option("--out", "FOLDER", "Output folder. [default: results/<name>]")]
+Out = Annotated[
+    Path | None,
+    _option(
+        "--out",
+        "FOLDER",
+        "Output folder. [default: results/NAME, or results/COMMAND_NAME]",
+    ),
+]
 Seed = Annotated[
     int | None,
     _option("--seed", "N", "Seed of all random numbers. [default: 1]", _whole_number),

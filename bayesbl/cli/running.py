@@ -23,32 +23,33 @@ def run_file(
     if (kind or kind_of(config)) == "simulate":
         _simulate(config, force, json, options)
     else:
-        run_config(load_run(config, kind=kind, **options), force, json)
+        run_config(load_run(config, kind=kind, **options), force, json, config)
 
 
-def run_config(config: RunConfig, force: bool, json: bool) -> None:
+def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
     from bayesbl.presentation.console import print_result
     from bayesbl.presentation.progress import progress
-    from bayesbl.presentation.terminal import make_console
+    from bayesbl.presentation.terminal import make_console, say
     from bayesbl.runs.run import run
 
     console = make_console(stderr=True)
     with progress(console, of_cases=config.kind == "study") as tell:
-        summary = run(config, draw, force=force, progress=tell, say=console.print)
+        summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
     if json:
         print_json(config.run.output)
     else:
         print_result(summary, config.run.output, make_console())
     if summary["outcome"] == "withheld":
         if json:
-            typer.echo(f"Withheld: {summary['reason']}", err=True)
+            say(f"Withheld: {summary['reason']}", err=True)
         raise typer.Exit(WITHHELD)
 
 
 def print_json(folder: Path) -> None:
-    """The stored summary, byte for byte."""
+    """The stored summary in UTF-8, whatever the terminal's encoding, with the same values."""
+    from bayesbl.presentation.terminal import STEERING
     from bayesbl.results.folder import SUMMARY_FILE
 
     try:
@@ -57,11 +58,13 @@ def print_json(folder: Path) -> None:
         raise ResultError(
             "There is no summary beside this result.", file=folder, expected=SUMMARY_FILE
         ) from None
-    typer.echo(text, nl=False)
+    text = STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    typer.echo(text.encode(), nl=False)
 
 
 def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) -> None:
     """Make the recordings, and print the files written."""
+    from bayesbl.presentation.terminal import say
     from bayesbl.runs.simulate import run_simulate
 
     given = {name: options[name] for name in ("out", "seed", "workers")}
@@ -69,7 +72,7 @@ def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) ->
     if json:
         import json as encoder
 
-        typer.echo(encoder.dumps({"kind": "simulate", "files": files}))
+        say(encoder.dumps({"kind": "simulate", "files": files}))
     else:
         for file in files:
-            typer.echo(file)
+            say(file)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bayesbl.cli.options import Json, ResultPath
-from bayesbl.cli.running import print_json
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,39 +23,44 @@ def figures_command(
     ] = None,
 ) -> None:
     """Draw the figures of a result again."""
+    from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
-    from bayesbl.results.store import read_tree
+    from bayesbl.runs.declared_groups import read_result
 
-    tree = read_tree(result)
+    tree = read_result(result)
     folder = (result if result.is_dir() else result.parent) / FIGURES
     for path in _draw_in_place(tree, folder, study):
-        typer.echo(str(path))
+        say(str(path))
 
 
 def report_command(result: ResultPath) -> None:
     """Write a result as one HTML page, report.html, that opens anywhere."""
     from bayesbl.library import draw
     from bayesbl.presentation.page.build import write_page
+    from bayesbl.presentation.terminal import say
 
     def draw_or_say(tree: xr.DataTree, folder: Path) -> list[Path]:
         if tree.attrs["kind"] != "study":
             return draw(tree, folder)
         command = f"bayesbl figures {shlex.quote(str(result))} --study FILE"
-        typer.echo(f"The page has no figure: none is stored. To draw it: {command}", err=True)
+        say(f"The page has no figure: none is stored. To draw it: {command}", err=True)
         return []
 
-    typer.echo(str(write_page(result, draw_or_say)))
+    say(str(write_page(result, draw_or_say)))
 
 
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
+    from bayesbl.presentation.subjects import summary_of
     from bayesbl.presentation.terminal import make_console
-    from bayesbl.results.store import read_tree
+    from bayesbl.results.store import json_text
+    from bayesbl.runs.declared_groups import read_result
 
-    tree = read_tree(result)
+    tree = read_result(result)
     if json:
-        print_json(result if result.is_dir() else result.parent)
+        # Not the summary.json beside it: only what is in result.nc is verified.
+        typer.echo(json_text(summary_of(tree)), nl=False)
     else:
         print_summary(tree, make_console())
 
@@ -66,11 +70,12 @@ def cite_command(
 ) -> None:
     """Print what to cite, as text and as BibTeX."""
     from bayesbl.presentation.citations import all_bibtex, cited
+    from bayesbl.presentation.terminal import say
 
     if not bibtex:
         for line in cited():
-            typer.echo(f"{line}\n")
-    typer.echo(all_bibtex())
+            say(f"{line}\n")
+    say(all_bibtex())
 
 
 def _draw_in_place(tree: xr.DataTree, folder: Path, study: Path | None) -> list[Path]:

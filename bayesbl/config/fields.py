@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -24,6 +26,9 @@ RESULT_FILE = "result.nc"
 
 BASE_DIRECTORY = "base_directory"
 """Key of the validation context: the folder that relative paths start from."""
+
+LONGEST_NAME = 60
+"""Letters in the name of a recording."""
 
 PUBLISHED = "published"
 """The curve of the paper's eq. 4."""
@@ -110,12 +115,28 @@ def _channel(name: str) -> str:
 
 
 def _name(name: str) -> str:
-    if not re.fullmatch(r"\w[\w .,+-]{0,59}", name):
+    if not re.fullmatch(rf"\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}", name):
         refuse(
             "This cannot be a name.",
-            expected="at most 60 letters, digits, spaces and . , + - _, a letter or digit first",
+            expected=f"at most {LONGEST_NAME} letters, digits, spaces and . , + - _, "
+            "a letter or digit first",
         )
     return name
+
+
+def names_of(files: Sequence[str | Path]) -> list[str]:
+    """A different name for each file, made from what it is called."""
+    names = [name_of(Path(file).stem) for file in files]
+    return [
+        name if names.count(name) == 1 else f"{name[: LONGEST_NAME - 4]}-{number}"
+        for number, name in enumerate(names, start=1)
+    ]
+
+
+def name_of(stem: str) -> str:
+    """The nearest text that is allowed as a name."""
+    allowed = re.sub(r"[^\w .,+-]", "_", unicodedata.normalize("NFC", stem))
+    return (allowed if re.match(r"\w", allowed) else f"r{allowed}")[:LONGEST_NAME]
 
 
 def column_entry(value: object) -> object:

@@ -17,7 +17,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED
+from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED, name_of, names_of
 from bayesbl.config.files import read_toml, require_kind
 from bayesbl.config.kinds import KINDS, RUNNABLE
 from bayesbl.config.measurement import SnapshotConfig
@@ -54,6 +54,9 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 """Command-line option to the field it sets."""
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
+
+_LONGEST_OUTPUT = 200
+"""Bytes in the name of an output folder; file systems take 255, and hidden siblings need some."""
 
 _Tables = dict[str, Any]
 
@@ -144,7 +147,7 @@ def config_from_options(
             plain = str(Path(str(value)).absolute()) if path_like else value
             _set(tables, OPTIONS[option], plain)
             origins[OPTIONS[option]] = "--" + option.replace("_", "-")
-    _set_default(tables, ("run", "output"), _default_output(recordings, config))
+    _set_default(tables, ("run", "output"), _default_output(kind, recordings, config))
     return _validate(replace(document, tables=tables, origins=origins))
 
 
@@ -158,6 +161,21 @@ def _sharing(kind: str) -> list[str]:
 def dump_config(config: RunConfig) -> str:
     """The configuration as TOML, defaults filled in; it loads back to an equal one."""
     return tomli_w.dumps(_plain(config.model_dump(by_alias=True, exclude_none=True)))
+
+
+def inputs_of(config: RunConfig) -> list[Path]:
+    """Every file that a configuration names, as text in the rows of a study too."""
+    return _files(config.model_dump(exclude={"run"}))
+
+
+def _files(value: Any) -> list[Path]:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        return [path for item in value for path in _files(item)]
+    # A study's rows hold full paths where text names a file.
+    text = isinstance(value, str) and os.path.isabs(value) and os.path.isfile(value)
+    return [Path(value)] if text or isinstance(value, Path) else []
 
 
 def _read(path: Path) -> _Document:
@@ -210,22 +228,23 @@ def _by_option(problem: Problem, location: Location, document: _Document) -> Pro
 
 
 def _entries(recordings: Sequence[str | Path], dates: Sequence[Date]) -> list[_Tables]:
-    """Entries for recordings given by path, numbered where their names would be the same."""
-    paths = [Path(path).absolute() for path in recordings]
-    stems = [path.stem for path in paths]
+    """Entries for recordings given by path, each with a name of its own."""
     return [
         {
-            "name": stem if stems.count(stem) == 1 else f"{stem}-{number}",
-            "file": str(path),
-            **({"date": dates[number - 1]} if dates else {}),
+            "name": name,
+            "file": str(Path(path).absolute()),
+            **({"date": dates[number]} if dates else {}),
         }
-        for number, (path, stem) in enumerate(zip(paths, stems, strict=True), start=1)
+        for number, (path, name) in enumerate(zip(recordings, names_of(recordings), strict=True))
     ]
 
 
-def _default_output(recordings: Sequence[str | Path], config: str | Path | None) -> str:
-    stems = [Path(path).stem for path in recordings]
-    name = "_".join(dict.fromkeys((stems[0], stems[-1]))) if stems else Path(config or "run").stem
+def _default_output(kind: str, recordings: Sequence[str | Path], config: str | Path | None) -> str:
+    """Below ``results``: of recordings with the command, of a configuration by its name alone."""
+    if not recordings:
+        return str(Path("results", Path(config or "run").stem).absolute())
+    stems = dict.fromkeys(name_of(Path(path).stem) for path in (recordings[0], recordings[-1]))
+    name = "_".join((kind, *stems)).encode()[:_LONGEST_OUTPUT].decode(errors="ignore")
     return str(Path("results", name).absolute())
 
 

@@ -24,6 +24,7 @@ from bayesbl.config.fields import (
     Section,
     SymbolName,
     column_entry,
+    name_of,
     refuse,
 )
 from bayesbl.recording.channels import ColumnSpec
@@ -71,7 +72,7 @@ ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
 
 
 class SnapshotRecording(Section):
-    """An entry of ``[[recordings]]`` that was measured; its name is the file's by default.
+    """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
 
     ``repaired`` marks the first one after a repair.
     """
@@ -86,7 +87,7 @@ class SnapshotRecording(Section):
     @classmethod
     def _name_after_file(cls, value: Any) -> Any:
         if isinstance(value, dict) and "name" not in value and isinstance(value.get("file"), str):
-            return {"name": Path(value["file"]).stem, **value}
+            return {"name": name_of(Path(value["file"]).stem), **value}
         return value
 
 

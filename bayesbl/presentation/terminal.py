@@ -1,5 +1,8 @@
 """Prints on the terminal: plain text, never wider than it.
 
+Names and messages may hold what a stranger wrote into a file. Characters that steer a terminal are
+therefore dropped from all that is printed, and those that its encoding lacks are spelled.
+
 rich is imported where it prints, so that ``bayesbl --help`` does not wait for it. Everything is
 printed as plain :class:`rich.text.Text`: names and messages may hold brackets, which rich would
 take for markup.
@@ -7,7 +10,12 @@ take for markup.
 
 from __future__ import annotations
 
+import codecs
+import io
+import re
+import sys
 import textwrap
+import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -34,12 +42,79 @@ _NARROWEST_NAME = 12
 
 _INDENT = "  "
 
+STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""Characters that steer a terminal, and those that turn the direction of writing."""
+
+_SPELLED = {
+    "α": "alpha",
+    "δ": "delta",
+    "Δ": "Delta",
+    "θ": "theta",
+    "κ": "kappa",
+    "σ": "sigma",
+    "τ": "tau",
+    "φ": "phi",
+    "ω": "omega",
+    "°": " deg",
+    "±": "+-",
+    "×": "x",
+    "·": "*",
+    "−": "-",
+    "–": "-",
+    "≤": "<=",
+    "≥": ">=",
+    "→": "->",
+    "’": "'",
+    "“": '"',
+    "”": '"',
+}
+"""What stands for a character where the terminal's encoding has none for it."""
+
+
+def plain(text: str) -> str:
+    """The text without :data:`STEERING`."""
+    return STEERING.sub("", text)
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """Print a line as it is, on standard output or error."""
+    print(plain(text), file=sys.stderr if err else sys.stdout)
+
+
+def spell_what_cannot_be_printed() -> None:
+    """Let standard output and error take every text, whatever their encoding."""
+    codecs.register_error(_spell.__qualname__, _spell)
+    for stream in (sys.stdout, sys.stderr):
+        utf_8 = (stream.encoding or "").lower().replace("-", "") == "utf8"
+        whole = utf_8 and stream.errors == "surrogateescape"
+        if isinstance(stream, io.TextIOWrapper) and not whole:
+            stream.reconfigure(errors=_spell.__qualname__)
+
+
+def _spell(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    spelled = ""
+    for character in error.object[error.start : error.end]:
+        decomposed = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+        spelled += _SPELLED.get(character) or decomposed or "?"
+    return spelled, error.end
+
 
 def make_console(*, stderr: bool = False) -> Console:
     """A console that prints what it is given, in colour on a terminal only."""
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
 
-    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    class PlainConsole(Console):
+        def render(
+            self, renderable: RenderableType, options: ConsoleOptions | None = None
+        ) -> Iterable[Segment]:
+            for segment in super().render(renderable, options):
+                own = segment.control  # rich's, not a text's
+                yield segment if own else segment._replace(text=plain(segment.text))
+
+    return PlainConsole(stderr=stderr, highlight=False, markup=False, emoji=False)
 
 
 def error(console: Console, problem: UserError) -> None:
@@ -48,6 +123,8 @@ def error(console: Console, problem: UserError) -> None:
 
     text = Text("Error: ", style="bold red")
     console.print(text.append(str(problem), style="not bold default"), soft_wrap=True)
+    for note in getattr(problem, "__notes__", ()):
+        console.print(Text(note), soft_wrap=True)
 
 
 def print_blocks(blocks: Iterable[Block], console: Console) -> None:

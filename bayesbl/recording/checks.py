@@ -380,7 +380,7 @@ def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
 
 
 def require_plausible_current(recording: Recording, limit_a: float) -> None:
-    """The current is not far beyond what the drive gives; a hundredth of it may be stray samples."""
+    """The current is not far beyond what the drive gives; one sample in a hundred may be stray."""
     size = float(np.quantile(np.abs(recording.channels[MOTOR_CURRENT]), 0.99))
     if size <= LARGEST_CURRENT * limit_a:
         return

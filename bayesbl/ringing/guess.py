@@ -13,9 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.fft import next_fast_len
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.symbols import (
@@ -141,13 +141,13 @@ def _response(
     return response[::stride].astype(np.float32), stride * period_s
 
 
-@njit(cache=True)
+@compiled()
 def _add(total, row):  # type: ignore[no-untyped-def]
     for j in range(row.size):
         total[j] += row[j]
 
 
-@njit(cache=True, fastmath={"nnan", "nsz", "reassoc"})
+@compiled(fastmath={"nnan", "nsz", "reassoc"})
 def _extremes(values):  # type: ignore[no-untyped-def]
     """Largest and smallest value, in a loop that vectorises (np.argmax does not)."""
     most = values[0]
@@ -158,7 +158,7 @@ def _extremes(values):  # type: ignore[no-untyped-def]
     return most, least
 
 
-@njit(cache=True)
+@compiled()
 def _fold_all(  # type: ignore[no-untyped-def]
     response, step, shortest, longest, guard, power, power_length, harmonics
 ):

@@ -25,9 +25,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from scipy.fft import next_fast_len
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 
 # Columns of the parameter matrix that the kernel takes.
@@ -68,7 +68,7 @@ def grid_length(samples: int) -> int:
     return int(next_fast_len(OVERSAMPLING * samples, real=True))
 
 
-@njit(cache=True)
+@compiled()
 def _fill_powers(z: complex, cosine: FloatArray, sine: FloatArray, count: int) -> None:
     """cosine + i·sine = zʲ for j < count, by doubling."""
     cosine[0] = 1.0
@@ -87,7 +87,7 @@ def _fill_powers(z: complex, cosine: FloatArray, sine: FloatArray, count: int) -
         filled += more
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@compiled(fastmath={"reassoc", "contract"})
 def _dots(y: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[float, float]:
     """(y·cosine, y·sine); summation order is free so that the loop vectorises."""
     c = 0.0
@@ -98,7 +98,7 @@ def _dots(y: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[float, f
     return c, s
 
 
-@njit(cache=True)
+@compiled()
 def _interpolate(table: FloatArray, position: float) -> complex:
     """Lagrange interpolation of the harmonic table at a fractional row (barycentric form)."""
     half = INTERPOLATION_POINTS // 2
@@ -122,7 +122,7 @@ def _interpolate(table: FloatArray, position: float) -> complex:
     return complex(re / total, im / total)
 
 
-@njit(cache=True)
+@compiled()
 def _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine):  # type: ignore[no-untyped-def]
     """Inner product of two unit pulses that share samples.
 
@@ -152,7 +152,7 @@ def _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine):  # type
     return product
 
 
-@njit(cache=True)
+@compiled()
 def _pulses_at(  # type: ignore[no-untyped-def]
     left_out, count, sign, w, n0, begin, end, extra_at, extra, cosine, sine, train
 ):
@@ -172,7 +172,7 @@ def _pulses_at(  # type: ignore[no-untyped-def]
             i += 1
 
 
-@njit(cache=True)
+@compiled()
 def _subtract(gram, left_out, train, sums, kappa, centre):  # type: ignore[no-untyped-def]
     """Subtract the left-out samples from the lower triangle of XᵀX.
 
@@ -211,7 +211,7 @@ def _subtract(gram, left_out, train, sums, kappa, centre):  # type: ignore[no-un
                 gram[last, 2 * k] -= turned.imag
 
 
-@njit(cache=True)
+@compiled()
 def solve(  # type: ignore[no-untyped-def]
     gram, rhs, y_square, amplitude, mean, solve_amplitude, solve_mean, solution, factor
 ):
@@ -276,7 +276,7 @@ def solve(  # type: ignore[no-untyped-def]
     return max(left, 0.0), log_determinant
 
 
-@njit(cache=True)
+@compiled()
 def sums_of_squares(  # type: ignore[no-untyped-def]
     parameters,
     y,

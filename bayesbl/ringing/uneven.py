@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.sums_of_squares import (
     AMPLITUDE,
@@ -26,7 +26,7 @@ from bayesbl.ringing.sums_of_squares import (
 )
 
 
-@njit(cache=True)
+@compiled()
 def _add_pulses(train, t, start, sign, decay, frequency, window, rotation, period_s):  # type: ignore[no-untyped-def]
     """Add the impacts start + i·rotation of one sign to the unit pulse train."""
     reach = max(window + 0.5 * period_s, period_s)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from bayesbl.config.fields import name_of, names_of
 from bayesbl.errors import ConfigError
+from bayesbl.recording.formats import formats
 from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
 from bayesbl.recording.readers import read_table
+from bayesbl.results.inputs import require_apart
 from bayesbl.results.store import write_text
-
-_LONGEST_NAME = 60
 
 
 def start_config(
@@ -34,10 +34,18 @@ def start_config(
     Raises
     ------
     UserError
-        If a recording cannot be read, the first holds no speed, or the file is there.
+        If a recording cannot be read, the first holds no speed, or the file is there or is a
+        recording.
     """
     first = Path(recordings[0])
-    path = Path(out) if out is not None else Path(f"{_name(first.stem)}.toml")
+    path = Path(out) if out is not None else Path(f"{name_of(first.stem)}.toml")
+    require_apart([path], [Path(file) for file in recordings])
+    if path.suffix.lower() in formats():
+        raise ConfigError(
+            "A configuration under this name would be taken for a recording.",
+            file=path,
+            expected="a name ending in .toml",
+        )
     if path.exists() and not force:
         raise ConfigError(
             "The configuration is there already, and is not written over.",
@@ -53,7 +61,7 @@ def start_config(
 def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
     kind = "fit" if len(recordings) == 1 else "compare"
-    names = _names([file.stem for file in recordings])
+    names = names_of(recordings)
     before = (
         "# decide_before = 2027-01-01   # asks how probably the gap passes the limit by then; "
         "needs dates\n"
@@ -78,7 +86,7 @@ kind = "{kind}"
 
 [run]
 seed = 1                # same seed, same numbers
-output = {_text(f"results/{_name(path.stem)}")}
+output = {_text(f"results/{name_of(path.stem)}")}
 
 [joint]
 # gear_ratio = 120.0    # motor turns per turn of the load
@@ -109,17 +117,3 @@ def _text(text: str) -> str:
 
 def _relative(file: Path, path: Path) -> str:
     return Path(os.path.relpath(file, path.parent)).as_posix()
-
-
-def _name(stem: str) -> str:
-    """A name as configurations allow them."""
-    plain = re.sub(r"[^\w .,+-]", "_", stem)[:_LONGEST_NAME]
-    return plain if re.match(r"\w", plain) else f"r{plain}"[:_LONGEST_NAME]
-
-
-def _names(stems: Sequence[str]) -> list[str]:
-    names = [_name(stem) for stem in stems]
-    return [
-        name if names.count(name) == 1 else f"{name[: _LONGEST_NAME - 4]}-{number}"
-        for number, name in enumerate(names, start=1)
-    ]

@@ -9,10 +9,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
-from bayesbl.config.loading import config_from_options, load_config
+from bayesbl.config.loading import config_from_options, inputs_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.files import read_input
+from bayesbl.results.inputs import require_apart
 from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
 
 WORKFLOWS: Mapping[str, str] = MappingProxyType(
@@ -68,6 +69,7 @@ def run(
     force: bool = False,
     progress: Progress | None = None,
     say: Callable[[str], None] = print,
+    file: Path | None = None,
 ) -> Summary:
     """Run a configuration and write its output folder; the summary that was stored.
 
@@ -78,6 +80,8 @@ def run(
     say
         Called with sentences: what a study takes over or computes again, what a run goes on from,
         and what a search starts from.
+    file
+        Where the configuration comes from, if from a file.
 
     Raises
     ------
@@ -85,6 +89,7 @@ def run(
         If the folder may not be written, or anything in the configuration cannot be used.
     """
     workflow = _workflow(config.kind)
+    require_apart([config.run.output], [*inputs_of(config), *([] if file is None else [file])])
     plan = Plan()
     workflow.describe(config, plan)
     plan.require_sound()

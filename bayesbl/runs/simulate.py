@@ -20,6 +20,7 @@ from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simul
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
 from bayesbl.results.atomic import replacing
+from bayesbl.results.inputs import require_apart, require_inside
 from bayesbl.runs.workflow import Plan, require_affordable
 
 BYTES_PER_SAMPLE = 400.0
@@ -61,7 +62,8 @@ def run_simulate(
     ConfigError
         If the simulate file or its bench file is wrong.
     ResultError
-        If a file exists and ``force`` is not given.
+        If a file exists and ``force`` is not given, is an input, or lies outside the folder by a
+        relative path.
     """
     config_path = Path(config_path)
     config = load_simulation(config_path)
@@ -69,9 +71,10 @@ def run_simulate(
     folder = Path(out or config.run.output or config_path.absolute().parent)
     seed = config.run.seed if seed is None else seed
     workers = config.run.workers if workers is None else workers
-    files = [folder / entry.file for entry in config.recordings]
-    truth = None if config.truth_file is None else folder / config.truth_file
+    files = [require_inside(folder, entry.file) for entry in config.recordings]
+    truth = None if config.truth_file is None else require_inside(folder, config.truth_file)
     targets = [*files, *([] if truth is None else [truth])]
+    require_apart(targets, [config_path, config.bench])
     _require_possible(config, bench)
     _refuse_existing(targets, force)
 
