@@ -15,8 +15,8 @@ from bayesbl.config.kinds import FILES
 from bayesbl.config.problems import Problem, config_error, line_numbers, problems_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean_file
-from bayesbl.recording.files import read_input
 from bayesbl.recording.formats import formats
+from bayesbl.recording.input_bytes import read_input
 
 _Model = TypeVar("_Model", bound=Section)
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
-from bayesbl.recording.files import read_input
 from bayesbl.recording.formats import Format, formats
+from bayesbl.recording.input_bytes import read_input
 from bayesbl.recording.lost_samples import bridge
 from bayesbl.recording.types import FloatArray, Recording, Source
 

@@ -12,7 +12,7 @@ from typing import Any, cast
 from bayesbl.config.loading import config_from_options, inputs_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
-from bayesbl.recording.files import read_input
+from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.inputs import require_apart
 from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
 
