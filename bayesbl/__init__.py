@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from bayesbl.library import compare, fit, run, write_page
     from bayesbl.recording.readers import read_recording
     from bayesbl.recording.types import Recording
-    from bayesbl.results.store import read_tree as read_result
+    from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.summary import summarise
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Bench",
@@ -65,7 +65,7 @@ _HOMES = {
     "load_config": "bayesbl.config.loading",
     "published_curve": "bayesbl.curve.gap_curve",
     "read_recording": "bayesbl.recording.readers",
-    "read_result": "bayesbl.results.store:read_tree",
+    "read_result": "bayesbl.runs.declared_groups",
     "run": "bayesbl.library",
     "summarise": "bayesbl.runs.summary",
     "write_page": "bayesbl.library",

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bayesbl.cli.options import Json, ResultPath
-from bayesbl.cli.running import print_json
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,9 +25,9 @@ def figures_command(
     """Draw the figures of a result again."""
     from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
-    from bayesbl.results.store import read_tree
+    from bayesbl.runs.declared_groups import read_result
 
-    tree = read_tree(result)
+    tree = read_result(result)
     folder = (result if result.is_dir() else result.parent) / FIGURES
     for path in _draw_in_place(tree, folder, study):
         say(str(path))
@@ -53,12 +52,15 @@ def report_command(result: ResultPath) -> None:
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
+    from bayesbl.presentation.subjects import summary_of
     from bayesbl.presentation.terminal import make_console
-    from bayesbl.results.store import read_tree
+    from bayesbl.results.store import json_text
+    from bayesbl.runs.declared_groups import read_result
 
-    tree = read_tree(result)
+    tree = read_result(result)
     if json:
-        print_json(result if result.is_dir() else result.parent)
+        # Not the summary.json beside it: only what is in result.nc is verified.
+        typer.echo(json_text(summary_of(tree)), nl=False)
     else:
         print_summary(tree, make_console())
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayesbl.errors import ResultError
+from bayesbl.measurement.amplitude_groups import OPTIMUM
 from bayesbl.measurement.stored_snapshot import stored_snapshots
 from bayesbl.results.store import read_tree
+from bayesbl.results.variables import require_declared
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.warm_start import EarlierOptimum
 
@@ -30,6 +32,7 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
             found=f'kind = "{kind}"',
             expected="the result of bayesbl fit or bayesbl compare",
         )
+    require_declared(tree, [OPTIMUM], path)
     return {
         stored.name: EarlierOptimum(
             f'the optimum of "{stored.name}" in {path}',

@@ -123,6 +123,8 @@ def error(console: Console, problem: UserError) -> None:
 
     text = Text("Error: ", style="bold red")
     console.print(text.append(str(problem), style="not bold default"), soft_wrap=True)
+    for note in getattr(problem, "__notes__", ()):
+        console.print(Text(note), soft_wrap=True)
 
 
 def print_blocks(blocks: Iterable[Block], console: Console) -> None:

@@ -46,10 +46,16 @@ def staging(path: Path) -> Iterator[Path]:
     ------
     ResultError
         If no folder can be made there.
+    OSError
+        What the system said in the block, a full disk say, of ``path``: the hidden folder is gone.
     """
     folder, handle = _new_staging(path)
     try:
         yield folder
+    except OSError as error:
+        if error.errno is not None:
+            error.filename = str(path)
+        raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         if handle is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import shlex
@@ -9,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import netCDF4
 import numpy as np
 import xarray as xr
 
@@ -18,6 +20,7 @@ from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats
 from bayesbl.recording.formats.netcdf import RESULT_MARK
 from bayesbl.results.atomic import replacing
+from bayesbl.results.digest import CONTENT, content_sha256
 
 FORMAT_VERSION = 1
 
@@ -32,13 +35,27 @@ _COMPRESS_FROM_BYTES = 4096
 def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     """Write a tree as NetCDF, large variables compressed; the file appears whole or not at all.
 
-    The root attributes gain the mark of our format; :data:`OUTCOME` among them makes it a finished
-    result.
+    The root attributes gain the mark of our format and the digest of all content; :data:`OUTCOME`
+    among them makes it a finished result.
+
+    Raises
+    ------
+    OSError
+        If the disk is full, or the file cannot be written for another reason.
     """
     marked = tree.copy()
     marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
     with replacing(path) as temporary:
-        marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
+        try:
+            marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
+            # Of what is read back, as a reader will see it: NetCDF has its own ways with types.
+            digest = content_sha256(_loaded(temporary))
+            with netCDF4.Dataset(temporary, "a") as file:
+                file.setncattr(CONTENT, digest)
+        except RuntimeError as error:
+            # netCDF4 does not say what the system said.
+            message = f"result.nc cannot be written; is the disk full? ({error})"
+            raise OSError(errno.EIO, message) from error
 
 
 def read_tree(path: str | Path) -> xr.DataTree:
@@ -52,7 +69,8 @@ def read_tree(path: str | Path) -> xr.DataTree:
     Raises
     ------
     ResultError
-        If there is no such file, or it is damaged, not ours, of a later version, or unfinished.
+        If there is no such file, or it is damaged, changed, not ours, of another version, or
+        unfinished.
     """
     path = Path(path)
     file = path / RESULT_FILE if path.is_dir() else path
@@ -76,8 +94,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
             expected=f"the output folder of a run; `bayesbl fit {quoted}` makes one",
         )
     try:
-        with xr.open_datatree(file, engine="netcdf4") as opened:
-            tree: xr.DataTree = opened.load()
+        tree = _loaded(file)
     except Exception as error:
         # netCDF4, HDF5 and xarray each raise their own kinds for a file that is cut or foreign.
         raise ResultError(
@@ -87,6 +104,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
             expected="a result.nc that bayesbl wrote",
         ) from error
     _require_ours(tree, file)
+    _require_unchanged(tree, file)
     if tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
         raise ResultError(
             "The run that wrote this result has not finished.",
@@ -97,9 +115,13 @@ def read_tree(path: str | Path) -> xr.DataTree:
 
 
 def write_json(content: Mapping[str, Any], path: str | Path) -> None:
-    """Write plain JSON; numpy values become plain ones, and what is not finite becomes null."""
-    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
-    write_text(text + "\n", path)
+    """Write plain JSON, as :func:`json_text` gives it."""
+    write_text(json_text(content), path)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Plain JSON; numpy values become plain ones, and what is not finite becomes null."""
+    return json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def texts(attribute: str | Iterable[object] | None) -> list[str]:
@@ -113,6 +135,12 @@ def write_text(text: str, path: str | Path) -> None:
     """Write a text file that appears whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _loaded(file: Path) -> xr.DataTree:
+    with xr.open_datatree(file, engine="netcdf4") as opened:
+        tree: xr.DataTree = opened.load()
+    return tree
 
 
 def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
@@ -142,6 +170,24 @@ def _require_ours(tree: xr.DataTree, file: Path) -> None:
             file=file,
             found=f"{RESULT_MARK} {version}",
             expected=f"at most {FORMAT_VERSION}",
+        )
+
+
+def _require_unchanged(tree: xr.DataTree, file: Path) -> None:
+    stored = tree.attrs.get(CONTENT)
+    if stored is None:
+        raise ResultError(
+            "This result has no checksum, so whether it is as it was written cannot be known.",
+            file=file,
+            found=f"no attribute {CONTENT}; version 0.1 wrote none",
+            expected="the result made again: bayesbl run config.toml, in its folder",
+        )
+    if stored != content_sha256(tree):
+        raise ResultError(
+            "The result is damaged, or was changed after it was written.",
+            file=file,
+            found="content that does not match its checksum",
+            expected="a result.nc as bayesbl wrote it",
         )
 
 

@@ -90,7 +90,17 @@ class WorkStore:
                 store.clear()
             elif problem is not None:
                 _require_same(_stored_problem(store), problem, output)
-            yield store
+            try:
+                yield store
+            finally:
+                if not store.holds_work:
+                    store.clear()
+
+    @property
+    def holds_work(self) -> bool:
+        """Whether there is anything that a later run could go on from."""
+        files = [] if self.folder is None else self.folder.iterdir()
+        return not all(map(_is_problem, files))
 
     @property
     def resumes(self) -> bool:

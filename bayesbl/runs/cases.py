@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from bayesbl.errors import UserError
+from bayesbl.errors import ConfigError, UserError
 from bayesbl.processes import processes
-from bayesbl.runs.study_file import Study, Table, load_study, seed_of_case
+from bayesbl.runs.study_file import Study, Table, error_of, load_study, seed_of_case
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,24 +59,35 @@ def run_in_processes(
 
     One worker is a process of its own too: linear algebra on one thread rounds differently than on
     many, and the numbers must not depend on the workers.
+
+    Raises
+    ------
+    ConfigError
+        If a case fails by anything but a :class:`UserError`, or its process dies.
     """
-    with processes(min(workers, len(jobs)), _load, study.path) as pool:
-        futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
+    try:
+        with processes(min(workers, len(jobs)), _load, study.path) as pool:
+            futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+    except BrokenProcessPool:
+        raise ConfigError(
+            "A process died that ran cases of this study.",
+            file=study.path,
+            expected="cases that return, and memory enough for one in each worker",
+        ) from None
 
 
 def run_job(study: Study, job: Job, commit: str) -> Case:
     """Run a case here; a :class:`UserError` of the study is its message."""
     start = time.perf_counter()
     values, message = {}, ""
-    try:
-        values = study.run_case(job.table, job.index, seed_of_case(job.seed, job.row, job.index))
-    except UserError as error:
-        message = str(error)
-    except Exception as error:
-        error.add_note(f"In {job.in_words}.")
-        raise
+    seed = seed_of_case(job.seed, job.row, job.index)
+    with error_of(study.path, f"in {job.in_words}"):
+        try:
+            values = study.run_case(job.table, job.index, seed)
+        except UserError as error:
+            message = str(error)
     return Case(job.index, values, time.perf_counter() - start, commit, message)
 
 

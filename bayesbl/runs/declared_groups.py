@@ -1,9 +1,12 @@
-"""The catalogue of all groups of a stored result, whatever its kind."""
+"""Stored results of any kind, held against the catalogue of all groups."""
 
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from bayesbl.errors import ResultError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -16,6 +19,32 @@ _MODULES = {
     "sweep": "bayesbl.runs.sweep_groups",
 }
 """Kind to the module whose ``declared_groups`` lists its groups."""
+
+_KINDS = (*_MODULES, "diagnose", "study")
+
+
+def read_result(path: str | Path) -> xr.DataTree:
+    """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree` does.
+
+    Raises
+    ------
+    ResultError
+        Also if it is of no known kind, or lacks anything that its groups declare.
+    """
+    from bayesbl.results.store import read_tree
+    from bayesbl.results.variables import require_declared
+
+    tree = read_tree(path)
+    kind = tree.attrs.get("kind")
+    if kind not in _KINDS:
+        raise ResultError(
+            "This result is of no known kind.",
+            file=path,
+            found=f"kind {kind!r}",
+            expected=" or ".join(_KINDS),
+        )
+    require_declared(tree, declared_groups(tree), path)
+    return tree
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:

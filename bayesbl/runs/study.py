@@ -310,7 +310,7 @@ def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
 
 def draw_study(study: Study, tree: xr.DataTree, folder: Path) -> list[Path]:
     """Draw the study's own figure, if its file has one; the files written."""
-    if study.figure is None:
+    if not study.has_figure:
         return []
     figure = study.figure(*stored_rows(tree))
     folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ A study file defines three functions::
 
     def run_case(row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]: ...
         # One case: named numbers. ``seed`` belongs to this case alone. A UserError that leaves
-        # it is recorded as a failed case; anything else stops the study.
+        # it is recorded as a failed case; anything else stops the study, as an error of its file.
 
     def summarise(row, cases: xr.Dataset) -> Mapping[str, float | str]: ...
         # The row's line of the table, from its cases that did not fail (dimension ``case``).
@@ -35,7 +35,8 @@ import importlib.util
 import json
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -46,7 +47,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from bayesbl.config.problems import config_error, problems_of
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, UserError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,9 +82,15 @@ class Study:
         return getattr(self.module, "COLUMNS", {})
 
     @property
-    def figure(self) -> Callable[[Sequence[Table], Mapping[str, xr.Dataset]], Figure] | None:
+    def has_figure(self) -> bool:
+        """Whether the study draws one of its own."""
+        return hasattr(self.module, "figure")
+
+    def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
         """The study's own figure."""
-        return getattr(self.module, "figure", None)
+        with error_of(self.path, "in figure"):
+            found: Figure = self.module.figure(table, cases)
+        return found
 
     def row(self, table: Table) -> Any:
         """A row as the study's functions take it.
@@ -108,7 +115,8 @@ class Study:
 
     def count(self, table: Table) -> int:
         """How many cases a row has."""
-        count = self.module.count(self.row(table))
+        with error_of(self.path, f'in count, row "{table["name"]}"'):
+            count = self.module.count(self.row(table))
         if not isinstance(count, int) or count < 1:
             raise ConfigError(
                 "A row needs cases.",
@@ -128,10 +136,13 @@ class Study:
 
     def summarise(self, table: Table, cases: xr.Dataset) -> dict[str, float | int | str]:
         """The row's line of the table, in plain Python values."""
-        return {
-            str(name): value.item() if isinstance(value, np.generic) else value
-            for name, value in self.module.summarise(self.row(table), cases).items()
-        }
+        with error_of(self.path, f'in summarise, row "{table["name"]}"'):
+            line = {
+                str(name): value.item() if isinstance(value, np.generic) else value
+                for name, value in self.module.summarise(self.row(table), cases).items()
+            }
+            json.dumps(line)  # as it is stored
+        return line
 
     def files(self, table: Table) -> list[str]:
         """Paths of the files that a row names."""
@@ -170,7 +181,7 @@ def load_study(path: str | Path) -> Study:
     Raises
     ------
     ConfigError
-        If it cannot be imported, or lacks one of the three functions.
+        If it cannot be imported, whatever it does instead, or lacks one of the three functions.
     """
     path = Path(path)
     # Registered under a name of its own: pydantic and pickle look modules up there.
@@ -180,16 +191,8 @@ def load_study(path: str | Path) -> Study:
         raise ConfigError("This is not a study.", file=path, expected="a Python file, .py")
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
-    try:
+    with error_of(path, "while it was loaded"):
         specification.loader.exec_module(module)
-    except Exception as error:
-        raise ConfigError(
-            "The study file cannot be loaded.",
-            file=path,
-            where=_line_of(error, path),
-            found=f"{type(error).__name__}: {error}",
-            expected="Python that can be imported",
-        ) from error
     lacking = [f for f in REQUIRED if not callable(getattr(module, f, None))]
     if lacking:
         raise ConfigError(
@@ -199,6 +202,25 @@ def load_study(path: str | Path) -> Study:
             expected=f"functions {', '.join(REQUIRED)}",
         )
     return Study(path, module)
+
+
+@contextmanager
+def error_of(path: Path, when: str) -> Iterator[None]:
+    """Whatever leaves the code of a study file, ``sys.exit`` too, is an error of this file.
+
+    But for a :class:`UserError`, which the file raises in words of its own.
+    """
+    try:
+        yield
+    except (UserError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise ConfigError(
+            f"The study file failed {when}.",
+            file=path,
+            where=_line_of(error, path),
+            found=f"{type(error).__name__}: {error}",
+        ) from error
 
 
 def seed_of_case(seed: int, row: str, index: int) -> np.random.SeedSequence:
@@ -236,9 +258,9 @@ def _is_text(node: ast.stmt) -> bool:
     )
 
 
-def _line_of(error: Exception, path: Path) -> str | None:
+def _line_of(error: BaseException, path: Path) -> str | None:
     """The last line of the study file that an exception passed through."""
-    if isinstance(error, SyntaxError):
+    if isinstance(error, SyntaxError) and error.lineno is not None:
         return f"line {error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == str(path)]

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import netCDF4
@@ -262,6 +263,75 @@ def test_unusable_result_files_are_refused_with_the_reason(tmp_path: Path) -> No
             read_tree(tmp_path / name)
         assert caught.value.file == str(tmp_path / name)
         assert caught.value.expected
+
+
+def change_a_number(file: netCDF4.Dataset) -> None:
+    values = file["posterior/amplitude_rpm"]
+    values[2, 7] = np.nextafter(values[2, 7], 9.0)
+
+
+def change_an_attribute(file: netCDF4.Dataset) -> None:
+    file["posterior/amplitude_rpm"].units = "rad"
+
+
+def change_a_text(file: netCDF4.Dataset) -> None:
+    file["observed_data/name"][0] = "later"
+
+
+def rename_a_dimension(file: netCDF4.Dataset) -> None:
+    file["posterior"].renameDimension("draw", "drawn")
+
+
+def rename_a_group(file: netCDF4.Dataset) -> None:
+    file.renameGroup("posterior", "prior")
+
+
+def add_a_variable(file: netCDF4.Dataset) -> None:
+    file["posterior"].createVariable("delta_rad", "f8")
+
+
+def change_the_seed(file: netCDF4.Dataset) -> None:
+    file.setncattr("seed", 2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        change_a_number,
+        change_an_attribute,
+        change_a_text,
+        rename_a_dimension,
+        rename_a_group,
+        add_a_variable,
+        change_the_seed,
+    ],
+)
+def test_whatever_is_changed_in_a_result_is_refused(
+    tmp_path: Path, change: Callable[[netCDF4.Dataset], None]
+) -> None:
+    path = tmp_path / "result.nc"
+    write_tree(tree(), path)
+    read_tree(path)
+    with netCDF4.Dataset(path, "a") as file:
+        change(file)
+    with pytest.raises(ResultError, match="changed after it was written"):
+        read_tree(path)
+
+
+def test_a_result_without_checksum_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    write_tree(tree(), tmp_path / "result.nc")
+    with netCDF4.Dataset(tmp_path / "result.nc", "a") as file:
+        file.delncattr("content_sha256")
+    with pytest.raises(ResultError, match=r"no checksum.*bayesbl run config\.toml"):
+        read_tree(tmp_path)
+
+
+def test_a_result_that_was_read_can_be_written_again(tmp_path: Path) -> None:
+    write_tree(tree(), tmp_path / "first.nc")
+    read = read_tree(tmp_path / "first.nc")
+    read.attrs["seed"] = 2
+    write_tree(read, tmp_path / "second.nc")
+    assert read_tree(tmp_path / "second.nc").attrs["seed"] == 2
 
 
 def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:

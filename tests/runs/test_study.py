@@ -233,10 +233,34 @@ def test_rows_and_study_files_that_cannot_be_used_are_refused(folder):
 def test_a_bug_in_a_case_names_it_and_keeps_the_others(folder, capsys):
     (folder / "study.py").write_text(STUDY.replace("raise UserError", "raise KeyError"))
     config = configure(folder, {"a": "draws = 3\nrefuse = 5"}, workers=1)
-    assert cli.status(["run", str(config)]) == cli.FAILED
-    assert 'In case 5 of row "a".' in capsys.readouterr().err
+    assert cli.status(["run", str(config)]) == cli.WRONG
+    told = capsys.readouterr().err
+    assert f"{folder / 'study.py'}, line " in told
+    assert 'failed in case 5 of row "a". Found: KeyError' in told
     entries = list((folder / ".out.unfinished").iterdir())
     assert len(entries) == 1 + 5  # the row's definition, and the other cases
+
+
+@pytest.mark.parametrize("ending", ["raise SystemExit(0)", "return ends()", "os._exit(0)"])
+def test_a_case_that_ends_its_process_is_an_error_of_the_file(folder, capsys, ending):
+    ends = "import os\n\n\ndef ends():\n    return ends()\n"
+    text = STUDY.replace('raise UserError("This case is refused.")', ending)
+    (folder / "study.py").write_text(text + ends)
+    config = configure(folder, {"a": "draws = 3\nrefuse = 5"}, workers=1)
+    assert cli.status(["run", str(config)]) == cli.WRONG
+    told = capsys.readouterr().err
+    assert str(folder / "study.py") in told
+    assert "Traceback" not in told
+
+
+@pytest.mark.parametrize("function", ["count", "summarise", "figure"])
+def test_any_function_that_fails_is_an_error_of_the_file(folder, capsys, function):
+    failing = f"\n\ndef {function}(*arguments):\n    raise SystemExit(0)\n"
+    (folder / "study.py").write_text(STUDY + failing)
+    assert cli.status(["run", str(configure(folder))]) == cli.WRONG
+    told = capsys.readouterr().err
+    assert f"failed in {function}" in told
+    assert ("The result is stored" in told) is (function == "figure")
 
 
 def drawing(folder: Path) -> str:

@@ -21,7 +21,8 @@ from bayesbl.presentation.figures.answer_picture import answer_picture
 from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
 from bayesbl.presentation.subjects import blocks, subject_of, summary_of
 from bayesbl.results.folder import FIGURES
-from bayesbl.results.store import read_tree, write_text
+from bayesbl.results.store import write_text
+from bayesbl.runs.declared_groups import read_result
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import SnapshotSummary
@@ -66,7 +67,7 @@ def write_page(result: str | Path, draw: Draw) -> Path:
         If there is no readable, finished result.
     """
     result = Path(result)
-    tree = read_tree(result)
+    tree = read_result(result)
     folder = result if result.is_dir() else result.parent
     path = folder / PAGE_FILE
     write_text(page(tree, _pictures(tree, folder / FIGURES, draw)), path)
