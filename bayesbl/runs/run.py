@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
+from bayesbl.config.files import require_text_names
 from bayesbl.config.loading import config_from_options, inputs_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
@@ -90,7 +91,9 @@ def run(
         If the folder may not be written, or anything in the configuration cannot be used.
     """
     output, workflow = config.run.output, _workflow(config.kind)
-    require_apart([output], [*inputs_of(config), *([] if file is None else [file])])
+    inputs = [*inputs_of(config), *([] if file is None else [file])]
+    require_text_names([output, *inputs])
+    require_apart([output], inputs)
     if os.path.lexists(output):
         # The user who must give way to what is in the folder first hears of every other mistake.
         plan = Plan()
