@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -36,6 +36,23 @@ def load_file(path: Path, model: type[_Model]) -> _Model:
         return model.model_validate(tables, context={BASE_DIRECTORY: path.absolute().parent})
     except ValidationError as error:
         raise config_error(problems_of(error, model, text), path) from None
+
+
+def require_text_names(paths: Iterable[Path]) -> None:
+    """Refuse names whose bytes are no text: configurations and results could not hold them.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file.
+    """
+    for path in paths:
+        if str(path) != str(path).encode(errors="replace").decode():
+            raise ConfigError(
+                "The name of this file is not UTF-8, and cannot be written into a configuration.",
+                file=path,
+                expected="the file under another name",
+            )
 
 
 def read_toml(

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from bayesbl.errors import ResultError
+from bayesbl.errors import ResultError, shortened
 
 
 def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -18,9 +18,10 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     Raises
     ------
     ResultError
-        Naming the output.
+        Naming the output, also if nothing can have its name.
     """
     for output in outputs:
+        _require_possible(output)
         for path in inputs:
             if any(_same(output, place) for place in _places(path)):
                 raise ResultError(
@@ -58,6 +59,20 @@ def require_inside(folder: Path, name: str) -> Path:
             expected="a path inside the folder, or an absolute path",
         )
     return path
+
+
+def _require_possible(output: Path) -> None:
+    try:
+        os.lstat(output)
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # as it should be, or for whoever makes the folder to refuse
+    except (OSError, ValueError) as error:
+        raise ResultError(
+            "Nothing can be written here.",
+            file=shortened(str(output), 200),
+            found=getattr(error, "strerror", None) or str(error),
+            expected="a place that can be written to",
+        ) from None
 
 
 def _places(path: Path) -> set[Path]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayesbl.config.fields import name_of, names_of
+from bayesbl.config.files import require_text_names
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
 from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
@@ -39,6 +40,7 @@ def start_config(
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{name_of(first.stem)}.toml")
+    require_text_names([Path(file) for file in recordings])
     require_apart([path], [Path(file) for file in recordings])
     if path.suffix.lower() in formats():
         raise ConfigError(

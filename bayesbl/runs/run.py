@@ -9,10 +9,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
+from bayesbl.config.files import require_text_names
 from bayesbl.config.loading import config_from_options, inputs_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.input_bytes import read_input
+from bayesbl.results.folder import CONFIG_FILE
 from bayesbl.results.inputs import require_apart
 from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
 
@@ -88,8 +90,13 @@ def run(
     UserError
         If the folder may not be written, or anything in the configuration cannot be used.
     """
-    workflow = _workflow(config.kind)
-    require_apart([config.run.output], [*inputs_of(config), *([] if file is None else [file])])
+    output, workflow = config.run.output, _workflow(config.kind)
+    # The configuration that a result holds is written again as it is, so it may be run again.
+    inputs = [*inputs_of(config)]
+    if file is not None and Path(file).resolve() != (output / CONFIG_FILE).resolve():
+        inputs.append(Path(file))
+    require_text_names([output, *inputs])
+    require_apart([output], inputs)
     plan = Plan()
     workflow.describe(config, plan)
     plan.require_sound()

@@ -210,6 +210,8 @@ def named(name: str) -> Callable[[Path, np.random.Generator], Trial]:
         ]
 
         def judge(ended: Sequence[Ended]) -> Iterator[Finding]:
+            if name != name.encode(errors="replace").decode():
+                return  # no configuration can hold it: refused
             for step, told in zip(steps, ended, strict=True):
                 if told.status not in (DONE, WITHHELD):
                     yield OTHER, f"{step[0]}: refused: {told.err.strip()[:200]}"

@@ -261,6 +261,10 @@ def run_case(prepare: Prepare, place: Path, rng: np.random.Generator) -> list[Fi
     before = snapshot(place)
     _set_limits()
     if trial.unprivileged and os.geteuid() == 0:
+        # numba looks for a place for its cache on import; nobody's is cold: half a minute.
+        import bayesbl.runs.measure
+        import bayesbl.runs.simulate  # noqa: F401
+
         give_to_nobody(place, *place.rglob("*"))
         give_up_root()
     findings: list[Finding] = []
