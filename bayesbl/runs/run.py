@@ -90,13 +90,8 @@ def run(
     UserError
         If the folder may not be written, or anything in the configuration cannot be used.
     """
-    output, workflow = config.run.output, _workflow(config.kind)
-    # The configuration that a result holds is written again as it is, so it may be run again.
-    inputs = [*inputs_of(config)]
-    if file is not None and Path(file).resolve() != (output / CONFIG_FILE).resolve():
-        inputs.append(Path(file))
-    require_text_names([output, *inputs])
-    require_apart([output], inputs)
+    _require_output_apart(config, file)
+    workflow = _workflow(config.kind)
     plan = Plan()
     workflow.describe(config, plan)
     plan.require_sound()
@@ -120,8 +115,19 @@ def check(path: str | Path) -> Plan:
         return plan
     config = load_run(path)
     plan.lines.append(("seed", str(config.run.seed)))
+    plan.add("output", lambda: _require_output_apart(config, path))
     _workflow(kind).describe(config, plan)
     return plan
+
+
+def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
+    """The output folder is none of the inputs, nor holds one."""
+    output, inputs = config.run.output, [*inputs_of(config)]
+    # The configuration that a result holds is written again as it is, so it may be run again.
+    if file is not None and Path(file).resolve() != (output / CONFIG_FILE).resolve():
+        inputs.append(Path(file))
+    require_text_names([output, *inputs])
+    require_apart([output], inputs)
 
 
 def _workflow(kind: str) -> Workflow:
