@@ -203,7 +203,8 @@ def _units(
     if MOTOR_POSITION in values:
         good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
         seconds, angle = factor * values[TIME][good], values[MOTOR_POSITION][good]
-        rate = abs(angle[-1] - angle[0]) / (seconds[-1] - seconds[0])
+        lasted = seconds[-1] - seconds[0] if seconds.size else 0.0
+        rate = abs(angle[-1] - angle[0]) / lasted if lasted else 0.0  # time may stand still
         pair = _agreeing(chosen, speed, float(rate), MOTOR_POSITION, RPM_PER_RAD_PER_S)
         if pair:
             found |= {channel: (unit, "speed and position then agree") for channel, unit in pair}
