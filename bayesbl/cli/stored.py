@@ -28,7 +28,7 @@ def figures_command(
     from bayesbl.runs.declared_groups import read_result
 
     tree = read_result(result)
-    folder = (result if result.is_dir() else result.parent) / FIGURES
+    folder = (result if os.path.isdir(result) else result.parent) / FIGURES
     for path in _draw_in_place(tree, folder, study):
         say(str(path))
 

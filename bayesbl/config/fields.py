@@ -82,7 +82,7 @@ def _curve_source(value: object, info: ValidationInfo) -> Path | str:
 
 def _result_file(value: object, info: ValidationInfo) -> Path:
     path = _output_path(value, info)
-    return _input_path(path / RESULT_FILE if path.is_dir() else path, info)
+    return _input_path(path / RESULT_FILE if os.path.isdir(path) else path, info)
 
 
 def as_tuple(value: object) -> object:

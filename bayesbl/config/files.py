@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Mapping
@@ -72,7 +73,7 @@ def read_toml(
     ConfigError
         If there is no such file, or it is not TOML.
     """
-    if path.suffix.lower() in formats() and path.is_file():
+    if path.suffix.lower() in formats() and os.path.isfile(path):
         raise ConfigError(
             "This is a recording, or not a configuration at all.",
             file=path,

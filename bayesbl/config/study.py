@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from typing import Annotated, Any, Literal
 
@@ -22,7 +23,7 @@ def _resolve_row(row: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
 
 
 def _names_file(text: str, info: ValidationInfo) -> bool:
-    return "\0" not in text and len(text) < 1024 and resolve(text, info).is_file()
+    return os.path.isfile(resolve(text, info))
 
 
 def _scheduler(address: str) -> str:

@@ -27,7 +27,7 @@ _REPLACED = ".replaced"
 
 def is_finished(path: str | Path) -> bool:
     """Whether a folder holds a result; as folders appear whole, its files are proof enough."""
-    return any((Path(path) / name).is_file() for name in (SUMMARY_FILE, RESULT_FILE))
+    return any(os.path.isfile(Path(path) / name) for name in (SUMMARY_FILE, RESULT_FILE))
 
 
 def require_free(path: str | Path, *, force: bool = False, also: Collection[str] = ()) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -73,8 +74,8 @@ def read_tree(path: str | Path) -> xr.DataTree:
         unfinished.
     """
     path = Path(path)
-    file = path / RESULT_FILE if path.is_dir() else path
-    if not file.is_file():
+    file = path / RESULT_FILE if os.path.isdir(path) else path
+    if not os.path.isfile(file):
         raise ResultError(
             "There is no such result." + did_you_mean_file(file),
             file=file,

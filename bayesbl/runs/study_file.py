@@ -33,6 +33,7 @@ import ast
 import hashlib
 import importlib.util
 import json
+import os
 import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
@@ -237,7 +238,7 @@ def _content(value: Any) -> Any:
 
 
 def _is_file(value: Any) -> bool:
-    return isinstance(value, str) and len(value) < 1024 and Path(value).is_file()
+    return isinstance(value, str) and os.path.isfile(value)
 
 
 def _names(node: ast.stmt) -> set[str]:

@@ -29,7 +29,13 @@ def posterior(parameter: FloatArray, slope: float, rng: np.random.Generator) -> 
 
 @pytest.mark.parametrize(
     ("shape", "slope", "withheld"),
-    [("flat", 3.0, False), ("inside", 3.0, False), ("edge", 0.0, False), ("edge", 3.0, True)],
+    [
+        ("flat", 3.0, False),
+        ("inside", 3.0, False),
+        ("peak at the edge", 3.0, False),
+        ("pressed", 0.0, False),
+        ("pressed", 3.0, True),
+    ],
 )
 def test_a_gap_is_withheld_where_a_tolerance_decides_it(
     shape: str, slope: float, withheld: bool
@@ -38,7 +44,8 @@ def test_a_gap_is_withheld_where_a_tolerance_decides_it(
     parameter = {
         "flat": rng.uniform(HALF.low, HALF.high, SHAPE),
         "inside": rng.normal(1.0, 0.02, SHAPE),
-        "edge": HALF.high - rng.exponential(0.02, SHAPE),
+        "peak at the edge": HALF.high - np.abs(rng.normal(0.0, 0.02, SHAPE)),
+        "pressed": HALF.high - rng.exponential(0.02, SHAPE),
     }[shape]
     why = posterior(parameter, slope, rng).beyond_tolerance("one", 0.9)
     assert (why is not None) is withheld

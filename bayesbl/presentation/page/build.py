@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -68,7 +69,7 @@ def write_page(result: str | Path, draw: Draw) -> Path:
     """
     result = Path(result)
     tree = read_result(result)
-    folder = result if result.is_dir() else result.parent
+    folder = result if os.path.isdir(result) else result.parent
     path = folder / PAGE_FILE
     write_text(page(tree, _pictures(tree, folder / FIGURES, draw)), path)
     return path
