@@ -37,7 +37,7 @@ def draw_calibration(
     Parameters
     ----------
     table
-        The study's lines, as :func:`bayesbl.presentation.calibration.calibration_line` makes them.
+        The study's lines, as :func:`bayesbl.sampling.calibration_table.calibration_line` makes them.
     cases
         By row; ``NAME_rank`` of each truth.
     names
