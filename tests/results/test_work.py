@@ -166,4 +166,5 @@ def test_file_system_without_locks_can_be_written_to(
 
     monkeypatch.setattr("fcntl.flock", refuse)
     with WorkStore.beside(tmp_path / "out") as work:
-        assert work.folder is not None and work.folder.is_dir()
+        assert work.folder is not None
+        assert work.folder.is_dir()
