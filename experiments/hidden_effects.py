@@ -396,7 +396,7 @@ def _signature(found: Findings, hidden: Hidden) -> tuple[float, float]:
     nominal, own = found.naming.nominal, _own_fit(found, hidden)
     if own is None:
         return math.nan, math.nan
-    others = [e for e in found.naming.ranking if e.names != own.names]
+    others = [e for e in found.naming.alone if e.names != own.names]
     gain = max(0.0, nominal.fit.chi_square - own.fit.chi_square)
     return math.sqrt(gain), min((distance(own, other) for other in others), default=math.nan)
 
@@ -404,7 +404,7 @@ def _signature(found: Findings, hidden: Hidden) -> tuple[float, float]:
 def _own_fit(found: Findings, hidden: Hidden) -> Explanation | None:
     """The truth's fit; made here if the diagnosis saw no order to begin with."""
     nominal, name = found.naming.nominal, hidden.names[0]
-    for explanation in found.naming.ranking:
+    for explanation in found.naming.alone:
         if explanation.names == (name,):
             return explanation
     order = TYPICAL[name].get("order", 1.0)

@@ -127,10 +127,13 @@ def _name(name: str) -> str:
 def names_of(files: Sequence[str | Path]) -> list[str]:
     """A different name for each file, made from what it is called."""
     names = [name_of(Path(file).stem) for file in files]
-    return [
-        name if names.count(name) == 1 else f"{name[: LONGEST_NAME - 4]}-{number}"
-        for number, name in enumerate(names, start=1)
+    numbered = [f"{name[: LONGEST_NAME - 4]}-{n}" for n, name in enumerate(names, start=1)]
+    mixed = [
+        name if names.count(name) == 1 else other
+        for name, other in zip(names, numbered, strict=True)
     ]
+    # A file may be called as another is numbered; numbers for all are always different.
+    return mixed if len(set(mixed)) == len(mixed) else numbered
 
 
 def name_of(stem: str) -> str:

@@ -111,7 +111,7 @@ def config_from_options(
     Parameters
     ----------
     kind
-        ``"fit"`` or ``"compare"``.
+        That of ``config``; ``"fit"`` or ``"compare"`` where there are ``recordings``.
     recordings
         Files relative to the working directory; they replace those of ``config``.
     config

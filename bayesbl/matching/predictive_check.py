@@ -22,7 +22,7 @@ BANDS = (0, 8, 32, 128, 512)
 
 
 @dataclass(frozen=True, slots=True)
-class Disagreement:
+class RepeatingPower:
     """What repeats in one channel of one recording, in one band of load orders.
 
     Attributes
@@ -41,19 +41,19 @@ class Disagreement:
     probability: float
 
 
-def disagreements(fit: SimulatedFit) -> list[Disagreement]:
+def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     """One entry for each recording, channel and band."""
     found = []
     parts = fit.model.by_recording(fit.residual)
     for seen, part in zip(fit.model.recordings, parts, strict=True):
         for channel, row in zip(seen.channels, part, strict=True):
             found += [
-                Disagreement(seen.name, channel, *entry) for entry in _repeating(row, seen.lag)
+                RepeatingPower(seen.name, channel, *entry) for entry in _repeating(row, seen.lag)
             ]
     return found
 
 
-def agrees(found: list[Disagreement], false_alarm: float = 0.01) -> bool:
+def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
     """Whether no entry stands out, at a family-wise false-alarm rate (Bonferroni)."""
     return all(entry.probability * len(found) > false_alarm for entry in found)
 

@@ -16,7 +16,7 @@ import xarray as xr
 from bayesbl.bench.effects import EFFECT_BY_NAME
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.predictive_check import Disagreement
+from bayesbl.matching.predictive_check import RepeatingPower
 from bayesbl.matching.signals import GAP as GAP_UNKNOWN
 from bayesbl.matching.signals import Unknown
 from bayesbl.measurement import shared_groups as shared
@@ -172,7 +172,7 @@ def direct_groups(
     posterior: DirectPosterior,
     recording: Recording,
     index: int,
-    check: Sequence[Disagreement],
+    check: Sequence[RepeatingPower],
     beside: ByAmplitude,
 ) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension.
@@ -269,7 +269,7 @@ def _noise(posterior: DirectPosterior, index: int) -> xr.Dataset:
     )
 
 
-def _check(check: Sequence[Disagreement]) -> xr.Dataset:
+def _check(check: Sequence[RepeatingPower]) -> xr.Dataset:
     """Ratio and probability by channel and band; see :mod:`bayesbl.matching.predictive_check`."""
     channels = list(dict.fromkeys(entry.channel for entry in check))
     orders = list(dict.fromkeys(entry.highest_order for entry in check))

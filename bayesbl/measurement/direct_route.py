@@ -18,7 +18,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, ConfigError, UserError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
-from bayesbl.matching.predictive_check import Disagreement, agrees, disagreements
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
     Observed,
@@ -54,14 +54,14 @@ class DirectMatch:
     """A joint posterior with the predictive check of its optimum."""
 
     posterior: DirectPosterior
-    check: tuple[Disagreement, ...]
+    check: tuple[RepeatingPower, ...]
 
     @property
     def shares_unknowns(self) -> bool:
         """Whether anything unknown belongs to all recordings."""
         return any(u.recording is None for u in self.posterior.fit.model.unknowns)
 
-    def repeating(self, recording: str) -> list[Disagreement]:
+    def repeating(self, recording: str) -> list[RepeatingPower]:
         """Entries that noise does not explain and that touch the answer of one recording.
 
         Through shared unknowns a misfit in one recording moves the gap of all.
@@ -297,7 +297,7 @@ def direct_verdict(
     return Verdict(outcome, (*reasons, *notes), reason)
 
 
-def _disagreement_in_words(entries: Sequence[Disagreement]) -> str:
+def _disagreement_in_words(entries: Sequence[RepeatingPower]) -> str:
     worst = max(entries, key=lambda entry: entry.ratio)
     others = sorted({f"{e.channel} of {e.recording}" for e in entries})
     which = f"up to load order {worst.highest_order}" if worst.highest_order else "in the mean"

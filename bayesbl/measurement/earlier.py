@@ -21,7 +21,7 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
     Raises
     ------
     ResultError
-        If the result cannot be read, or is of another kind.
+        If the result cannot be read, or is of another kind or route.
     """
     tree = read_tree(path)
     kind = tree.attrs.get("kind")
@@ -31,6 +31,14 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
             file=path,
             found=f'kind = "{kind}"',
             expected="the result of bayesbl fit or bayesbl compare",
+        )
+    route = tree.attrs.get("route", "amplitude")
+    if route != "amplitude":
+        raise ResultError(
+            "This result holds no optimum to start from.",
+            file=path,
+            found=f'route = "{route}"',
+            expected='a result of route = "amplitude"',
         )
     require_declared(tree, [OPTIMUM], path)
     return {

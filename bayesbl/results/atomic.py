@@ -99,6 +99,8 @@ def _locked(folder: Path, output: Path) -> int | None:
         if sys.platform == "win32":
             return None
         handle = _lock(folder)
+        if handle is None and folder.exists() and _cannot_lock(folder):
+            return None
         if handle is None and folder.exists():
             raise ResultError(
                 "Another run into this output folder is under way.",
@@ -147,6 +149,23 @@ def _lock(folder: Path) -> int | None:
         os.close(handle)
         return None
     return handle
+
+
+def _cannot_lock(folder: Path) -> bool:
+    """Whether the file system has no locks, as some network ones; not whether one is held."""
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except FileNotFoundError:  # removed just now by whoever held the lock
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    finally:
+        os.close(handle)
+    return False
 
 
 def _is_still(folder: Path, handle: int) -> bool:

@@ -47,7 +47,9 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
     for place in (path, *path.parents):
         if os.path.lexists(place) and not place.is_dir():
             raise ResultError(
-                "A file stands where the output folder should be.", file=place, expected="a folder"
+                "There is a file where the output folder should be.",
+                file=place,
+                expected="a folder",
             )
     if not path.exists():
         return

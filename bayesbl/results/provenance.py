@@ -60,7 +60,7 @@ def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[s
 
 def provenance_of(config: RunConfig) -> dict[str, str | int]:
     """Attributes for the root of the result of a configuration."""
-    return provenance(dump_config(config), config.run.seed, inputs_of(config.model_dump()))
+    return provenance(dump_config(config), config.run.seed, digests_of(config.model_dump()))
 
 
 def file_sha256(path: str | Path) -> str:
@@ -68,15 +68,15 @@ def file_sha256(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def inputs_of(config: object) -> dict[str, str]:
+def digests_of(config: object) -> dict[str, str]:
     """SHA-256 of the bytes of every file that a configuration's tables name, by path."""
     match config:
         case Path() if config.is_file():
             return {str(config): file_sha256(config)}
         case Mapping():
-            return inputs_of(list(config.values()))
+            return digests_of(list(config.values()))
         case list() | tuple():
-            return {file: digest for item in config for file, digest in inputs_of(item).items()}
+            return {file: digest for item in config for file, digest in digests_of(item).items()}
     return {}
 
 

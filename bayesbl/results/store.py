@@ -181,7 +181,7 @@ def _require_unchanged(tree: xr.DataTree, file: Path) -> None:
             "This result has no checksum, so whether it is as it was written cannot be known.",
             file=file,
             found=f"no attribute {CONTENT}; version 0.1 wrote none",
-            expected="the result made again: bayesbl run config.toml, in its folder",
+            expected="the result made again: bayesbl run config.toml --force, in its folder",
         )
     if stored != content_sha256(tree):
         raise ResultError(

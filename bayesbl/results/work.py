@@ -25,7 +25,7 @@ from bayesbl.results.provenance import (
     code_sha256,
     code_versions,
     dependency_versions,
-    inputs_of,
+    digests_of,
 )
 
 T = TypeVar("T")
@@ -169,7 +169,7 @@ def problem_of(config: Mapping[str, Any]) -> Problem:
     """A configuration as nested tables, the content of the files that it names, all versions."""
     return {
         **_flat(config, ""),
-        **{f"content of {file}": f"SHA-256 {digest}" for file, digest in inputs_of(config).items()},
+        **{f"content of {file}": f"SHA-256 {sha}" for file, sha in digests_of(config).items()},
         **{f"version of {package}": version for package, version in code_versions().items()},
         "content of the package": f"SHA-256 {code_sha256()}",
     }

@@ -68,19 +68,15 @@ def run_simulate(
     config_path = Path(config_path)
     config = load_simulation(config_path)
     bench = load_bench(config.bench)
-    folder = Path(out or config.run.output or config_path.absolute().parent)
     seed = config.run.seed if seed is None else seed
     workers = config.run.workers if workers is None else workers
-    files = [require_inside(folder, entry.file) for entry in config.recordings]
-    truth = None if config.truth_file is None else require_inside(folder, config.truth_file)
-    targets = [*files, *([] if truth is None else [truth])]
-    require_apart(targets, [config_path, config.bench])
+    targets = _targets(config, config_path, out)
     _require_possible(config, bench)
     _refuse_existing(targets, force)
 
     # A generator of its own for each recording: neither order nor workers change the numbers.
-    seeds = np.random.SeedSequence(seed).spawn(len(files))
-    numbers = range(len(files))
+    seeds = np.random.SeedSequence(seed).spawn(len(config.recordings))
+    numbers = range(len(config.recordings))
     with ThreadPoolExecutor(max(1, workers)) as pool:
         recordings = list(
             pool.map(
@@ -88,7 +84,7 @@ def run_simulate(
             )
         )
     contents = [recording_csv(recording) for recording in recordings]
-    if truth is not None:
+    if config.truth_file is not None:
         contents.append(_truth(bench, seed, config.recordings, recordings, contents))
     _write_all(targets, contents)
     return targets
@@ -98,10 +94,22 @@ def describe(path: Path, plan: Plan) -> None:
     """Which recordings would be made, and on which bench."""
     config = load_simulation(path)
     plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")
+    plan.add("output", lambda: str(_targets(config, path)[0].parent))
     plan.add("size", lambda: _require_possible(config, load_bench(config.bench)))
     for entry in config.recordings:
         text = f"{entry.file}, gap {entry.gap_rad:g} rad, {entry.rotations:g} rotations"
         plan.lines.append((f"recording {entry.name}", text))
+
+
+def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = None) -> list[Path]:
+    """The files to write, the truth last; none is an input or leaves the folder unasked."""
+    folder = Path(out or config.run.output or config_path.absolute().parent)
+    names = [entry.file for entry in config.recordings]
+    if config.truth_file is not None:
+        names.append(config.truth_file)
+    targets = [require_inside(folder, name) for name in names]
+    require_apart(targets, [config_path, config.bench])
+    return targets
 
 
 def _require_possible(config: SimulateFile, bench: Bench) -> None:

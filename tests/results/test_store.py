@@ -121,7 +121,7 @@ def test_force_deletes_nothing_that_a_user_put_beside_a_result(tmp_path: Path) -
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "wear").touch()
     for path in (tmp_path / "wear", tmp_path / "wear" / "inside"):
-        with pytest.raises(ResultError, match="A file stands where"):
+        with pytest.raises(ResultError, match="There is a file where"):
             finish(path, "here", force=True)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -153,3 +155,16 @@ def test_work_without_its_problem_belongs_to_nothing(tmp_path):
         (kept.folder / "problem.json").unlink()
     with WorkStore.beside(tmp_path / "out", {"a": "1"}) as kept:
         assert kept.recall("work", 1, Work) is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks there")
+def test_file_system_without_locks_can_be_written_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with WorkStore.beside(tmp_path / "out") as work:
+        assert work.folder is not None
+        assert work.folder.is_dir()

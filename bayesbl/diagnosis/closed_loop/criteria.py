@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesbl.diagnosis.closed_loop.explain import Explanation
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import Disagreement, agrees
+from bayesbl.matching.predictive_check import RepeatingPower, agrees
 from bayesbl.recording.types import FloatArray
 
 ENOUGH_CLOSED = 0.95
@@ -37,8 +37,8 @@ def is_gross(explanation: Explanation) -> bool:
 def explains(
     nominal: Explanation,
     final: Explanation,
-    before: Sequence[Disagreement],
-    remaining: Sequence[Disagreement],
+    before: Sequence[RepeatingPower],
+    remaining: Sequence[RepeatingPower],
     false_alarm: float,
 ) -> bool:
     """Whether the best explanation found removes enough of what repeats.
@@ -63,7 +63,7 @@ def enough_closed(explanation: Explanation) -> float:
 
 
 def _remaining_share(
-    before: Sequence[Disagreement], after: Sequence[Disagreement], known: float
+    before: Sequence[RepeatingPower], after: Sequence[RepeatingPower], known: float
 ) -> float:
     """Share of the χ² that repeats beyond noise which surely remains, over mean and widest band.
 
@@ -79,7 +79,7 @@ def _remaining_share(
     return (last - BEYOND_CHANCE * math.sqrt(2.0 * degrees)) / there if there > 0.0 else 1.0
 
 
-def _degrees(entry: Disagreement) -> float:
+def _degrees(entry: RepeatingPower) -> float:
     return 2.0 * entry.highest_order if entry.highest_order else 1.0
 
 

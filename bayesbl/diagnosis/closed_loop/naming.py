@@ -75,15 +75,20 @@ class Naming:
         Before and after adding what is named; the same where nothing is.
     repeats
         Whether something repeats that nothing explains.
-    ranking
-        Candidates added alone to the nominal bench, most probable first.
+    alone
+        The nominal bench with one candidate each, most probable first.
     """
 
     nominal: Explanation
     final: Explanation
     effects: tuple[NamedCandidate, ...]
-    ranking: tuple[RankedCandidate, ...]
+    alone: tuple[Explanation, ...]
     repeats: bool
+
+    @property
+    def ranking(self) -> tuple[RankedCandidate, ...]:
+        """What each of ``alone`` gains over the nominal bench."""
+        return tuple(_ranked(self.nominal, other) for other in self.alone)
 
 
 def name_missing(
@@ -126,13 +131,13 @@ def name_missing(
     if len(final.candidates) == 2 and not search.is_done(final):
         final = _better(final, search.extended(nominal, first))
     final = search.settled(nominal, final, first)
-    ranking = tuple(_ranked(nominal, other) for other in first)
+    alone = tuple(first)
     if not final.candidates:
-        return Naming(nominal, nominal, (), ranking, not agrees(before, false_alarm))
+        return Naming(nominal, nominal, (), alone, not agrees(before, false_alarm))
     if not explains(nominal, final, before, disagreements(final.fit), false_alarm):
-        return Naming(nominal, nominal, (), ranking, True)
+        return Naming(nominal, nominal, (), alone, True)
     effects = tuple(search.named(nominal, final, first))
-    return Naming(nominal, final, effects, ranking, False)
+    return Naming(nominal, final, effects, alone, False)
 
 
 def _ranked(nominal: Explanation, other: Explanation) -> RankedCandidate:

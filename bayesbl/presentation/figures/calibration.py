@@ -37,7 +37,8 @@ def draw_calibration(
     Parameters
     ----------
     table
-        The study's lines, as :func:`bayesbl.presentation.calibration.calibration_line` makes them.
+        The study's lines, each as :func:`bayesbl.sampling.calibration_table.calibration_line`
+        makes it.
     cases
         By row; ``NAME_rank`` of each truth.
     names
