@@ -91,5 +91,9 @@ class ResultError(UserError):
     """A stored result that is missing, damaged, unfinished, or in the way."""
 
 
+class WorkerError(UserError):
+    """A worker process that died, most likely for lack of memory."""
+
+
 class ClusterError(UserError):
     """A cluster that cannot be reached, or whose workers cannot run a study."""

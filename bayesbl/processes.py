@@ -8,8 +8,11 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
+
+from bayesbl.errors import WorkerError
 
 _THREADS = (
     "OMP_NUM_THREADS",
@@ -34,6 +37,11 @@ def processes(
     ----------
     initializer
         Called with ``arguments`` in each process as it starts.
+
+    Raises
+    ------
+    WorkerError
+        If a process dies.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
@@ -45,9 +53,14 @@ def processes(
     try:
         with _single_threaded():
             yield pool
-    except BaseException:
+    except BaseException as error:
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
+        if isinstance(error, BrokenProcessPool):
+            raise WorkerError(
+                "A worker process died.",
+                expected=f"memory enough for {count} workers; fewer need less (--workers)",
+            ) from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from bayesbl.errors import ConfigError, UserError
+from bayesbl.errors import ConfigError, UserError, WorkerError
 from bayesbl.processes import processes
 from bayesbl.runs.study_file import Study, Table, error_of, load_study, seed_of_case
 
@@ -70,7 +69,7 @@ def run_in_processes(
             futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
             for future in as_completed(futures):
                 yield futures[future], future.result()
-    except BrokenProcessPool:
+    except WorkerError:
         raise ConfigError(
             "A process died that ran cases of this study.",
             file=study.path,

@@ -128,6 +128,8 @@ def run_into_folder(
             options.say("This goes on where an unfinished run was left.")
         try:
             tree = make(work)
+        except ResultError:
+            raise  # a full disk may have room the next time
         except UserError:
             work.clear()  # it would end the same way again
             raise
