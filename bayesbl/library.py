@@ -121,12 +121,7 @@ def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Pat
     ResultError
         If the result is a study's and there is no study file, or the reverse.
     """
-    if (tree.attrs["kind"] == "study") is not (study is not None):
-        raise ResultError(
-            "The figure of a study, and no other, is drawn by its study file.",
-            found=f'kind = "{tree.attrs["kind"]}"' + (f" with {study}" if study else ""),
-            expected="bayesbl figures RESULT --study FILE for a study; FILE is run",
-        )
+    require_study_file(tree, study)
     if study is not None:
         from bayesbl.runs.study import draw_study
         from bayesbl.runs.study_file import load_study
@@ -135,6 +130,23 @@ def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Pat
     from bayesbl.presentation.figures.draw import draw_all
 
     return draw_all(tree, folder)
+
+
+def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:
+    """A study file is given for the result of a study, and for no other.
+
+    Raises
+    ------
+    ResultError
+        Naming the result, where it is given, if not.
+    """
+    if (tree.attrs["kind"] == "study") is not (study is not None):
+        raise ResultError(
+            "The figure of a study, and no other, is drawn by its study file.",
+            file=result,
+            found=f'kind = "{tree.attrs["kind"]}"' + (f" with {study}" if study else ""),
+            expected="bayesbl figures RESULT --study FILE for a study; FILE is run",
+        )
 
 
 def _measure(

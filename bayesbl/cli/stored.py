@@ -23,11 +23,13 @@ def figures_command(
     ] = None,
 ) -> None:
     """Draw the figures of a result again."""
+    from bayesbl.library import require_study_file
     from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
     from bayesbl.runs.declared_groups import read_result
 
     tree = read_result(result)
+    require_study_file(tree, study, result)
     folder = (result if os.path.isdir(result) else result.parent) / FIGURES
     for path in _draw_in_place(tree, folder, study):
         say(str(path))

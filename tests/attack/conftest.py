@@ -20,21 +20,6 @@ CHEAP = ("fit", "sweep", "study")
 """Results that are made in a few seconds each."""
 
 
-FAILING = Path(__file__).with_name("failing.txt")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what fails today, by the lines of ``failing.txt``."""
-    lines = FAILING.read_text(encoding="utf-8").splitlines()
-    reasons = {
-        test: f"issue 16 item {item}"
-        for item, _, test in (line.partition(": ") for line in lines if line[:1] != "#")
-    }
-    for test in items:
-        if test.path.parent == FAILING.parent and test.name in reasons:
-            test.add_marker(pytest.mark.xfail(strict=True, reason=reasons[test.name]))
-
-
 @pytest.fixture(scope="session")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> Originals:
     return Originals(tmp_path_factory.mktemp("originals"), CHEAP)

@@ -1,7 +1,4 @@
-"""The causes of mishandling that issue 16 lists, each by what must not happen.
-
-Those that still happen stand in ``failing.txt``, and are expected to fail until they are mended.
-"""
+"""The causes of mishandling that issue 16 lists, each by what must not happen."""
 
 from __future__ import annotations
 
