@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -124,7 +125,7 @@ def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
     """The output folder is none of the inputs, nor holds one."""
     output, inputs = config.run.output, [*inputs_of(config)]
     # The configuration that a result holds is written again as it is, so it may be run again.
-    if file is not None and Path(file).resolve() != (output / CONFIG_FILE).resolve():
+    if file is not None and os.path.realpath(file) != os.path.realpath(output / CONFIG_FILE):
         inputs.append(Path(file))
     require_text_names([output, *inputs])
     require_apart([output], inputs)
