@@ -257,7 +257,7 @@ class _Search:
     def add_late(self, found: Sequence[Candidate], beside: Explanation) -> bool:
         """Add candidates not known before that can stand beside an explanation; whether any are."""
         known = {c.key for c in self._candidates}
-        late = [c for c in found if c.key not in known and c.name not in beside.names]
+        late = [c for c in found if c.key not in known and c.label not in beside.names]
         self._candidates += tuple(late)
         if late:
             self._promises.clear()
@@ -355,7 +355,7 @@ class _Search:
         """Alternatives that look alike; larger ones that hold this one and gain nothing are not."""
         near = []
         for other in alternatives:
-            if other.candidates[-1].name == candidate.name:
+            if other.candidates[-1].label == candidate.label:
                 continue
             if distance(final, other) >= ALIKE:
                 continue
@@ -397,7 +397,7 @@ class _Search:
         """Gain that the derivatives promise, of each candidate; 0 of those that are in already."""
         if id(base) not in self._promises:
             gains = [
-                0.0 if c.name in base.names else linear_gain(base, c) for c in self._candidates
+                0.0 if c.label in base.names else linear_gain(base, c) for c in self._candidates
             ]
             self._promises[id(base)] = base, np.array(gains)
         return self._promises[id(base)][1]
