@@ -14,7 +14,7 @@ from bayesbl.runs.summary import summarise
 
 
 def data(stored: Stored) -> xr.DataTree:
-    """Draws of δ by date, of the wear's line and of the time to the limit."""
+    """Draws of δ by date, of the wear's path and of the time to the limit."""
     tree = stored.tree("wear_dates")
     kept = picked(tree, posterior=(GAP,), wear=None, diagnostics=())
     kept.attrs["answer"] = " ".join(sentences(summarise(tree)["wear"]))
@@ -26,7 +26,7 @@ def caption(tree: xr.DataTree) -> str:
     group = tree["wear"].to_dataset()
     used = int(group["used"].values.sum())
     return (
-        f"(a) The gap δ at {group['used'].size} dates with its interval, and the line through the "
+        f"(a) The gap δ at {group['used'].size} dates with its interval, and its path through the "
         f"{used} since the last repair (open: before it); recordings simulated on the virtual "
         "bench, amplitude route, one curve for all. (b) Probability that the limit is reached by a "
         f"date. {tree.attrs['answer']}"

@@ -161,14 +161,37 @@ StepSummary = TypedDict(
 """Change between neighbouring snapshots."""
 
 
-class LineSummary(TypedDict):
-    """Whether the gaps lie on a straight line in time, and which is farthest off."""
+class FallSummary(TypedDict):
+    """The surest fall of the gap between neighbouring dates, and whether it is one."""
 
-    is_straight: bool
-    probability: float
+    is_fall: bool
     snapshot: str
-    excess_rad: float
+    fall_rad: float
     standard_deviations: float
+    probability: float
+
+
+class RateInterval(Interval):
+    """An interval of a rate of wear, with its unit."""
+
+    unit: str
+
+
+class NotBefore(TypedDict):
+    """With probability ``level`` the limit is not reached before ``date`` (one-sided).
+
+    ``None`` where that is too far ahead to be computed.
+    """
+
+    date: str | None
+    level: float
+
+
+class ProbabilityBefore(TypedDict):
+    """Probability that the limit is reached by a date."""
+
+    date: str
+    probability: float
 
 
 class DateInterval(TypedDict):
@@ -184,28 +207,34 @@ class DateInterval(TypedDict):
 class WearSummary(TypedDict):
     """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
 
-    ``snapshots`` are those since the last repair. ``rate_rad_per_year`` has healing ruled out,
-    ``probability_wear`` that the gap grows has not. ``scatter_rad_per_root_year`` is irregular
-    wear, ``None`` under four snapshots; ``line`` is ``None`` under three. ``years_to_limit`` count
-    from the last snapshot; before ``limit_not_before`` the limit is not reached, one-sided.
-    ``reason`` says why all of these are ``None``.
+    ``snapshots`` are those since the last repair. ``probability_wear`` that the gap grows has not
+    ruled out healing, all that follows has. ``law`` is the posterior probability of each law of
+    wear, ``rate`` the mean since the first snapshot, ``rate_now`` that at the last one by the laws.
+    ``scatter_rad_per_root_year`` is irregular wear, ``None`` under four snapshots.
+    ``relative_sd_per_date`` is what the gap may drift, as configured, and ``drift_widens`` by what
+    factor that widens the rate. ``years_to_limit`` count from the last snapshot. ``reason`` says
+    why all of these are ``None``.
     """
 
     snapshots: list[str]
     first_date: str
     last_date: str
     level: float
-    rate_rad_per_year: Interval | None
-    rate_at_most_rad_per_year: float | None
     probability_wear: float | None
+    law: dict[str, float] | None
+    rate: RateInterval | None
+    rate_now: RateInterval | None
+    rate_at_most_rad_per_year: float | None
     scatter_rad_per_root_year: Interval | None
-    line: LineSummary | None
+    fall: FallSummary | None
+    relative_sd_per_date: float
+    drift_widens: float | None
     limit_rad: float | None
     years_to_limit: Interval | None
-    limit_date: DateInterval | None
-    limit_not_before: str | None
+    date_of_limit: DateInterval | None
+    not_before: NotBefore | None
     decide_before: str | None
-    probability_limit_before: float | None
+    probability_before: ProbabilityBefore | None
     reason: str | None
 
 

@@ -120,13 +120,13 @@ def _by_forecast(summary: Summary, last: SnapshotSummary) -> Advice | None:
     sentences = tuple(wear.sentences(found))
     if found["probability_wear"] < SURE:
         return Advice("fine", "No repair is due, and no wear is shown.", sentences)
-    if found["limit_not_before"] is None:
+    if wear.not_before(found) is None:
         return Advice("fine", "No repair is due for years.", sentences)
-    if wear.not_straight(found) and found["scatter_rad_per_root_year"] is None:
+    if wear.fallen(found):
         return Advice("watch", "Measure again before you plan a repair.", sentences)
-    passed = found["probability_limit_before"]
-    tone: Tone = "fine" if passed is None or passed <= 1.0 - SURE else "watch"
-    return Advice(tone, f"Plan the repair for {found['limit_not_before']} or before.", sentences)
+    asked = found["probability_before"]
+    tone: Tone = "fine" if asked is None or asked["probability"] <= 1.0 - SURE else "watch"
+    return Advice(tone, f"Plan the repair for {wear.not_before(found)} or before.", sentences)
 
 
 def _by_limit(summary: Summary, last: SnapshotSummary) -> Advice | None:
@@ -162,9 +162,9 @@ def _caveats(summary: Summary, last: SnapshotSummary) -> Iterator[str]:
     change, found = summary.get("change_rad"), summary.get("wear")
     if found is not None and found["reason"]:
         yield found["reason"]
-    bent = wear.not_straight(found) if wear.has_rate(summary) and found else None
-    if bent:
-        yield bent
+    fell = wear.fallen(found) if wear.has_rate(summary) and found else None
+    if fell:
+        yield fell
     if found is not None and len(found["snapshots"]) == 2:
         yield "Two snapshots cannot show whether the wear is steady: take a third."
     if found is None and change is not None and change["low"] > 0.0:

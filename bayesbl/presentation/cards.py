@@ -69,7 +69,7 @@ def _of_interval(label: str, found: Interval | None, places: int) -> Card:
 def _of_wear(summary: words.Summary) -> Iterator[Card]:
     """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
     found, last = summary["wear"], summary["snapshots"][-1]["delta_rad"]
-    change, rate = summary["change_rad"], found["rate_rad_per_year"]
+    change, rate = summary["change_rad"], found["rate"]
     places = words.common_decimals([last, change])
     yield _of_interval("Gap δ now", last, places)
     if not wear.spans_repair(summary):
@@ -77,7 +77,7 @@ def _of_wear(summary: words.Summary) -> Iterator[Card]:
     yield Card(
         "Wear", wear.median_in_mrad(rate), "mrad a year", _note(rate, words.bounds(rate, 1e3))
     )
-    if found["limit_date"] is not None:
+    if found["date_of_limit"] is not None:
         middle, dates = wear.limit_dates(found, wear.month)
         yield Card("Limit reached", middle, "", _note(rate, dates))
 

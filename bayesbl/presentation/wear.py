@@ -15,9 +15,19 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 MODEL = (
-    "Wear is taken as linear in time since the last repair, and never as healing: draws in which "
-    "the gap shrinks are not used for rate and date, which therefore are no evidence of wear."
+    "Rate and date are averages over laws of wear, each by how well it fits, and over how "
+    "irregular wear may be. No law heals: draws in which the gap shrinks are not used for them, "
+    "so neither is evidence of wear."
 )
+
+LAWS = {
+    "linear": "steady",
+    "running_in": "slowing down (running in)",
+    "power": "speeding up as a power of age",
+    "exponential": "speeding up exponentially",
+    "s_shaped": "speeding up, then levelling off",
+}
+"""The laws of :data:`bayesbl.measurement.wear_laws.LAWS` in words."""
 
 
 def blocks(summary: Summary) -> Iterator[Block]:
@@ -28,9 +38,9 @@ def blocks(summary: Summary) -> Iterator[Block]:
     if wear["reason"]:
         yield Sentence(wear["reason"], "warning", "No rate of wear")
         return
-    bent = not_straight(wear)
-    if bent:
-        yield Sentence(bent, "warning", "Warning")
+    fell = fallen(wear)
+    if fell:
+        yield Sentence(fell, "warning", "Warning")
     for sentence in sentences(wear):
         yield Sentence(sentence)
     yield _table(wear)
@@ -58,10 +68,10 @@ def headline(summary: Summary) -> str:
             f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "
             f"{words.probability(wear['probability_wear'])})."
         )
-    rate = wear["rate_rad_per_year"]
+    rate = wear["rate"]
     places = words.decimals(rate, 1e3)
     return (
-        f"The gap {now}grows by {median_in_mrad(rate)} mrad a year "
+        f"The gap {now}has grown by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
         f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})."
     )
 
@@ -95,81 +105,97 @@ def sentences(wear: Summary) -> Iterator[str]:
         f"{words.probability(wear['probability_wear'])}); with {share} probability by at most "
         f"{words.significant(rate)} mrad a year."
     )
+    yield law(wear)
     if wear["years_to_limit"] is None:
         return
     limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
     if has_passed(wear, "high"):
         yield f"The gap passed {limit} before {wear['last_date']}."
-    elif wear["limit_not_before"] == wear["last_date"]:
+    elif not_before(wear) == wear["last_date"]:
         yield (
             f"The gap may have passed {limit} before {wear['last_date']}: the probability that it "
             f"had not is below {share}."
         )
-    elif wear["limit_not_before"] is None:
+    elif not_before(wear) is None:
         yield (
             f"With {share} probability the gap does not reach {limit} within "
             f"{LONGEST_YEARS:g} years."
         )
     else:
         yield (
-            f"With {share} probability the gap does not reach {limit} before "
-            f"{wear['limit_not_before']}."
+            f"With {share} probability the gap does not reach {limit} before {not_before(wear)}."
         )
     if wear["decide_before"] is not None:
         yield (
             f"Probability that it passes {limit} by {wear['decide_before']}: "
-            f"{words.probability(wear['probability_limit_before'])}."
+            f"{words.probability(wear['probability_before']['probability'])}."
         )
 
 
-def not_straight(wear: Summary) -> str | None:
-    """That the gaps lie on no straight line, and what this means for rate and date."""
+def not_before(wear: Summary) -> str | None:
+    """The date to plan by; ``None`` where it is too far ahead to be given."""
+    found: str | None = wear["not_before"]["date"]
+    return found
+
+
+def law(wear: Summary) -> str:
+    """How probable each law of wear is, the likeliest first."""
+    ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
+    told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
+    return f"If the joint wears, its wear is: {told}."
+
+
+def fallen(wear: Summary) -> str | None:
+    """That the gap fell between two dates, which no wear explains."""
     from bayesbl.measurement.wear import FALSE_ALARM
 
-    line = wear.get("line")  # results of earlier versions have none
-    if line is None or line["is_straight"]:
+    fall = wear.get("fall")  # results of earlier versions have none
+    if fall is None or not fall["is_fall"]:
         return None
-    side = "above" if line["excess_rad"] > 0.0 else "below"
-    finding = (
-        f"The gaps do not lie on a straight line ({line['snapshot']} lies "
-        f"{words.significant(1e3 * abs(line['excess_rad']))} mrad {side} that of the others, "
-        f"{line['standard_deviations']:.1f} standard deviations; a test that errs in "
-        f"{100.0 * FALSE_ALARM:g} % of cases)"
-    )
-    if wear["scatter_rad_per_root_year"] is None:
-        return f"{finding}: do not rely on the rate or any date."
     return (
-        f"{finding}. Rate and date allow for irregular wear, but not for wear that speeds up or "
-        "for a recording that is off: look at the gaps before you rely on them."
+        f"{fall['snapshot']} lies {words.significant(1e3 * fall['fall_rad'])} mrad below the "
+        f"snapshot before it ({fall['standard_deviations']:.1f} standard deviations; a test that "
+        f"errs in {100.0 * FALSE_ALARM:g} % of cases), and wear does not heal: the joint was "
+        "repaired (repaired = true) or a recording is off. Do not rely on the rate or any date."
     )
 
 
 def notes(wear: Summary) -> Iterator[str]:
-    """The model, and what so few snapshots cannot show."""
+    """The model, what so few snapshots cannot show, and what drift was allowed for."""
     from bayesbl.measurement.wear import FEWEST_FOR_SCATTER
 
     yield MODEL
     count = len(wear["snapshots"])
     if count == 2:
         yield (
-            "Two snapshots cannot show whether wear is steady: the rate is that of the time "
-            "between them, and the forecast is only as good as the line. Take a third."
+            "Two snapshots cannot show whether wear is steady: the date is as uncertain as what "
+            "is believed of wear before measuring. Take a third."
         )
     elif count < FEWEST_FOR_SCATTER:
         yield (
             f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
-            "wear from measurement errors; none is assumed."
+            "wear from measurement errors: the date allows for as much as is believed before "
+            "measuring."
+        )
+    if wear["drift_widens"] is not None:
+        yield (
+            f"Temperature, grease and the like may move the gap by "
+            f"{100.0 * wear['relative_sd_per_date']:g} % from date to date (relative_sd_per_date): "
+            f"that makes the rate {wear['drift_widens']:.1f} times as uncertain."
         )
 
 
 def _table(wear: Summary) -> Table:
-    rate, scatter = wear["rate_rad_per_year"], wear["scatter_rad_per_root_year"]
-    rows = [_row("rate", rate, 1e3, "mrad/year")]
+    rate, scatter = wear["rate"], wear["scatter_rad_per_root_year"]
+    rows = [
+        _row(f"mean rate since {wear['first_date']}", rate, 1e3, "mrad/year"),
+        _row("rate at the last recording", wear["rate_now"], 1e3, "mrad/year"),
+    ]
     if scatter is not None:
         rows.append(_row("irregular wear", scatter, 1e3, "mrad/√year"))
     if wear["years_to_limit"] is not None and not has_passed(wear, "high"):
         rows.append(_row("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
-    if wear["limit_date"] is not None:
+    if wear["date_of_limit"] is not None:
         rows.append(("date of the limit", *limit_dates(wear, day), ""))
     kind = words.short_kind(rate)
     return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
@@ -187,8 +213,9 @@ def has_passed(wear: Summary, end: str) -> bool:
 
 def limit_dates(wear: Summary, shown: Callable[[str | None], str]) -> tuple[str, str]:
     """When the limit is reached, and between which dates; a past date is given only as past."""
+    dates = wear["date_of_limit"]
     low, middle, high = (
-        f"before {wear['last_date']}" if has_passed(wear, end) else shown(wear["limit_date"][end])
+        f"before {wear['last_date']}" if has_passed(wear, end) else shown(dates[end])
         for end in ("low", "median", "high")
     )
     return middle, low if low == high else f"{low} to {high}"
