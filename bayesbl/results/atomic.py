@@ -117,12 +117,25 @@ def _new_staging(path: Path) -> tuple[Path, int | None]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _clear_leftovers(path)
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
+        folder, handle = _locked_new(path)
         # mkdtemp keeps its folders private; a result is as readable as any folder made here.
         folder.chmod(0o777 & ~_umask())
     except OSError as error:
         raise _unwritable(path, error) from None
-    return folder, _lock(folder)
+    return folder, handle
+
+
+def _locked_new(path: Path) -> tuple[Path, int | None]:
+    """A new folder, locked before another writer of this path takes it for a leftover."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
+        handle = _lock(folder)
+        if handle is None and (sys.platform == "win32" or _cannot_lock(folder)):
+            return folder, None
+        if handle is not None and _is_still(folder, handle):
+            return folder, handle
+        if handle is not None:
+            os.close(handle)
 
 
 def _clear_leftovers(path: Path) -> None:
