@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -116,6 +117,40 @@ def test_force_deletes_nothing_that_a_user_put_beside_a_result(tmp_path: Path) -
         require_free(path, force=True)
     require_free(path, force=True, also=("notes.txt",))
     assert names(path) == ["notes.txt", "summary.json"]
+
+
+def test_force_deletes_nothing_that_a_user_put_among_the_figures(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    finish(path, "first")
+    (path / "figures").mkdir()
+    for name in ("gap.pdf", "gap.png"):
+        (path / "figures" / name).touch()
+    finish(path, "second", force=True)
+    (path / "figures").mkdir()
+    for name in ("photograph.png", "notes.txt", "more"):
+        place = path / "figures" / name
+        place.mkdir() if name == "more" else place.touch()
+        with pytest.raises(ResultError, match=f"figures/{name}"):
+            finish(path, "third", force=True)
+        place.rename(tmp_path / name)
+    assert mark_of(path) == "second"
+
+
+def test_a_new_folder_that_another_writer_clears_away_is_made_again(tmp_path, monkeypatch) -> None:
+    made = tempfile.mkdtemp
+    cleared = []
+
+    def made_and_cleared(**options: object) -> str:
+        folder = made(**options)
+        if not cleared:
+            cleared.append(folder)
+            os.rmdir(folder)
+        return folder
+
+    monkeypatch.setattr(tempfile, "mkdtemp", made_and_cleared)
+    finish(tmp_path / "wear", "here")
+    assert cleared
+    assert mark_of(tmp_path / "wear") == "here"
 
 
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
