@@ -29,6 +29,7 @@ def summarise_amplitude(stored: StoredSnapshot) -> SnapshotSummary:
         "budget": stored.budget,
         "diagnostics": stored.diagnostics,
         "reason": stored.reason,
+        "model_check": stored.model_check,
     }
     start = str(optimum["start"].item()) if "start" in optimum else ""
     if start:

@@ -35,15 +35,20 @@ from bayesbl.measurement.direct_groups import GROUPS, ByAmplitude, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.fits import FitJob, gaps_of_fits
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.model_check import (
+    against_the_bench,
+    check_of_comparison,
+    check_of_snapshot,
+    undecided_change,
+    undecided_gap,
+)
 from bayesbl.measurement.task import StageProgress, Task, curve_of, estimator_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
-from bayesbl.recording.types import MOTOR_CURRENT, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 from bayesbl.ringing.estimator import Fit
 from bayesbl.sampling.chains import SamplerSettings
-
-FALSE_ALARM = 0.01
-"""Of the predictive check, over all channels and bands of a run."""
 
 GEAR_RATIOS_APART = 0.01
 """Largest relative difference between the joint's gear ratio and its bench's."""
@@ -51,10 +56,18 @@ GEAR_RATIOS_APART = 0.01
 
 @dataclass(frozen=True, slots=True)
 class DirectMatch:
-    """A joint posterior with the predictive check of its optimum."""
+    """A joint posterior with the predictive check of its optimum, and what changed in the joint."""
 
     posterior: DirectPosterior
     check: tuple[RepeatingPower, ...]
+    joint: JointFindings
+
+    @property
+    def change_rad(self) -> FloatArray:
+        """Draws of the change of δ from the first recording to the last, shape (chain, draw)."""
+        names = [seen.name for seen in self.posterior.fit.model.recordings]
+        first, last = (self.posterior.values(GAP, name) for name in (names[0], names[-1]))
+        return last - first
 
     @property
     def shares_unknowns(self) -> bool:
@@ -127,6 +140,7 @@ class DirectMeasurer:
             DirectMatch,
         )
         beside = self._by_amplitude(task)
+        level = self.config.interval.level
         return Measurement(
             "direct",
             [
@@ -135,6 +149,8 @@ class DirectMeasurer:
             ],
             self.curve,
             attributes={"bench": self.bench.fingerprint()},
+            same_joint=check_of_comparison(found.joint, found.change_rad, level),
+            change_reason=undecided_change(found.joint, found.change_rad, level),
         )
 
     def _snapshot(
@@ -145,14 +161,10 @@ class DirectMeasurer:
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(
-                found,
-                posterior.fit.model.recordings[index],
-                recording.notes,
-                self.config.interval.level,
-            ),
+            direct_verdict(found, index, recording.notes, self.config.interval.level),
             direct_groups(posterior, recording, index, check, beside),
             {"amplitude_route": beside.reason},
+            check_of_snapshot(found.joint, recording.name),
         )
 
     def _by_amplitude(self, task: Task) -> list[ByAmplitude]:
@@ -259,35 +271,41 @@ def fit_directly(
     *,
     corrected: bool = True,
 ) -> DirectMatch:
-    """Optimum, predictive check and posterior of all recordings together.
+    """Optimum, posterior of all recordings together, and whether one joint made them.
+
+    What changed in the joint between the recordings is freed where it is found.
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad)
-    fit = fit_aligned(bench, recordings, unknowns, workers)
+    fit, joint = find_changes(fit_aligned(bench, recordings, unknowns, workers))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)
     posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
-    return DirectMatch(posterior, tuple(disagreements(fit)))
+    return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 
 
 def direct_verdict(
-    found: DirectMatch, recording: Observed, notes: Sequence[str] = (), level: float = 0.9
+    found: DirectMatch, index: int, notes: Sequence[str] = (), level: float = 0.9
 ) -> Verdict:
     """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
-    ``notes``: what was done to the recording; ``level``: of the interval.
+    ``index``: of its recording; ``notes``: what was done to it; ``level``: of the interval.
     """
     diagnostics = found.posterior.diagnostics
     outcome, reasons = diagnostics.outcome, list(diagnostics.reasons)
+    recording = found.posterior.fit.model.recordings[index]
+    gap = found.posterior.values(GAP, recording.name)
     repeating = found.repeating(recording.name)
-    if repeating:
+    against = [
+        found.posterior.beyond_tolerance(recording.name, level),
+        _disagreement_in_words(repeating) if repeating else None,
+        against_the_bench(found.joint),
+        undecided_gap(found.joint, index, gap, level),
+    ]
+    if any(against):
         outcome = "withheld"
-        reasons.insert(0, _disagreement_in_words(repeating))
-    beyond = found.posterior.beyond_tolerance(recording.name, level)
-    if beyond:
-        outcome = "withheld"
-        reasons.insert(0, beyond)
+        reasons = [*filter(None, against), *reasons]
     reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:
         reasons.append(

@@ -43,6 +43,7 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
             "surrogate_refits": int(stored.number("diagnostics", "refits")),
         },
         "reason": stored.reason,
+        "model_check": stored.model_check,
     }
 
 

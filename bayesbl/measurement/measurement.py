@@ -10,6 +10,7 @@ import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import SnapshotSummary
 from bayesbl.measurement.task import Task
@@ -31,6 +32,8 @@ class Snapshot:
         What is stored of it, by name of the group.
     group_reasons
         Group to why what it holds is no answer, or ``None``; stored as its attribute ``reasons``.
+    model_check
+        The recording against what the bench predicts at its gap.
     """
 
     name: str
@@ -38,6 +41,7 @@ class Snapshot:
     verdict: Verdict
     groups: Mapping[str, xr.Dataset]
     group_reasons: Mapping[str, str | None] = field(default_factory=dict)
+    model_check: JointCheck = NOTHING_COMPARED
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,10 @@ class Measurement:
         Beside those of the recordings.
     attributes
         Of the route, stored at the root of the result.
+    same_joint
+        The snapshots against one another.
+    change_reason
+        Why the change between them is withheld, where its gaps are not; ``None`` where it is not.
     """
 
     route: str
@@ -63,10 +71,14 @@ class Measurement:
     curve: GapCurve
     warnings: Sequence[str] = ()
     attributes: Mapping[str, str] = field(default_factory=dict)
+    same_joint: JointCheck = NOTHING_COMPARED
+    change_reason: str | None = None
 
     @property
     def outcome(self) -> Outcome:
-        """The worst of its snapshots' outcomes."""
+        """The worst of its snapshots' outcomes; withheld where the change alone is."""
+        if self.change_reason is not None:
+            return "withheld"
         ordered: list[Outcome] = ["converged", "usable", "withheld"]
         return max((s.verdict.outcome for s in self.snapshots), key=ordered.index)
 
@@ -77,10 +89,11 @@ class Measurement:
         for snapshot in self.snapshots:
             if snapshot.verdict.reason:
                 names.setdefault(snapshot.verdict.reason, []).append(snapshot.name)
-        return " ".join(
+        sentences = [
             reason if len(who) == len(self.snapshots) else f"{', '.join(who)}: {reason}"
             for reason, who in names.items()
-        )
+        ]
+        return " ".join([*sentences, *filter(None, [self.change_reason])])
 
 
 class Measurer(Protocol):

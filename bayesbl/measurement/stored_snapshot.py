@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from bayesbl.measurement.summary_types import DiagnosticsSummary
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, as_stored
+from bayesbl.measurement.summary_types import DiagnosticsSummary, JointCheckSummary
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, IntervalKind, interval
@@ -35,6 +36,8 @@ class StoredSnapshot:
         Name of the gap curve.
     limit_rad
         Gap at which the joint is to be repaired, if given.
+    model_check
+        The recording against what the bench predicts.
     """
 
     name: str
@@ -45,6 +48,7 @@ class StoredSnapshot:
     level: float
     interval_kind: IntervalKind
     limit_rad: float | None
+    model_check: JointCheckSummary
 
     def interval(self, group: str, variable: str) -> Interval:
         """Interval of stored draws, at the level and of the kind of the result."""
@@ -139,6 +143,7 @@ def _snapshot(
     tree: xr.DataTree, name: str, key: str, groups: Mapping[str, xr.Dataset]
 ) -> StoredSnapshot:
     verdict = json.loads(tree["diagnostics"].attrs["verdicts"])[key]
+    checks = json.loads(tree["diagnostics"].attrs.get("model_checks", "{}"))
     reasons = {
         group: json.loads(data.attrs["reasons"])[key]
         for group, data in groups.items()
@@ -155,4 +160,6 @@ def _snapshot(
         float(tree.attrs["interval_level"]),
         tree.attrs["interval_kind"],
         None if limit is None else float(limit),
+        # Version 0.2 had no check.
+        checks.get(key) or as_stored(NOTHING_COMPARED),
     )

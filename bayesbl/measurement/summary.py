@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.dated_wear import summarise_wear
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, as_stored
 from bayesbl.measurement.routes import route_of_result
 from bayesbl.measurement.stored_snapshot import StoredSnapshot, stored_snapshots
 from bayesbl.measurement.summary_types import (
     ComparisonSummary,
     FitSummary,
+    JointCheckSummary,
     SnapshotSummary,
     StepSummary,
 )
@@ -35,7 +39,8 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
     stored = stored_snapshots(tree)
     change = tree["change"].to_dataset()
     names = [snapshot.name for snapshot in stored]
-    total = _step(change["change_rad"].values, stored[0], stored[-1])
+    given = not change.attrs.get("reason")
+    total = _step(change["change_rad"].values, stored[0], stored[-1], given)
     return {
         "kind": "compare",
         **head(tree),
@@ -50,10 +55,11 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
         ],
         "change_rad": total["change_rad"],
         "changes": [
-            _step(change["step_change_rad"].values[i], stored[i], stored[i + 1])
+            _step(change["step_change_rad"].values[i], stored[i], stored[i + 1], given)
             for i in range(len(names) - 1)
         ],
         "probability_increase": total["probability_increase"],
+        "same_joint": _same_joint(change),
         "wear": summarise_wear(tree, names),
     }
 
@@ -66,8 +72,16 @@ def _snapshot(tree: xr.DataTree, stored: StoredSnapshot) -> SnapshotSummary:
     return result
 
 
-def _step(draws: FloatArray, first: StoredSnapshot, last: StoredSnapshot) -> StepSummary:
-    given = not (first.withheld or last.withheld)
+def _same_joint(change: xr.Dataset) -> JointCheckSummary:
+    stored = change.attrs.get("same_joint")  # version 0.2 had no check
+    found: JointCheckSummary = json.loads(stored) if stored else as_stored(NOTHING_COMPARED)
+    return found
+
+
+def _step(
+    draws: FloatArray, first: StoredSnapshot, last: StoredSnapshot, given: bool
+) -> StepSummary:
+    given = given and not (first.withheld or last.withheld)
     return {
         "from": first.name,
         "to": last.name,

@@ -58,6 +58,39 @@ class PredictiveCheckEntry(TypedDict):
     probability: float
 
 
+class CheckItemSummary(TypedDict):
+    """A quantity as measured and as expected; ``z`` is their difference in standard deviations."""
+
+    quantity: str
+    measured: float
+    expected: float
+    unit: str
+    z: float
+
+
+class BlindSpotSummary(TypedDict):
+    """A change of the joint that the check cannot see, and what it would do to δ, where known."""
+
+    change: str
+    reason: str
+    delta_error_rad: float | None
+
+
+class JointCheckSummary(TypedDict):
+    """A snapshot against its bench, or snapshots against one another.
+
+    ``could_be`` names effects or parameters of the bench that would do what was found;
+    ``sentences`` say so, one for each finding. Where nothing was compared, ``items`` is empty and
+    ``agrees`` true.
+    """
+
+    agrees: bool
+    items: list[CheckItemSummary]
+    could_be: list[str]
+    sentences: list[str]
+    blind_spots: list[BlindSpotSummary]
+
+
 class ByAmplitudeSummary(TypedDict):
     """The amplitude route's answer, beside another route's."""
 
@@ -98,6 +131,7 @@ class SnapshotSummary(_FromRinging, _FromSimulation):
     budget: dict[str, float]
     diagnostics: DiagnosticsSummary
     reason: str | None
+    model_check: JointCheckSummary
     limit_rad: NotRequired[float]
     probability_above_limit: NotRequired[float | None]
 
@@ -184,4 +218,5 @@ class ComparisonSummary(Head):
     change_rad: Interval | None
     changes: list[StepSummary]
     probability_increase: float | None
+    same_joint: JointCheckSummary
     wear: WearSummary | None

@@ -12,6 +12,7 @@ from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.change import changes
 from bayesbl.measurement.compatibility import same_files
 from bayesbl.measurement.dated_wear import wear_of
+from bayesbl.measurement.joint_check import as_stored
 from bayesbl.measurement.measurement import Measurement
 from bayesbl.measurement.shared_groups import change_group
 from bayesbl.measurement.stored_curve import curve_group
@@ -29,6 +30,8 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     if isinstance(config, CompareConfig):
         groups = stack_snapshots({s.name: s.groups for s in snapshots})
         groups["change"] = change_group(*changes({s.name: s.delta_rad for s in snapshots}))
+        groups["change"].attrs["same_joint"] = _json(as_stored(measured.same_joint))
+        groups["change"].attrs["reason"] = measured.change_reason or ""
         wear = wear_of(config, snapshots, task.seeds.wear)
         if wear is not None:
             groups["wear"] = wear
@@ -37,6 +40,8 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         keys = [ALONE]
     verdicts = {key: asdict(s.verdict) for key, s in zip(keys, snapshots, strict=True)}
     groups["diagnostics"].attrs["verdicts"] = _json(verdicts)
+    checks = {key: as_stored(s.model_check) for key, s in zip(keys, snapshots, strict=True)}
+    groups["diagnostics"].attrs["model_checks"] = _json(checks)
     for group in snapshots[0].group_reasons:
         reasons = {key: s.group_reasons[group] for key, s in zip(keys, snapshots, strict=True)}
         groups[group].attrs["reasons"] = _json(reasons)
@@ -59,5 +64,5 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     return tree
 
 
-def _json(by_snapshot: Mapping[str, object]) -> str:
-    return json.dumps(by_snapshot, ensure_ascii=False)
+def _json(content: Mapping[str, object]) -> str:
+    return json.dumps(content, ensure_ascii=False)

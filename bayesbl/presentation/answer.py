@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.presentation import direct_route, wear, words
+from bayesbl.presentation import direct_route, joint_check, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -51,6 +51,7 @@ def blocks(summary: words.Summary) -> Iterator[Block]:
             yield Sentence(direct_route.by_amplitude(name, part["amplitude_route"]), "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
+    yield from joint_check.blocks(summary)
 
 
 def lead(summary: words.Summary) -> Iterator[str]:

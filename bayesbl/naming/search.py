@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.diagnosis.closed_loop.candidates import Candidate, steady_torque
-from bayesbl.diagnosis.closed_loop.criteria import consistency, explains, is_gross
-from bayesbl.diagnosis.closed_loop.explain import (
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.naming.candidates import Candidate, steady_torque
+from bayesbl.naming.criteria import ALIKE, consistency, explains, is_gross
+from bayesbl.naming.explanation import (
     Explanation,
     distance,
     explain,
@@ -22,10 +24,7 @@ from bayesbl.diagnosis.closed_loop.explain import (
     reduced,
     refitted,
 )
-from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak, order_peaks
-from bayesbl.diagnosis.diagnosis import ALIKE, RankedCandidate
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.recording.types import FloatArray
 
 Progress = Callable[[int, int], None]
@@ -44,6 +43,15 @@ FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
 """Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class RankedCandidate:
+    """What one candidate alone gains over the bench as believed."""
+
+    candidate: str
+    chi_square_gain: float
+    log_evidence_gain: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +257,7 @@ class _Search:
     def add_late(self, found: Sequence[Candidate], beside: Explanation) -> bool:
         """Add candidates not known before that can stand beside an explanation; whether any are."""
         known = {c.key for c in self._candidates}
-        late = [c for c in found if c.key not in known and c.name not in beside.names]
+        late = [c for c in found if c.key not in known and c.label not in beside.names]
         self._candidates += tuple(late)
         if late:
             self._promises.clear()
@@ -347,7 +355,7 @@ class _Search:
         """Alternatives that look alike; larger ones that hold this one and gain nothing are not."""
         near = []
         for other in alternatives:
-            if other.candidates[-1].name == candidate.name:
+            if other.candidates[-1].label == candidate.label:
                 continue
             if distance(final, other) >= ALIKE:
                 continue
@@ -389,7 +397,7 @@ class _Search:
         """Gain that the derivatives promise, of each candidate; 0 of those that are in already."""
         if id(base) not in self._promises:
             gains = [
-                0.0 if c.name in base.names else linear_gain(base, c) for c in self._candidates
+                0.0 if c.label in base.names else linear_gain(base, c) for c in self._candidates
             ]
             self._promises[id(base)] = base, np.array(gains)
         return self._promises[id(base)][1]
