@@ -30,12 +30,29 @@ def replacing(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        If nothing can be written there.
+        If nothing can be written there, or what is there is no file.
     """
     path = Path(path)
+    require_replaceable(path)
     with staging(path) as folder:
         yield folder / path.name
         os.replace(folder / path.name, path)
+
+
+def require_replaceable(path: Path) -> None:
+    """There is a file or nothing at a place: root could replace a device, which nobody wants.
+
+    Raises
+    ------
+    ResultError
+        If there is anything else.
+    """
+    if os.path.lexists(path) and not path.is_file():
+        raise ResultError(
+            "What is here is no file, and is not replaced by one.",
+            file=path,
+            expected="a new file, or one to replace with --force",
+        )
 
 
 @contextmanager

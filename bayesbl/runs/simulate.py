@@ -19,7 +19,7 @@ from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
-from bayesbl.results.atomic import replacing
+from bayesbl.results.atomic import replacing, require_replaceable
 from bayesbl.results.inputs import require_apart, require_inside
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 
@@ -104,7 +104,7 @@ def describe(path: Path, plan: Plan) -> None:
 def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = None) -> list[Path]:
     """The files to write, the truth last; none is an input or leaves the folder unasked.
 
-    All can be written, but for those that are there already.
+    All can be written, but for files that are there already.
     """
     folder = Path(out or config.run.output or config_path.absolute().parent)
     names = [entry.file for entry in config.recordings]
@@ -112,7 +112,9 @@ def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = N
         names.append(config.truth_file)
     targets = [require_inside(folder, name) for name in names]
     require_apart(targets, [config_path, config.bench])
-    for parent in {target.absolute().parent for target in targets}:
+    for target in targets:
+        require_replaceable(target)
+    for parent in dict.fromkeys(target.absolute().parent for target in targets):
         require_writable(parent)
     return targets
 
@@ -184,7 +186,7 @@ def _of_entry(config_path: Path, number: int) -> Iterator[None]:
 
 def _refuse_existing(targets: Sequence[Path], force: bool) -> None:
     for target in targets:
-        if target.is_dir() or (target.exists() and not force):
+        if target.exists() and not force:
             raise ResultError(
                 "This file exists already.",
                 file=target,

@@ -319,9 +319,9 @@ def configured(
 
 
 def _named(kind: str) -> tuple[str, ...]:
-    """Its files, and where its output would be."""
+    """Its files, and what its output would be or replace."""
     inputs = ("before.csv", "after.csv", "bench.toml", "axis.csv", "study.py")
-    return (f"{kind}.toml", *inputs, "result/")
+    return (f"{kind}.toml", *inputs, "result/", "/dev/")
 
 
 def _own(tables: Any, name: str) -> Any:

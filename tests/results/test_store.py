@@ -160,6 +160,17 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
             finish(path, "here", force=True)
 
 
+def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "device").symlink_to("/dev/null")
+    for name in ("fifo", "folder", "loop", "device"):
+        with pytest.raises(ResultError, match="no file"):
+            write_text("text", tmp_path / name)
+    assert names(tmp_path) == ["device", "fifo", "folder", "loop"]
+
+
 def test_leftovers_of_dead_runs_are_cleared_and_those_of_living_runs_kept(tmp_path: Path) -> None:
     dead = tmp_path / ".wear.abc.staging"
     dead.mkdir()
