@@ -43,7 +43,7 @@ from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
@@ -288,7 +288,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.gap_rad, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)

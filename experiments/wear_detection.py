@@ -39,7 +39,7 @@ from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
-from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
@@ -313,7 +313,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.prior_rad, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.prior_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name) for name in SNAPSHOTS)

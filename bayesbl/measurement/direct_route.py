@@ -6,13 +6,16 @@ largely cancels in the change. The amplitude route's answer is stored beside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.bench import load_bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, ConfigError, UserError
@@ -23,6 +26,7 @@ from bayesbl.matching.signals import (
     GAP,
     Observed,
     Unknown,
+    drift_unknowns,
     effect_unknowns,
     gap_unknown,
     observed,
@@ -52,6 +56,9 @@ from bayesbl.sampling.chains import SamplerSettings
 
 GEAR_RATIOS_APART = 0.01
 """Largest relative difference between the joint's gear ratio and its bench's."""
+
+
+NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +137,7 @@ class DirectMeasurer:
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
+            drifts_of(self.config, self.bench),
             self.estimator.sampler,
             task.seeds.direct,
         )
@@ -242,21 +250,67 @@ def bench_of(config: SnapshotConfig) -> Bench:
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
-    """A recording as the simulator is compared with it, at the speed that the config gives."""
+    """A recording as the simulator is compared with it, with what the config knows of it."""
     require_alive(recording, (MOTOR_CURRENT,))
-    speeds = {entry.name: entry.reference_speed_rpm for entry in config.recordings}
-    return observed(recording, bench, speeds[recording.name])
+    entry = next(e for e in config.recordings if e.name == recording.name)
+    known = {}
+    for name, value in entry.bench.items():
+        _require_part_of(bench, name, f"[[recordings]] bench of {entry.name}")
+        known[name.replace(".", "__")] = value
+    seen = observed(recording, bench, entry.reference_speed_rpm)
+    return replace(seen, known={**seen.known, **known})
+
+
+def drifts_of(config: SnapshotConfig, bench: Bench) -> dict[str, float]:
+    """Half-width of what may drift between snapshots, by name, in each parameter's unit."""
+    found = {}
+    for name, drift in config.joint.may_drift.items():
+        _require_part_of(bench, name, "[joint] may_drift")
+        found[name] = drift.half_width(bench.value(name))
+        if found[name] == 0.0:
+            raise ConfigError(
+                "A share of zero is no drift.",
+                where=f"[joint] may_drift, {name}",
+                found="relative_tolerance, and a value of 0 in the bench",
+                expected="tolerance, in the parameter's unit",
+            )
+    return found
+
+
+def _require_part_of(bench: Bench, name: str, where: str) -> None:
+    """Refuse what is no parameter of the bench or of an effect that it has."""
+    own = {
+        f"{present.name}.{parameter.name}"
+        for present in bench.effects
+        for parameter in effect_named(present.name).amplitudes
+    }
+    if name not in own | PARAMETER_INFO.keys():
+        raise ConfigError(
+            "The bench has no such parameter.",
+            where=where,
+            found=name,
+            expected="one of "
+            + ", ".join([*PARAMETER_INFO, *sorted(own)])
+            + ", or of an effect that the bench file has",
+        )
 
 
 def direct_unknowns(
-    bench: Bench, names: Sequence[str], gap_rad: tuple[float, float]
+    bench: Bench,
+    names: Sequence[str],
+    gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float] = NO_DRIFT,
 ) -> list[Unknown]:
-    """A gap and a start angle for each recording, and what is not known of their bench."""
+    """A gap and a start angle for each recording, and what is not known of their bench.
+
+    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it.
+    """
     return [
         *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
         *(start_angle_unknown(name) for name in names),
         *effect_unknowns(bench, names),
         *tolerance_unknowns(bench),
+        *drift_unknowns(bench, may_drift, names),
     ]
 
 
@@ -264,6 +318,7 @@ def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float],
     sampler: SamplerSettings,
     seed: np.random.SeedSequence,
     workers: int = 1,
@@ -277,7 +332,7 @@ def fit_directly(
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad)
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift)
     fit, joint = find_changes(fit_aligned(bench, recordings, unknowns, workers))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)

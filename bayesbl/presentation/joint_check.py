@@ -12,6 +12,9 @@ from bayesbl.units import number
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import BlindSpotSummary, JointCheckSummary
 
+MOST_TOLD = 3
+"""Blind spots that are told; all are stored."""
+
 
 def blocks(summary: Summary) -> Iterator[Block]:
     """A warning for every finding, then what none of the checks can see."""
@@ -25,11 +28,16 @@ def blocks(summary: Summary) -> Iterator[Block]:
         for sentence in check["sentences"]:
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
-    if spots:
-        yield Sentence("; ".join(map(_in_words, spots)) + ".", "aside", "Cannot be seen here")
+    for reason in dict.fromkeys(spot["reason"] for spot in spots):
+        told = [_in_words(spot) for spot in spots if spot["reason"] == reason]
+        if len(told) > MOST_TOLD:
+            told[MOST_TOLD:] = [f"{len(told) - MOST_TOLD} more in summary.json"]
+        text = f"{'; '.join(told)} ({reason})."
+        yield Sentence(text[0].upper() + text[1:], "aside", "Would pass unseen")
 
 
 def _in_words(spot: BlindSpotSummary) -> str:
     error = spot["delta_error_rad"]
-    effect = "" if error is None else f", {number(1e3 * error, 3)} mrad of δ"
-    return f"{spot['change']} ({spot['reason']}{effect})"
+    if error is None:
+        return spot["change"]
+    return f"{spot['change']}, which would move the change of δ by {number(1e3 * error, 3)} mrad"
