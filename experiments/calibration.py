@@ -328,7 +328,7 @@ def _gap(row: Row, generator: np.random.Generator) -> float:
 def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator) -> Recording:
     """A recording of a random start angle, as it would be read in."""
     start_angle_rad = generator.uniform(0.0, 2.0 * math.pi)
-    how = {
+    how: dict[str, Any] = {
         "rotations": row.rotations,
         "sampling_hz": row.sampling_hz,
         "start_angle_rad": start_angle_rad,

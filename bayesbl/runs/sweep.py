@@ -43,6 +43,9 @@ from bayesbl.runs.workflow import (
 
 CACHE = ".sweep-cache"
 
+CACHE_BYTES = 200_000_000
+"""What finished rows may take, some ten thousand of them; the oldest go first."""
+
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
 """What simulating and fitting takes, roughly: all recordings of a row are held at once."""
 
@@ -121,6 +124,7 @@ def run_sweep(
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
+    work.keep_latest(CACHE_BYTES)
     nominal = problem.row(
         None,
         lambda: sweep_nominal(
