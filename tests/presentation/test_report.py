@@ -92,6 +92,7 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "change_rad": change,
         "changes": steps,
         "probability_increase": given_probability,
+        "wear": None,
     }
 
 
