@@ -35,20 +35,20 @@ from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.candidates import candidates
 from bayesbl.diagnosis.closed_loop.diagnosis import (
     Findings,
     ForwardSettings,
     diagnosis_of,
     search,
 )
-from bayesbl.diagnosis.closed_loop.explain import Explanation, distance, explain
-from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, observed
 from bayesbl.matching.signals import start_angle_unknown as start_angle
+from bayesbl.naming.candidates import candidates
+from bayesbl.naming.explanation import Explanation, distance, explain
+from bayesbl.naming.motor_orders import OrderPeak
 from bayesbl.sampling.chains import SamplerSettings
 
 HELD_OUT_RPM = 1600.0

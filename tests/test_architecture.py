@@ -26,6 +26,7 @@ ROOMS = (
     "sampling",
     "ringing",
     "matching",
+    "naming",
     "curve",
     "config",
     "results",

@@ -16,12 +16,10 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.naming.search import RankedCandidate
 from bayesbl.recording.types import FloatArray
 
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
-
-ALIKE = 5.0
-"""|z| between two best fits below which the recordings do not tell them apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +85,6 @@ class PieceSignals:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class RankedCandidate:
-    """What one candidate alone gains over the bench as believed."""
-
-    candidate: str
-    chi_square_gain: float
-    log_evidence_gain: float
 
 
 @dataclass(frozen=True, slots=True)

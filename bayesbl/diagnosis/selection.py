@@ -1,7 +1,7 @@
 """Effects named one by one, by evidence and by prediction of what was held out.
 
 For comparisons that are cheap least squares; the closed loop has a search of its own
-(:mod:`bayesbl.diagnosis.closed_loop.naming`).
+(:mod:`bayesbl.naming.search`).
 
 One effect at a time: every candidate is fitted beside those named already. It is believed if
 
@@ -34,7 +34,6 @@ from bayesbl.diagnosis.comparison import (
     sum_of_squares,
 )
 from bayesbl.diagnosis.diagnosis import (
-    ALIKE,
     Diagnosis,
     Estimate,
     NamedEffect,
@@ -47,6 +46,7 @@ from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.task import Progress, Task
+from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
 BETTER = 2.0

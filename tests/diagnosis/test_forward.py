@@ -22,7 +22,6 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     estimates,
     search,
 )
-from bayesbl.diagnosis.closed_loop.motor_orders import order_peaks
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis
@@ -38,6 +37,7 @@ from bayesbl.matching.signals import (
     observed,
     start_angle_unknown,
 )
+from bayesbl.naming.motor_orders import order_peaks
 from bayesbl.presentation.diagnosis import residuals_in_words
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording

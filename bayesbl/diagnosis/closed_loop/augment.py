@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.diagnosis.closed_loop.explain import Explanation
 from bayesbl.matching.signals import START_ANGLE
+from bayesbl.naming.explanation import Explanation
 
 
 def augmented_bench(explanation: Explanation) -> Bench:

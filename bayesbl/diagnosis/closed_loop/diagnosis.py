@@ -12,15 +12,6 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.candidates import candidates
-from bayesbl.diagnosis.closed_loop.criteria import enough_closed
-from bayesbl.diagnosis.closed_loop.explain import Explanation, with_noise
-from bayesbl.diagnosis.closed_loop.naming import (
-    NamedCandidate,
-    Naming,
-    Progress,
-    name_missing,
-)
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     residuals_of,
@@ -40,6 +31,15 @@ from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexpl
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, START_ANGLE, Observed, Unknown
+from bayesbl.naming.candidates import candidates
+from bayesbl.naming.criteria import enough_closed
+from bayesbl.naming.explanation import Explanation, with_noise
+from bayesbl.naming.search import (
+    NamedCandidate,
+    Naming,
+    Progress,
+    name_missing,
+)
 
 
 @dataclass(frozen=True, slots=True)

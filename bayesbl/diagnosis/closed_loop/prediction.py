@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
-from bayesbl.diagnosis.closed_loop.explain import Explanation
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated
@@ -19,6 +18,7 @@ from bayesbl.matching.signals import (
     Unknown,
     start_angle_unknown,
 )
+from bayesbl.naming.explanation import Explanation
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.recording.types import FloatArray
 

@@ -11,10 +11,10 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
-from bayesbl.diagnosis.closed_loop.explain import Explanation
-from bayesbl.diagnosis.closed_loop.naming import NamedCandidate
 from bayesbl.diagnosis.diagnosis import Suggestion
 from bayesbl.matching.signals import START_ANGLE, Observed
+from bayesbl.naming.explanation import Explanation
+from bayesbl.naming.search import NamedCandidate
 from bayesbl.recording.types import FloatArray
 
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)

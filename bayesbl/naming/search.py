@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.diagnosis.closed_loop.candidates import Candidate, steady_torque
-from bayesbl.diagnosis.closed_loop.criteria import consistency, explains, is_gross
-from bayesbl.diagnosis.closed_loop.explain import (
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.naming.candidates import Candidate, steady_torque
+from bayesbl.naming.criteria import ALIKE, consistency, explains, is_gross
+from bayesbl.naming.explanation import (
     Explanation,
     distance,
     explain,
@@ -22,10 +24,7 @@ from bayesbl.diagnosis.closed_loop.explain import (
     reduced,
     refitted,
 )
-from bayesbl.diagnosis.closed_loop.motor_orders import OrderPeak, order_peaks
-from bayesbl.diagnosis.diagnosis import ALIKE, RankedCandidate
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.recording.types import FloatArray
 
 Progress = Callable[[int, int], None]
@@ -44,6 +43,15 @@ FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
 """Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class RankedCandidate:
+    """What one candidate alone gains over the bench as believed."""
+
+    candidate: str
+    chi_square_gain: float
+    log_evidence_gain: float
 
 
 @dataclass(frozen=True, slots=True)

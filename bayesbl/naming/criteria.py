@@ -7,10 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesbl.diagnosis.closed_loop.explain import Explanation
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import RepeatingPower, agrees
+from bayesbl.naming.explanation import Explanation
 from bayesbl.recording.types import FloatArray
+
+ALIKE = 5.0
+"""|z| between two best fits below which the recordings do not tell them apart."""
 
 ENOUGH_CLOSED = 0.95
 ENOUGH_CLOSED_BY_PARAMETERS = 0.99

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from bayesbl.diagnosis.closed_loop.candidates import (
+from bayesbl.errors import BenchError
+from bayesbl.matching.alignment import aligned_starts
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.naming.candidates import (
     Candidate,
     amplitude_places,
     is_periodic,
     quadrant_phases,
     wrapped,
 )
-from bayesbl.errors import BenchError
-from bayesbl.matching.alignment import aligned_starts
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
