@@ -14,6 +14,7 @@ A row that changes nothing counts how many sound pairs are withheld.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -21,9 +22,13 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from independent_bench import Plant, plant, simulate
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
 from scipy.signal import lfilter
+
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+from independent_bench import Plant, plant, simulate
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
@@ -36,7 +41,6 @@ from bayesbl.measurement.model_check import check_of_comparison, undecided_chang
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.sampling.calibration import coverage_band
 from bayesbl.sampling.chains import SamplerSettings
 
 CALLED_AT = 0.95

@@ -14,6 +14,7 @@ without a change it is a false alarm, of which there should be at most one minus
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -32,6 +33,10 @@ from pydantic import (
     model_validator,
 )
 
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
@@ -44,7 +49,6 @@ from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.sampling.calibration import coverage_band
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayesbl.presentation.blocks import Block, Sentence
-from bayesbl.presentation.words import Summary
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import BlindSpotSummary, JointCheckSummary
+    from bayesbl.measurement.summary_types import BlindSpotSummary, MeasuredSummary
 
 MOST_TOLD = 3
 """Blind spots that are told; all are stored."""
 
 
-def blocks(summary: Summary) -> Iterator[Block]:
+def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     """A warning for every finding, then what none of the checks can see."""
-    alone: list[Any] = [summary]
-    checks: list[tuple[str, JointCheckSummary]] = [
-        (part.get("name", ""), part["model_check"]) for part in summary.get("snapshots", alone)
-    ]
-    if "same_joint" in summary:
+    if summary["kind"] == "compare":
+        checks = [(snapshot["name"], snapshot["model_check"]) for snapshot in summary["snapshots"]]
         checks.append(("", summary["same_joint"]))
+    else:
+        checks = [("", summary["model_check"])]
     for name, check in checks:
         for sentence in check["sentences"]:
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")

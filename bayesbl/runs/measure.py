@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
@@ -10,7 +11,10 @@ from bayesbl.measurement.compatibility import require_plausible_limit, same_file
 from bayesbl.measurement.routes import measure, route_of
 from bayesbl.measurement.task import curve_of, estimator_of, recording_of
 from bayesbl.recording.types import Recording
-from bayesbl.runs.workflow import Options, Plan, Summary, require_output, run_into_folder
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
 
 
 def run(config: SnapshotConfig, options: Options) -> Summary:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -35,11 +35,13 @@ from bayesbl.runs.workflow import (
     Options,
     Plan,
     Progress,
-    Summary,
     require_affordable,
     require_output,
     run_into_folder,
 )
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
 
 CACHE = ".sweep-cache"
 
