@@ -253,7 +253,7 @@ def _by_amplitude(
     for kind in wanted:
         seeds = sample_seed.spawn(len(points))
         ringing = [_ringing(p, kind, own) for p, own in zip(points, seeds, strict=True)]
-        found = gaps(curve, [r for r, _ in ringing], gap_seed)
+        found = gaps([curve] * len(ringing), [r for r, _ in ringing], gap_seed)
         withheld = any(w for _, w in ringing) or any(gap.reason is not None for gap in found)
         before, after = (gap.delta_rad.ravel() for gap in found)
         answers.append(Answer((before, after), withheld))

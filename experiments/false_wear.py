@@ -200,7 +200,7 @@ def _by_amplitude(
         centre, covariance = point.ringing
         draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
         ringing.append(MeasuredRinging(draws, centre, covariance))
-    before, after = gaps(curve, ringing, gap_seed)
+    before, after = gaps([curve, curve], ringing, gap_seed)
     outside = before.reason is not None or after.reason is not None
     return after.delta_rad - before.delta_rad, outside
 

@@ -303,7 +303,7 @@ def _by_amplitude(
         centre, covariance = point.ringing
         draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
         ringing.append(MeasuredRinging(draws, centre, covariance))
-    before, after = gaps(curve, ringing, gap_seed)
+    before, after = gaps([curve, curve], ringing, gap_seed)
     withheld = before.reason is not None or after.reason is not None
     return before.delta_rad, after.delta_rad, withheld
 

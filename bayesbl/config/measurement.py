@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from datetime import date as Date
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl.config.fields import (
-    PUBLISHED,
     CurveSource,
     InputPath,
     Positive,
@@ -114,16 +113,24 @@ class Noise(Section):
 class Estimator(Section):
     """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
 
-    ``bench`` and ``gap_rad``, the range of its log-uniform prior, belong to the direct route; the
-    rest to the amplitude route, which the direct one shows beside its own answer.
+    Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
+    the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
+    range of the direct route's log-uniform prior.
     """
 
-    route: Literal["amplitude", "direct"] = "amplitude"
+    route: Literal["auto", "amplitude", "direct"] = "amplitude"
     bench: InputPath | None = None
     gap_rad: Range = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)
     noise: Noise = Field(default_factory=Noise)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _auto_with_a_bench(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "bench" in value:
+            return {"route": "auto", **value}
+        return value
 
     @field_validator("gap_rad")
     @classmethod
@@ -134,19 +141,12 @@ class Estimator(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.route == "direct" and self.bench is None:
+        if self.route != "amplitude" and self.bench is None:
             refuse(
-                "The direct route needs a bench.",
-                found='route = "direct" without a bench',
+                "This route needs a bench.",
+                found=f'route = "{self.route}" without a bench',
                 expected='bench = "bench.toml" (--bench bench.toml)',
                 at=("route",),
-            )
-        if self.bench is not None and "route" not in self.model_fields_set:
-            refuse(
-                "A bench is given, but not the route that uses it.",
-                found=f'bench = "{self.bench}" without a route',
-                expected='route = "direct" (--route direct); for a curve, sweep the bench',
-                at=("bench",),
             )
         if self.route == "direct" and self.search.start_from is not None:
             refuse(
@@ -172,9 +172,12 @@ class Posterior(Section):
 
 
 class Curve(Section):
-    """``[curve]``: from amplitude to gap; ``published`` or the result of a sweep."""
+    """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
 
-    source: CurveSource = PUBLISHED
+    Without a source the curves are those of the estimator's bench; without a bench there is no δ.
+    """
+
+    source: CurveSource | None = None
     allow_extrapolation: bool = False
 
 
@@ -190,6 +193,25 @@ class SnapshotConfig(RecordedConfig):
     posterior: Posterior = Field(default_factory=Posterior)
     interval: Interval = Field(default_factory=Interval)
     curve: Curve = Field(default_factory=Curve)
+
+    @model_validator(mode="after")
+    def _one_curve(self) -> Self:
+        estimator, source = self.estimator, self.curve.source
+        if source is None or estimator.bench is None or estimator.route == "auto":
+            return self
+        if estimator.route == "direct":
+            refuse(
+                "The direct route needs no curve.",
+                found=f'source = "{source}" with route = "direct"',
+                expected='no source, or route = "auto" for the amplitude beside it',
+                at=("curve", "source"),
+            )
+        refuse(
+            "There are two curves: that of the bench and another one.",
+            found=f'source = "{source}" and bench = "{estimator.bench}"',
+            expected="one of them",
+            at=("curve", "source"),
+        )
 
     @field_validator("recordings")
     @classmethod

@@ -1,7 +1,7 @@
 """Straight from recordings to the gap: their bench is simulated until it matches them.
 
 All snapshots of a joint are fitted at once. They share the bench, so what is not known of it
-largely cancels in the change. The amplitude route's answer is stored beside.
+largely cancels in the change.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
+from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.config.bench import load_bench
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.errors import BenchError, ConfigError, UserError
+from bayesbl.errors import ConfigError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
@@ -33,11 +33,10 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.measurement.change import Gap
-from bayesbl.measurement.compatibility import require_same_estimator, unsuited
-from bayesbl.measurement.direct_groups import GROUPS, ByAmplitude, direct_groups
+from bayesbl.measurement.bench_of import bench_of
+from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
-from bayesbl.measurement.fits import FitJob, gaps_of_fits
+from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.model_check import (
     against_the_bench,
@@ -46,16 +45,15 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
-from bayesbl.measurement.task import StageProgress, Task, curve_of, estimator_of
+from bayesbl.measurement.task import StageProgress, Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
-from bayesbl.ringing.estimator import Fit
 from bayesbl.sampling.chains import SamplerSettings
 
-GEAR_RATIOS_APART = 0.01
-"""Largest relative difference between the joint's gear ratio and its bench's."""
+LARGEST_Z = 37.0
+"""Beyond it a probability is zero in double precision."""
 
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
@@ -94,15 +92,26 @@ class DirectMatch:
             and (self.shares_unknowns or entry.recording == recording)
         ]
 
+    def model_check(self, recording: str, level: float) -> JointCheck:
+        """Whether this recording may be one of the bench as believed.
+
+        What disagrees is said by the verdict, which it withholds δ by, or by the comparison.
+        """
+        beyond = self.posterior.beyond_tolerance(recording, level)
+        check = check_of_snapshot(self.joint, recording)
+        return replace(
+            check,
+            agrees=check.agrees and not self.repeating(recording) and beyond is None,
+            items=[*check.items, *(_item(e) for e in self.check if e.recording == recording)],
+        )
+
 
 class DirectMeasurer:
-    """The direct route with its bench, and the estimator and curve of the amplitude beside it."""
+    """The direct route with its bench."""
 
-    def __init__(self, config: SnapshotConfig) -> None:
+    def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
         self.config = config
-        self.bench = bench_of(config)
-        self.estimator = estimator_of(config)
-        self.curve = curve_of(config)
+        self.bench = bench
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:
@@ -119,9 +128,8 @@ class DirectMeasurer:
         return iter(())
 
     def require_usable(self, recording: Recording) -> None:
-        """The bench can be compared with it, and the curve means the same amplitude as its fit."""
+        """The bench can be compared with it."""
         observed_of(self.config, self.bench, recording)
-        require_same_estimator(self.curve, self.estimator, recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
         """None: what cannot be compared is refused."""
@@ -132,13 +140,13 @@ class DirectMeasurer:
         return None
 
     def measure(self, task: Task) -> Measurement:
-        """Match the bench with all recordings at once, and read the amplitudes beside."""
+        """Match the bench with all recordings at once."""
         problem = (
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
             drifts_of(self.config, self.bench),
-            self.estimator.sampler,
+            estimator_of(self.config).sampler,
             task.seeds.direct,
         )
         found = task.work.get(
@@ -147,106 +155,29 @@ class DirectMeasurer:
             lambda: fit_directly(*problem, self.config.run.workers, task.progress),
             DirectMatch,
         )
-        beside = self._by_amplitude(task)
         level = self.config.interval.level
         return Measurement(
             "direct",
             [
-                self._snapshot(recording, index, found, beside[index])
+                self._snapshot(recording, index, found)
                 for index, recording in enumerate(task.recordings)
             ],
-            self.curve,
             attributes={"bench": self.bench.fingerprint()},
             same_joint=check_of_comparison(found.joint, found.change_rad, level),
             change_reason=undecided_change(found.joint, found.change_rad, level),
         )
 
-    def _snapshot(
-        self, recording: Recording, index: int, found: DirectMatch, beside: ByAmplitude
-    ) -> Snapshot:
+    def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
+        level = self.config.interval.level
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(found, index, recording.notes, self.config.interval.level),
-            direct_groups(posterior, recording, index, check, beside),
-            {"amplitude_route": beside.reason},
-            check_of_snapshot(found.joint, recording.name),
+            direct_verdict(found, index, recording.notes, level),
+            direct_groups(posterior, recording, index, check),
+            model_check=found.model_check(recording.name, level),
         )
-
-    def _by_amplitude(self, task: Task) -> list[ByAmplitude]:
-        """By the amplitude of the ringing; where it gives no answer, the reason in its place."""
-        fits: list[Fit | UserError] = []
-        progress = task.progress
-        for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
-            gear_ratio = self.config.joint.gear_ratio
-            job = FitJob(self.estimator, self.curve, recording, seed, gear_ratio, work=task.work)
-            try:
-                fits.append(job.run(None if progress is None else partial(_beside, progress)))
-            except UserError as refusal:
-                fits.append(refusal)
-        found = iter(gaps_of_fits(task, self.curve, [f for f in fits if isinstance(f, Fit)]))
-        return [
-            self._answer(recording, fit, next(found))
-            if isinstance(fit, Fit)
-            else ByAmplitude(None, None, str(fit))
-            for recording, fit in zip(task.recordings, fits, strict=True)
-        ]
-
-    def _answer(self, recording: Recording, fit: Fit, gap: Gap) -> ByAmplitude:
-        reason = gap.reason
-        against = unsuited(recording, fit, self.curve, self.config)
-        if against:
-            reason = " ".join(against)
-        elif fit.posterior.diagnostics.outcome == "withheld":
-            reason = " ".join(fit.posterior.diagnostics.reasons)
-        return ByAmplitude(fit, gap, reason)
-
-
-def _beside(progress: StageProgress, recording: str, made: int, allowed: int) -> None:
-    progress(f"{recording} by amplitude", made, allowed)
-
-
-def bench_of(config: SnapshotConfig) -> Bench:
-    """The bench of a direct fit.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or it has no gap to measure.
-    """
-    file = config.estimator.bench
-    if file is None:
-        raise ConfigError("The direct route needs a bench.", expected="--bench FILE")
-    bench = load_bench(file)
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to measure.",
-            file=file,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
-    stated, known = config.joint.gear_ratio, bench.value("gear_ratio")
-    if stated is not None and abs(stated / known - 1.0) > GEAR_RATIOS_APART:
-        raise ConfigError(
-            "The joint's gear ratio is not that of its bench.",
-            where="[joint] gear_ratio",
-            found=f"{stated:g}, and {known:g} in {file}",
-            expected="the same in both",
-        )
-    low, high = config.estimator.gap_rad
-    try:
-        bench.simulate_many(np.array([low, high]), rotations=0.1)
-    except BenchError as error:
-        raise BenchError(
-            f"The bench cannot be simulated at the ends of the range of gaps. {error.problem}",
-            file=file,
-            where="[estimator] gap_rad",
-            found=error.found,
-            expected=error.expected,
-        ) from None
-    return bench
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
@@ -383,4 +314,21 @@ def _disagreement_in_words(entries: Sequence[RepeatingPower]) -> str:
     )
 
 
-ROUTE = Route("direct", GROUPS, DirectMeasurer, summarise_direct)
+def _item(entry: RepeatingPower) -> CheckItem:
+    band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
+    z = float(norm.isf(entry.probability))
+    return CheckItem(
+        f"power that repeats every rotation over that of noise, {entry.channel} {band}",
+        entry.ratio,
+        1.0,
+        "",
+        min(z, LARGEST_Z),
+    )
+
+
+def prepare(config: SnapshotConfig) -> DirectMeasurer:
+    """With its bench."""
+    return DirectMeasurer(config, bench_of(config))
+
+
+ROUTE = Route("direct", GROUPS, summarise_direct)

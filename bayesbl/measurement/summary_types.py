@@ -91,13 +91,13 @@ class JointCheckSummary(TypedDict):
     blind_spots: list[BlindSpotSummary]
 
 
-class ByAmplitudeSummary(TypedDict):
-    """The amplitude route's answer, beside another route's."""
+class RouteSummary(TypedDict):
+    """What one route answers of a snapshot; ``reason``: why it has no δ."""
 
-    curve: str
     delta_rad: Interval | None
-    amplitude_rpm: Interval | None
     reason: str | None
+    amplitude_rpm: NotRequired[Interval | None]
+    curve: NotRequired[str]
 
 
 class _FromRinging(TypedDict, total=False):
@@ -111,16 +111,19 @@ class _FromRinging(TypedDict, total=False):
 class _FromSimulation(TypedDict, total=False):
     """Of the simulated bench."""
 
-    route: str
     cramer_rao_sd: dict[str, float]
     posterior_sd: dict[str, float]
     predictive_check: list[PredictiveCheckEntry]
-    amplitude_route: ByAmplitudeSummary
 
 
 class SnapshotSummary(_FromRinging, _FromSimulation):
-    """One snapshot; every route gives the keys here, and some of its own."""
+    """One snapshot; every route gives the keys here, and some of its own.
 
+    ``route`` is the one that answers, ``routes`` has the answer of each that was run.
+    """
+
+    route: str
+    routes: dict[str, RouteSummary]
     delta_rad: Interval | None
     amplitude_rpm: Interval | None
     parameters: dict[str, Interval]
@@ -146,7 +149,7 @@ class FitSummary(Head, SnapshotSummary):
     """``summary.json`` of a fit."""
 
     kind: Literal["fit"]
-    curve: str
+    curve: str | None
 
 
 StepSummary = TypedDict(
@@ -229,14 +232,20 @@ class WithheldWearSummary(_DatedSummary):
 
 
 class ComparisonSummary(Head):
-    """``summary.json`` of a comparison."""
+    """``summary.json`` of a comparison.
+
+    ``ringing_change`` is that of the amplitude from first to last as a share of the first, where it
+    was measured at one speed and rate, else ``None``.
+    """
 
     kind: Literal["compare"]
-    curve: str
+    curve: str | None
     snapshots: list[NamedSnapshotSummary]
     change_rad: Interval | None
     changes: list[StepSummary]
     probability_increase: float | None
+    ringing_change: Interval | None
+    probability_ringing_grew: float | None
     same_joint: JointCheckSummary
     wear: WearSummary | WithheldWearSummary | None
 

@@ -56,8 +56,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
     for name, part in snapshots(summary):
-        if "amplitude_route" in part:
-            yield Sentence(direct_route.by_amplitude(name, part["amplitude_route"]), "aside")
+        for sentence in direct_route.other_routes(name, part):
+            yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
     yield from joint_check.blocks(summary)
