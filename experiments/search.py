@@ -13,14 +13,20 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
+
+sys.path.append(str(Path(__file__).parent))
+
+from made_recordings import draw_symbols, synthetic_recording
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
@@ -39,7 +45,6 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 
 AMPLITUDE_RPM = 20.0
 SAME_RMSE = 1e-6

@@ -14,26 +14,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ResultError
-from bayesbl.results.folder import (
-    is_finished,
-    require_free,
-)
+from bayesbl.results.folder import is_finished, require_free
 from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import OUTCOME
+from bayesbl.results.summary_types import Head, head
 from bayesbl.results.variables import Group, Variable
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cases import Case, Job, run_in_processes
 from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
-from bayesbl.runs.workflow import Options, Plan, Summary, require_output, write_result
+from bayesbl.runs.workflow import Options, Plan, require_output, write_result
 
 TABLE_FILE = "table.csv"
 
@@ -70,7 +68,7 @@ class Row:
         return self.definition, index
 
 
-def run(config: StudyConfig, options: Options) -> Summary:
+def run(config: StudyConfig, options: Options) -> StudySummary:
     """Run what is not finished of a study, write its output folder, and return the summary.
 
     A finished result is added to: its rows keep their cases, and the commit that made them. Where
@@ -143,17 +141,20 @@ def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
     ]
 
 
-def summarise_study(tree: xr.DataTree) -> dict[str, Any]:
+class StudySummary(Head):
+    """``summary.json`` of a study; ``rows`` are the lines of its table."""
+
+    kind: Literal["study"]
+    study: str
+    rows: list[dict[str, Any]]
+
+
+def summarise_study(tree: xr.DataTree) -> StudySummary:
     """``summary.json`` of a study, from the result alone."""
-    attributes = tree.attrs
     return {
         "kind": "study",
-        "study": attributes["study"],
-        "outcome": attributes[OUTCOME],
-        "reason": None,
-        "version": attributes["bayesbl_version"],
-        "commit": attributes["git_commit"],
-        "seed": int(attributes["seed"]),
+        **head(tree),
+        "study": tree.attrs["study"],
         "rows": [
             {**json.loads(row.attrs["line"]), "seconds": float(row.attrs["seconds"])}
             for row in _groups(tree)

@@ -29,14 +29,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.config.sections import RunConfig
+    from bayesbl.runs.summary import Summary
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is worked on, steps made, steps allowed)."""
 
 Draw = Callable[["xr.DataTree", Path], object]
 """Draws the figures of a result into a folder; passed in, as figures are made from results."""
-
-Summary = Mapping[str, Any]
 
 LONGEST_S = 7 * 24 * 3600.0
 USUAL_MEMORY_BYTES = 8e9
@@ -217,7 +216,7 @@ def settings_of(config: RunConfig) -> dict[str, Any]:
 
 def write_result(
     tree: xr.DataTree,
-    summary: Mapping[str, Any],
+    summary: Summary,
     config: RunConfig,
     options: Options,
     texts: Mapping[str, str],
