@@ -39,9 +39,7 @@ def data(stored: Stored) -> xr.Dataset:
     begin = float(snapshot.values("observed_data", "time_s")[0])
     time = np.arange(begin, first + 1.6 * period, 1e-3)
     pulse = impact(since, decay, frequency, length, since[1] - since[0])
-    train = pulse_train(
-        time, first, decay, frequency, length, symbol["pulse_separation_s"], period, 1e-3
-    )
+    train = pulse_train(time, symbol, 1e-3)
     found = arrays(
         since_impact_s=("pulse_sample", since, "s"),
         pulse_rpm=("pulse_sample", amplitude * pulse, "rpm"),

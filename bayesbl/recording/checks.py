@@ -56,6 +56,9 @@ LARGEST_DRIFT = 0.01
 DRIFT_OVER_SCATTER = 3.0
 """Of :func:`require_no_drift`; what the load angle does to the speed is smaller in both."""
 
+UNIT_AGREEMENT = 0.02
+"""Relative difference that another unit must leave to be the likely one."""
+
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
 
@@ -102,21 +105,21 @@ def require_channels(recording: Recording, channels: Sequence[str]) -> None:
             )
 
 
-def require_sampling_rate(recording: Recording, minimum_hz: float = MINIMUM_SAMPLING_HZ) -> None:
-    """The mean sampling rate is at least ``minimum_hz``."""
+def require_sampling_rate(recording: Recording) -> None:
+    """The mean sampling rate is at least :data:`MINIMUM_SAMPLING_HZ`."""
     rate = 1.0 / recording.sampling_period_s
     # Rounded time stamps put 100 Hz a hair below itself.
-    if not rate >= minimum_hz * (1.0 - 1e-3):
+    if not rate >= MINIMUM_SAMPLING_HZ * (1.0 - 1e-3):
         raise _error(
             recording,
             "The sampling rate is too low to see the impacts." + _time_in_ms(recording),
             where="time_s",
             found=f"{rate:.4g} Hz",
-            expected=f"at least {minimum_hz:.4g} Hz; is time in seconds?",
+            expected=f"at least {MINIMUM_SAMPLING_HZ:g} Hz; is time in seconds?",
         )
 
 
-def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLERANCE) -> None:
+def require_uniform_sampling(recording: Recording) -> None:
     """Every time stamp is nearest to its own point of an even grid.
 
     The tolerance, 0.45 of a sampling period, lets time stamps pass that were rounded to up to
@@ -126,7 +129,7 @@ def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLER
         recording.time_s, np.arange(recording.samples, dtype=np.float64)
     )
     worst = int(np.argmax(np.abs(deviation)))
-    if abs(deviation[worst]) <= tolerance:
+    if abs(deviation[worst]) <= GRID_TOLERANCE:
         return
     steps = np.diff(recording.time_s)
     longest = int(np.argmax(steps))
@@ -138,7 +141,7 @@ def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLER
         found=f"a time stamp {abs(deviation[worst]) * period:.3g} s off the even grid of "
         f"{period:.6g} s; the longest step, {steps[longest]:.3g} s, follows "
         f"{recording.time_s[longest]:.6g} s",
-        expected=f"at most {tolerance * period:.3g} s off, and no lost sample",
+        expected=f"at most {GRID_TOLERANCE * period:.3g} s off, and no lost sample",
     )
 
 
@@ -153,11 +156,9 @@ def rotations_of(recording: Recording, gear_ratio: float) -> float:
     return turns / gear_ratio
 
 
-def require_rotations(
-    recording: Recording, rotations: float, minimum: float = MINIMUM_ROTATIONS
-) -> None:
+def require_rotations(recording: Recording, rotations: float) -> None:
     """The recording spans two rotations of the load; 1.95 pass."""
-    if rotations >= minimum:
+    if rotations >= MINIMUM_ROTATIONS:
         return
     needed = (
         f" (at this speed {2.0 * recording.duration_s / rotations:.1f} s)" if rotations > 0 else ""
@@ -352,11 +353,11 @@ def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: FloatArray) -> s
     return ", ".join(parts[:MOST_STRETCHES]) + (f" and {more} more" if more > 0 else "")
 
 
-def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) -> None:
+def require_plausible_speed_unit(recording: Recording) -> None:
     """Mean speed agrees with the motor's position and with the reference speed, if they are there.
 
     Directions may differ in sign. A mean speed below 1 rpm is too slow to compare. If another
-    unit of any column makes them agree within ``tolerance``, the message says so.
+    unit of any column makes them agree within 2 %, the message says so.
     """
     if MOTOR_SPEED not in recording.channels:
         return
@@ -365,18 +366,18 @@ def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) 
     if position is not None:
         span = float(recording.time_s[-1] - recording.time_s[0])
         moved = abs(float(position[-1] - position[0])) / span * RPM_PER_RAD_PER_S
-        _require_same_speed(recording, speed, moved, MOTOR_POSITION, "that moves at", tolerance)
+        _require_same_speed(recording, speed, moved, MOTOR_POSITION, "that moves at")
     reference = recording.channels.get(REFERENCE_SPEED)
     if reference is not None:
         asked = abs(float(reference.mean()))
-        _require_same_speed(recording, speed, asked, REFERENCE_SPEED, "of", tolerance)
+        _require_same_speed(recording, speed, asked, REFERENCE_SPEED, "of")
 
 
 def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
     """Mean speed agrees with the speed that was asked for, of either sign, within 5 %."""
     require_channels(recording, [MOTOR_SPEED])
     speed = abs(float(recording.motor_speed_rpm.mean()))
-    _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of", 0.02)
+    _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of")
 
 
 def require_plausible_current(recording: Recording, limit_a: float) -> None:
@@ -410,21 +411,20 @@ def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> s
 
 
 def _require_same_speed(
-    recording: Recording, speed: float, other: float, channel: str, verb: str, tolerance: float
+    recording: Recording, speed: float, other: float, channel: str, verb: str
 ) -> None:
     if min(other, speed) < 1.0 or abs(speed / other - 1.0) <= 0.05:
         return
     raise _error(
         recording,
-        f"Motor speed and {CHANNELS[channel]} do not agree."
-        + _other_unit(speed / other, channel, tolerance),
+        f"Motor speed and {CHANNELS[channel]} do not agree." + _other_unit(speed / other, channel),
         where=f"{MOTOR_SPEED}, {channel}",
         found=f"a mean speed of {speed:.6g} rpm, but a {CHANNELS[channel]} {verb} {other:.6g} rpm",
         expected="the same within 5 %; state the units under [columns]",
     )
 
 
-def _other_unit(ratio: float, channel: str, tolerance: float) -> str:
+def _other_unit(ratio: float, channel: str) -> str:
     """The unit that would explain a ratio of speed to another channel, as a sentence."""
     suspects = [(MOTOR_SPEED, 1), (channel, -1)]
     if channel == MOTOR_POSITION:
@@ -433,7 +433,7 @@ def _other_unit(ratio: float, channel: str, tolerance: float) -> str:
         own, *others = accepted_units(suspect)
         for unit in others:
             factor = conversion_factor(suspect, unit)
-            if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= tolerance:
+            if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= UNIT_AGREEMENT:
                 return f" The column for {suspect} looks like {unit}, not {own}."
     return ""
 

@@ -16,9 +16,21 @@ Two things differ from eq. 3, in three samples per pulse: its edges are resolved
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import (
+    DECAY,
+    FREQUENCY,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+)
 
 
 def impact(
@@ -51,30 +63,25 @@ def impact(
     return np.asarray(ramp * ringing + corner)
 
 
-def impact_times(
-    first_s: float,
-    rotation_period_s: float,
-    window_length_s: float,
-    sampling_period_s: float,
-    begin_s: float,
-    end_s: float,
-) -> FloatArray:
-    """Starts first_s + i·T_w, i any integer, of all pulses with samples in [begin_s, end_s]."""
-    edge = sampling_period_s
-    low = np.ceil((begin_s - window_length_s - edge - first_s) / rotation_period_s)
-    high = np.floor((end_s + edge - first_s) / rotation_period_s)
-    return np.asarray(first_s + rotation_period_s * np.arange(low, high + 1.0))
+def impacts(
+    symbols: Mapping[str, float], begin_s: float, end_s: float, sampling_period_s: float
+) -> Iterator[tuple[float, float, int]]:
+    """(sign, start in s, rotation counted from the first one) of every impact with samples there.
+
+    Positive pulses start at t0 + t1 + i·T_w, negative ones T earlier, i any integer.
+    """
+    rotation, edge = symbols[ROTATION], sampling_period_s
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    first = symbols[START] + symbols[WINDOW_START]
+    for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
+        lowest = math.ceil((begin_s - window - edge - origin) / rotation)
+        highest = math.floor((end_s + edge - origin) / rotation)
+        for i in range(lowest, highest + 1):
+            yield sign, origin + rotation * i, i
 
 
 def pulse_train(
-    time_s: FloatArray,
-    first_impact_s: float,
-    decay_rate_per_s: float,
-    angular_frequency_rad_per_s: float,
-    window_length_s: float,
-    pulse_separation_s: float,
-    rotation_period_s: float,
-    sampling_period_s: float,
+    time_s: FloatArray, symbols: Mapping[str, float], sampling_period_s: float
 ) -> FloatArray:
     """Σ_i f(t − i·T_w) of eq. 6 with A = 1 and f(t) = g(t) − g(t + T).
 
@@ -84,27 +91,29 @@ def pulse_train(
     Parameters
     ----------
     time_s
-        Shape (n,), s.
-    first_impact_s
-        t0 + t1: start of one positive pulse, s.
+        Shape (n,), s, increasing.
+    symbols
+        By name; A and v_t are not asked for.
 
     Returns
     -------
     Shape (n,), dimensionless.
     """
     train = np.zeros_like(time_s)
-    ends = time_s[0], time_s[-1]
-    for sign, first in ((1.0, first_impact_s), (-1.0, first_impact_s - pulse_separation_s)):
-        for start in impact_times(
-            first, rotation_period_s, window_length_s, sampling_period_s, *ends
-        ):
-            train += sign * impact(
-                time_s - start,
-                decay_rate_per_s,
-                angular_frequency_rad_per_s,
-                window_length_s,
-                sampling_period_s,
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], sampling_period_s):
+        inside = slice(
+            *np.searchsorted(
+                time_s, (start - sampling_period_s, start + window + sampling_period_s)
             )
+        )
+        train[inside] += sign * impact(
+            time_s[inside] - start,
+            symbols[DECAY],
+            symbols[FREQUENCY],
+            window,
+            sampling_period_s,
+        )
     return train
 
 

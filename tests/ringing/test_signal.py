@@ -32,16 +32,7 @@ class Case:
 
 
 def waveform(time_s: np.ndarray, s: dict[str, float], period_s: float) -> np.ndarray:
-    return pulse_train(
-        time_s,
-        s["start_time_s"] + s["window_start_s"],
-        s["decay_rate_per_s"],
-        s["angular_frequency_rad_per_s"],
-        s["window_end_s"] - s["window_start_s"],
-        s["pulse_separation_s"],
-        s["rotation_period_s"],
-        period_s,
-    )
+    return pulse_train(time_s, s, period_s)
 
 
 def random_case(seed: int) -> Case:

@@ -37,6 +37,8 @@ TRUTH = {
     ROTATION: 3.6,
 }
 STRONG = TRUTH | {AMPLITUDE: 30.0}
+QUICK = TRUTH | {START: 0.3, DECAY: 19.0, FREQUENCY: 70.0, SEPARATION: 0.7, ROTATION: 1.4}
+"""Rotations of 1.4 s: few samples hold several."""
 NOISE = NoiseModel(1.5)
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 from scipy.signal import butter, filtfilt
@@ -23,12 +22,11 @@ from bayesbl.recording.types import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     BoolArray,
+    ComplexArray,
     FloatArray,
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-ComplexArray = NDArray[np.complex128]
 
 FILTER_ORDER = 4
 END_PERIODS = 2.0
