@@ -49,7 +49,7 @@ from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
@@ -253,7 +253,7 @@ def _by_amplitude(
     for kind in wanted:
         seeds = sample_seed.spawn(len(points))
         ringing = [_ringing(p, kind, own) for p, own in zip(points, seeds, strict=True)]
-        found = gaps(curve, [r for r, _ in ringing], gap_seed)
+        found = gaps([curve] * len(ringing), [r for r, _ in ringing], gap_seed)
         withheld = any(w for _, w in ringing) or any(gap.reason is not None for gap in found)
         before, after = (gap.delta_rad.ravel() for gap in found)
         answers.append(Answer((before, after), withheld))
@@ -290,7 +290,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.gap_rad, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
@@ -330,7 +330,7 @@ def _gap(row: Row, generator: np.random.Generator) -> float:
 def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator) -> Recording:
     """A recording of a random start angle, as it would be read in."""
     start_angle_rad = generator.uniform(0.0, 2.0 * math.pi)
-    how = {
+    how: dict[str, Any] = {
         "rotations": row.rotations,
         "sampling_hz": row.sampling_hz,
         "start_angle_rad": start_angle_rad,

@@ -88,7 +88,7 @@ def wear_of(
             reason = f"There are only {count}: a rate needs two, at different dates."
         return wear_group(dates, used, None, reason=reason, decide_before=before)
     years = np.array([years_between(since[0], day) for day in since])
-    drawn = np.stack([snapshot.delta_rad for snapshot in chosen])
+    drawn = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
     result = wear(drawn, years, seed, limit_rad=config.joint.limit_rad)
     withheld = [snapshot.name for snapshot in chosen if snapshot.verdict.reason]
     reason = ""

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from bayesbl.measurement.summary_types import DiagnosticsSummary
+from bayesbl.config.fields import PUBLISHED
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, as_stored
+from bayesbl.measurement.summary_types import DiagnosticsSummary, JointCheckSummary
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, IntervalKind, interval
@@ -31,20 +33,26 @@ class StoredSnapshot:
         Group name to its dataset, without the dimension ``snapshot``.
     group_reasons
         Group to why what it holds is no answer; ``None`` where it is one.
+    route
+        That its gap comes from.
     curve
-        Name of the gap curve.
+        Name of the gap curve; empty without one.
     limit_rad
         Gap at which the joint is to be repaired, if given.
+    model_check
+        The recording against what the bench predicts.
     """
 
     name: str
     groups: Mapping[str, xr.Dataset]
     verdict: Verdict
     group_reasons: Mapping[str, str | None]
+    route: str
     curve: str
     level: float
     interval_kind: IntervalKind
     limit_rad: float | None
+    model_check: JointCheckSummary
 
     def interval(self, group: str, variable: str) -> Interval:
         """Interval of stored draws, at the level and of the kind of the result."""
@@ -69,7 +77,7 @@ class StoredSnapshot:
     @property
     def symbols(self) -> tuple[str, ...]:
         """Free symbols in the paper's order, δ behind them: all that has draws."""
-        return (*(n for n in SYMBOLS if n in self.groups["posterior"]), "delta_rad")
+        return tuple(n for n in (*SYMBOLS, "delta_rad") if n in self.groups["posterior"])
 
     @property
     def reason(self) -> str | None:
@@ -78,8 +86,8 @@ class StoredSnapshot:
 
     @property
     def withheld(self) -> bool:
-        """Whether δ must not be read."""
-        return self.reason is not None
+        """Whether δ must not be read, or there is none."""
+        return self.reason is not None or "delta_rad" not in self.groups["posterior"]
 
     @property
     def delta_rad(self) -> Interval | None:
@@ -88,10 +96,15 @@ class StoredSnapshot:
 
     @property
     def probability_above_limit(self) -> float | None:
-        """Share of draws of δ above the limit; ``None`` where there is none, or no δ."""
-        if self.limit_rad is None or self.withheld:
+        """Share of draws of δ above the limit; ``None`` without either, or by the paper's bench."""
+        if self.limit_rad is None or self.withheld or self.by_other_joint:
             return None
         return float(np.mean(self.groups["posterior"]["delta_rad"].values > self.limit_rad))
+
+    @property
+    def by_other_joint(self) -> bool:
+        """Whether the gap is read from the curve of the paper's test bench."""
+        return self.route == "amplitude" and self.curve == PUBLISHED
 
     @property
     def budget(self) -> dict[str, float]:
@@ -139,6 +152,7 @@ def _snapshot(
     tree: xr.DataTree, name: str, key: str, groups: Mapping[str, xr.Dataset]
 ) -> StoredSnapshot:
     verdict = json.loads(tree["diagnostics"].attrs["verdicts"])[key]
+    checks = json.loads(tree["diagnostics"].attrs.get("model_checks", "{}"))
     reasons = {
         group: json.loads(data.attrs["reasons"])[key]
         for group, data in groups.items()
@@ -150,9 +164,12 @@ def _snapshot(
         groups,
         Verdict(verdict["outcome"], tuple(verdict["reasons"]), verdict["reason"] or None),
         reasons,
+        tree.attrs.get("route", "amplitude"),
         # Figures are also drawn from parts of a result, without it.
         tree["curve"].attrs["name"] if "curve" in tree.children else "",
         float(tree.attrs["interval_level"]),
         tree.attrs["interval_kind"],
         None if limit is None else float(limit),
+        # Version 0.2 had no check.
+        checks.get(key) or as_stored(NOTHING_COMPARED),
     )

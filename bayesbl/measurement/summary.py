@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
+from itertools import pairwise
+
 import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.dated_wear import summarise_wear
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, as_stored
 from bayesbl.measurement.routes import route_of_result
 from bayesbl.measurement.stored_snapshot import StoredSnapshot, stored_snapshots
 from bayesbl.measurement.summary_types import (
     ComparisonSummary,
     FitSummary,
+    JointCheckSummary,
     SnapshotSummary,
     StepSummary,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import interval
+from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.summary_types import head
 
 
@@ -25,7 +30,7 @@ def summarise_fit(tree: xr.DataTree) -> FitSummary:
     return {
         "kind": "fit",
         **head(tree),
-        "curve": stored.curve,
+        "curve": stored.curve or None,
         **_snapshot(tree, stored),
     }
 
@@ -35,11 +40,15 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
     stored = stored_snapshots(tree)
     change = tree["change"].to_dataset()
     names = [snapshot.name for snapshot in stored]
-    total = _step(change["change_rad"].values, stored[0], stored[-1])
+    given = "change_rad" in change and not change.attrs.get("reason")
+    total = _step(change["change_rad"].values if given else None, stored[0], stored[-1])
+    steps = change["step_change_rad"].values if given else [None] * (len(names) - 1)
+    ringing = change["ringing_change"].values if "ringing_change" in change else None
+    of_ringing = _described(ringing, stored[0])
     return {
         "kind": "compare",
         **head(tree),
-        "curve": stored[0].curve,
+        "curve": stored[0].curve or None,
         "snapshots": [
             {
                 "name": s.name,
@@ -50,10 +59,12 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
         ],
         "change_rad": total["change_rad"],
         "changes": [
-            _step(change["step_change_rad"].values[i], stored[i], stored[i + 1])
-            for i in range(len(names) - 1)
+            _step(draws, *pair) for draws, pair in zip(steps, pairwise(stored), strict=True)
         ],
         "probability_increase": total["probability_increase"],
+        "ringing_change": of_ringing[0],
+        "probability_ringing_grew": of_ringing[1],
+        "same_joint": _same_joint(change),
         "wear": summarise_wear(tree, names),
     }
 
@@ -66,11 +77,27 @@ def _snapshot(tree: xr.DataTree, stored: StoredSnapshot) -> SnapshotSummary:
     return result
 
 
-def _step(draws: FloatArray, first: StoredSnapshot, last: StoredSnapshot) -> StepSummary:
-    given = not (first.withheld or last.withheld)
+def _same_joint(change: xr.Dataset) -> JointCheckSummary:
+    stored = change.attrs.get("same_joint")  # version 0.2 had no check
+    found: JointCheckSummary = json.loads(stored) if stored else as_stored(NOTHING_COMPARED)
+    return found
+
+
+def _step(draws: FloatArray | None, first: StoredSnapshot, last: StoredSnapshot) -> StepSummary:
+    given = None if first.withheld or last.withheld else draws
+    change, probability = _described(given, first)
     return {
         "from": first.name,
         "to": last.name,
-        "change_rad": interval(draws, first.level, first.interval_kind) if given else None,
-        "probability_increase": float(np.mean(draws > 0.0)) if given else None,
+        "change_rad": change,
+        "probability_increase": probability,
     }
+
+
+def _described(
+    draws: FloatArray | None, like: StoredSnapshot
+) -> tuple[Interval | None, float | None]:
+    """Interval of draws of a change, and the probability that it is positive."""
+    if draws is None:
+        return None, None
+    return interval(draws, like.level, like.interval_kind), float(np.mean(draws > 0.0))

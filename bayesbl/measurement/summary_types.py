@@ -58,13 +58,46 @@ class PredictiveCheckEntry(TypedDict):
     probability: float
 
 
-class ByAmplitudeSummary(TypedDict):
-    """The amplitude route's answer, beside another route's."""
+class CheckItemSummary(TypedDict):
+    """A quantity as measured and as expected; ``z`` is their difference in standard deviations."""
 
-    curve: str
+    quantity: str
+    measured: float
+    expected: float
+    unit: str
+    z: float
+
+
+class BlindSpotSummary(TypedDict):
+    """A change of the joint that the check cannot see, and what it would do to δ, where known."""
+
+    change: str
+    reason: str
+    delta_error_rad: float | None
+
+
+class JointCheckSummary(TypedDict):
+    """A snapshot against its bench, or snapshots against one another.
+
+    ``could_be`` names effects or parameters of the bench that would do what was found;
+    ``sentences`` say so, one for each finding. Where nothing was compared, ``items`` is empty and
+    ``agrees`` true.
+    """
+
+    agrees: bool
+    items: list[CheckItemSummary]
+    could_be: list[str]
+    sentences: list[str]
+    blind_spots: list[BlindSpotSummary]
+
+
+class RouteSummary(TypedDict):
+    """What one route answers of a snapshot; ``reason``: why it has no δ."""
+
     delta_rad: Interval | None
-    amplitude_rpm: Interval | None
     reason: str | None
+    amplitude_rpm: NotRequired[Interval | None]
+    curve: NotRequired[str]
 
 
 class _FromRinging(TypedDict, total=False):
@@ -78,16 +111,19 @@ class _FromRinging(TypedDict, total=False):
 class _FromSimulation(TypedDict, total=False):
     """Of the simulated bench."""
 
-    route: str
     cramer_rao_sd: dict[str, float]
     posterior_sd: dict[str, float]
     predictive_check: list[PredictiveCheckEntry]
-    amplitude_route: ByAmplitudeSummary
 
 
 class SnapshotSummary(_FromRinging, _FromSimulation):
-    """One snapshot; every route gives the keys here, and some of its own."""
+    """One snapshot; every route gives the keys here, and some of its own.
 
+    ``route`` is the one that answers, ``routes`` has the answer of each that was run.
+    """
+
+    route: str
+    routes: dict[str, RouteSummary]
     delta_rad: Interval | None
     amplitude_rpm: Interval | None
     parameters: dict[str, Interval]
@@ -98,6 +134,7 @@ class SnapshotSummary(_FromRinging, _FromSimulation):
     budget: dict[str, float]
     diagnostics: DiagnosticsSummary
     reason: str | None
+    model_check: JointCheckSummary
     limit_rad: NotRequired[float]
     probability_above_limit: NotRequired[float | None]
 
@@ -112,7 +149,7 @@ class FitSummary(Head, SnapshotSummary):
     """``summary.json`` of a fit."""
 
     kind: Literal["fit"]
-    curve: str
+    curve: str | None
 
 
 StepSummary = TypedDict(
@@ -195,14 +232,21 @@ class WithheldWearSummary(_DatedSummary):
 
 
 class ComparisonSummary(Head):
-    """``summary.json`` of a comparison."""
+    """``summary.json`` of a comparison.
+
+    ``ringing_change`` is that of the amplitude from first to last as a share of the first, where it
+    was measured at one speed and rate, else ``None``.
+    """
 
     kind: Literal["compare"]
-    curve: str
+    curve: str | None
     snapshots: list[NamedSnapshotSummary]
     change_rad: Interval | None
     changes: list[StepSummary]
     probability_increase: float | None
+    ringing_change: Interval | None
+    probability_ringing_grew: float | None
+    same_joint: JointCheckSummary
     wear: WearSummary | WithheldWearSummary | None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -49,6 +49,8 @@ class Candidate:
     scanned
         Coordinates of unknowns, by index, whose combinations are tried where the nominal fit may be
         far off.
+    recording
+        The only one that it acts in; ``None`` for all.
     """
 
     name: str
@@ -58,18 +60,35 @@ class Candidate:
     starts: tuple[FloatArray, ...] = ()
     scanned: Mapping[int, FloatArray] = field(default_factory=dict)
     effect: BenchEffect | None = field(default=None)
+    recording: str | None = None
+
+    @property
+    def label(self) -> str:
+        """Name, with the recording where it acts in one only."""
+        return self.name if self.recording is None else f"{self.name} ({self.recording})"
 
     @property
     def key(self) -> tuple[str, float | None]:
-        """Name and, of what turns with the motor, the order: what tells candidates apart."""
+        """Label and, of what turns with the motor, the order: what tells candidates apart."""
         order = None if self.effect is None else self.effect.parameters.get("order")
-        return self.name, None if order is None else order.value
+        return self.label, None if order is None else order.value
 
     def bench(self, bench: Bench) -> Bench:
         """The bench with this effect at its neutral value."""
-        if self.effect is None:
+        if self.effect is None or any(e.name == self.effect.name for e in bench.effects):
             return bench
         return bench.with_effects(*bench.effects, self.effect)
+
+    def within(self, recording: str) -> Candidate:
+        """The same, acting in one recording only."""
+        kept = [i for i, u in enumerate(self.unknowns) if u.recording in (None, recording)]
+        return replace(
+            self,
+            unknowns=tuple(replace(self.unknowns[i], recording=recording) for i in kept),
+            neutral=self.neutral[kept],
+            starts=tuple(start[kept] for start in self.starts),
+            recording=recording,
+        )
 
 
 def candidates(

@@ -47,8 +47,8 @@ class Explanation:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what is added."""
-        return tuple(c.name for c in self.candidates)
+        """Labels of what is added."""
+        return tuple(c.label for c in self.candidates)
 
     @property
     def parameters(self) -> int:
@@ -170,17 +170,27 @@ def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanatio
 
 def linear_gain(base: Explanation, candidate: Candidate) -> float:
     """Drop of χ² that the derivatives at the base promise, however far that extrapolates."""
-    model = extended(base.fit.model, candidate)
-    starts = [candidate.neutral, *candidate.starts]
-    best = 0.0
-    for start in starts:
-        point = np.concatenate([base.fit.point, start])
+    return max((_projected(base.fit, c) for c in columns_of(base.fit, candidate)), default=0.0)
+
+
+def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:
+    """Derivatives of the whitened signals by a candidate that is not in the fit yet.
+
+    Returns
+    -------
+    For each of its starts, columns of shape (N,): one for each amplitude, two for each recording
+    that has a phase of its own (sine, cosine). Without what cannot be simulated.
+    """
+    model = extended(fit.model, candidate)
+    found = []
+    for start in (candidate.neutral, *candidate.starts):
+        point = np.concatenate([fit.point, start])
         columns = []
         for i in amplitude_places(candidate):
             for phase in (0.0, 0.5 * math.pi) if is_periodic(candidate) else (None,):
-                columns += _difference(model, point, len(base.fit.point) + i, phase, candidate)
-        best = max(best, _projected(base.fit, columns))
-    return best
+                columns += _difference(model, point, len(fit.point) + i, phase, candidate)
+        found.append(columns)
+    return found
 
 
 def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
@@ -217,8 +227,12 @@ def _difference(
         return []
     if phase is None:
         return [change]
-    parts = [np.zeros_like(change) for _ in model.recordings]
-    for owner, part in enumerate(parts):
+    names = [seen.name for seen in model.recordings]
+    owners = (
+        range(len(names)) if candidate.recording is None else [names.index(candidate.recording)]
+    )
+    parts = [np.zeros_like(change) for _ in owners]
+    for owner, part in zip(owners, parts, strict=True):
         model.by_recording(part)[owner][:] = model.by_recording(change)[owner]
     return parts
 

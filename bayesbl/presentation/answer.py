@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import direct_route, wear, words
+from bayesbl.presentation import direct_route, joint_check, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -56,10 +56,11 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
     for name, part in snapshots(summary):
-        if "amplitude_route" in part:
-            yield Sentence(direct_route.by_amplitude(name, part["amplitude_route"]), "aside")
+        for sentence in direct_route.other_routes(name, part):
+            yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
+    yield from joint_check.blocks(summary)
 
 
 def lead(summary: MeasuredSummary) -> Iterator[str]:

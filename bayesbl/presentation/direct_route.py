@@ -10,8 +10,8 @@ from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, 
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import (
-        ByAmplitudeSummary,
         MeasuredSummary,
+        RouteSummary,
         SnapshotSummary,
     )
 
@@ -27,9 +27,9 @@ CHECK_EXPLAINED = (
 
 
 def is_direct(summary: MeasuredSummary) -> bool:
-    """Whether the answer comes from simulations of the bench: the amplitude then is beside it."""
+    """Whether the answer comes from simulations of the bench."""
     first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
-    return "amplitude_route" in first
+    return first["route"] == "direct"
 
 
 def blocks(part: SnapshotSummary) -> Iterator[Block]:
@@ -64,14 +64,25 @@ def corrected(part: SnapshotSummary) -> str:
     )
 
 
-def by_amplitude(name: str, route: ByAmplitudeSummary) -> str:
-    """The amplitude's δ, with the curve that it was read from."""
+def other_routes(name: str, part: SnapshotSummary) -> Iterator[str]:
+    """What the route that was run beside the answering one says."""
     whose = f" of {name}" if name else ""
-    source = f"For comparison{whose}, by the ringing's amplitude and the curve {route['curve']}"
-    if route["delta_rad"] is None:
-        return f"{source}: no answer. {route['reason'] or ''}".rstrip()
-    warning = " (that curve belongs to the paper's bench)" if route["curve"] == "published" else ""
-    return f"{source}{warning}: {words.in_mrad(route['delta_rad'])}."
+    for route, found in part["routes"].items():
+        if route == part["route"]:
+            continue
+        source = f"For comparison{whose}, {_by(route, found)}"
+        if found["delta_rad"] is None:
+            yield f"{source}: no answer. {found['reason'] or ''}".rstrip()
+        else:
+            yield f"{source}: {words.in_mrad(found['delta_rad'])}."
+
+
+def _by(route: str, found: RouteSummary) -> str:
+    if route == "direct":
+        return "by simulations of the bench"
+    curve = found.get("curve", "")
+    belongs = " (that curve belongs to the paper's bench)" if curve == "published" else ""
+    return f"by the ringing's amplitude and the curve of {curve}{belongs}"
 
 
 def _parameter_table(part: SnapshotSummary) -> Table:

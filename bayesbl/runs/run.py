@@ -96,7 +96,7 @@ def run(
     """
     _require_output_apart(config, file)
     workflow = _workflow(config.kind)
-    plan = Plan()
+    plan = Plan(file)
     workflow.describe(config, plan)
     plan.require_sound()
     for sentence in plan.withheld:
@@ -113,7 +113,7 @@ def check(path: str | Path) -> Plan:
         If the file itself cannot be read or is not valid; what is wrong beyond it is in the plan.
     """
     kind = kind_of(path)
-    plan = Plan([("kind", kind)])
+    plan = Plan(path, [("kind", kind)])
     if kind in _FILES:
         _workflow(kind).describe(Path(path), plan)
         return plan

@@ -21,6 +21,7 @@ from bayesbl.results.folder import (
     is_finished,
     new_result,
     require_free,
+    require_no_file,
 )
 from bayesbl.results.work import WorkStore, problem_of
 
@@ -63,9 +64,11 @@ class Options:
 class Plan:
     """What a configuration would do, in pairs of label and text, and what speaks against it.
 
-    ``withheld``: why an answer would be withheld, where that is known beforehand.
+    ``withheld``: why an answer would be withheld, where that is known beforehand. ``file`` is named
+    by problems that name no other.
     """
 
+    file: str | Path | None = None
     lines: list[tuple[str, str]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     withheld: list[str] = field(default_factory=list)
@@ -76,6 +79,8 @@ class Plan:
         try:
             line = text()
         except UserError as problem:
+            if self.file is not None:
+                problem.name_file(self.file)
             self.problems.append(problem)
         else:
             if line is not None:
@@ -162,6 +167,7 @@ def require_writable(folder: Path) -> None:
     ResultError
         If not.
     """
+    require_no_file(folder)
     existing = next(place for place in (folder, *folder.parents) if place.is_dir())
     try:
         # Asked by doing: permissions do not tell of a file system that is full or of another kind.

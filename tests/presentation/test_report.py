@@ -46,6 +46,17 @@ def between(low, high, kind="equal_tailed"):
     return {"median": 0.5 * (low + high), "low": low, "high": high, "level": 0.9, "kind": kind}
 
 
+def check(*sentences, blind_spots=()):
+    """What a check found."""
+    return {
+        "agrees": not sentences,
+        "items": [],
+        "could_be": [],
+        "sentences": list(sentences),
+        "blind_spots": list(blind_spots),
+    }
+
+
 def part(low=6.85e-4, high=7.31e-4, reasons=()):
     """A snapshot's part of a summary; with reasons it is withheld."""
     return {
@@ -72,6 +83,7 @@ def part(low=6.85e-4, high=7.31e-4, reasons=()):
         "limit_rad": 1.2e-3,
         "probability_above_limit": None if reasons else 0.0,
         "reason": " ".join(reasons) or None,
+        "model_check": check(),
     }
 
 
@@ -93,6 +105,7 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "change_rad": change,
         "changes": steps,
         "probability_increase": given_probability,
+        "same_joint": check(),
         "wear": None,
     }
 

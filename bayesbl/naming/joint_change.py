@@ -1,0 +1,306 @@
+"""What changed in the joint between its recordings, or differs from its bench in all of them.
+
+The candidates are those of a diagnosis, each acting in all recordings or in one of them alone, with
+what people change on a real joint beside them: its payload, its controller's gains. What is freed
+is fitted together with every gap, so wear is never taken for a change of the joint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.stats import norm
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
+from bayesbl.matching.alignment import remaining_noise
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.signals import GAP, Unknown
+from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
+from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_noise
+from bayesbl.naming.motor_orders import OrderPeak
+from bayesbl.naming.search import name_missing
+from bayesbl.recording.types import FloatArray
+
+CHANGED_TOGETHER = {
+    "payload": ("gravity_torque_nm", "load_inertia_kg_m2"),
+    "controller_gains": ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad"),
+}
+"""Bench parameters that one cause changes at once."""
+
+FURTHEST_CHANGE = 3.0
+"""Factor by which a parameter may have changed, up or down."""
+
+MOST_CHANGES = 2
+FALSE_ALARM = 0.005
+"""Of the predictive check and of naming a change, each over all that it tests."""
+
+MISSED = 0.05
+"""Share of changes of a blind spot's size that pass; smaller ones pass more often."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedParameter:
+    """What the bench would have to have instead of what it has.
+
+    Attributes
+    ----------
+    name
+        Of the bench parameter, or ``effect.parameter``.
+    recording
+        The only one it has changed in; ``None`` where all recordings speak against the bench.
+    believed, found
+        By the bench, and by the recordings, in ``unit``; ``sd`` is the uncertainty of ``found``.
+    """
+
+    name: str
+    recording: str | None
+    believed: float
+    found: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another explanation that the recordings cannot tell from the one chosen.
+
+    Attributes
+    ----------
+    name
+        Of the effect or of what changed.
+    gaps_rad
+        δ of each recording if it is the true one, shape (recordings,).
+    """
+
+    name: str
+    gaps_rad: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class BlindSpot:
+    """A change of the joint in its last recording that the check would not see.
+
+    Attributes
+    ----------
+    name
+        Of the bench parameter, or ``effect.parameter``.
+    size
+        Largest change that passes, in ``unit``.
+    error_rad
+        By which it would move the change of δ from the first recording to the last; absolute.
+    """
+
+    name: str
+    size: float
+    unit: str
+    error_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointFindings:
+    """Whether one joint, as its bench describes it, made all recordings.
+
+    Attributes
+    ----------
+    explained
+        Whether the bench, with what changed, explains all recordings to within noise.
+    changed
+        What had to be freed for that; empty where the bench does as it is.
+    could_be
+        Names of what is freed, and of what these recordings cannot tell from it.
+    blind_spots
+        The one that moves the change of δ most first.
+    """
+
+    explained: bool
+    changed: tuple[ChangedParameter, ...]
+    could_be: tuple[str, ...]
+    rivals: tuple[Rival, ...]
+    blind_spots: tuple[BlindSpot, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the bench as believed explains all recordings."""
+        return self.explained and not self.changed
+
+
+def find_changes(
+    nominal: SimulatedFit, false_alarm: float = FALSE_ALARM
+) -> tuple[SimulatedFit, JointFindings]:
+    """What the bench would have to have, in all recordings or in one, to explain them.
+
+    Parameters
+    ----------
+    nominal
+        All recordings of a joint fitted together with the bench as believed.
+    false_alarm
+        Of the predictive check and of the search, each over all that it tests.
+
+    Returns
+    -------
+    The fit with what changed freed, or the nominal one where nothing did or nothing explains it.
+    """
+    naming = name_missing(
+        nominal,
+        partial(_candidates, nominal),
+        max_effects=MOST_CHANGES,
+        false_alarm=false_alarm,
+        screened=True,
+    )
+    final = naming.final
+    if final.candidates:
+        # What changed is not noise: the interval rests on the noise estimated without it.
+        final = with_noise(final, remaining_noise(final.fit))
+    explained = agrees(disagreements(final.fit), false_alarm)
+    fit = final.fit if explained else nominal
+    findings = JointFindings(
+        explained,
+        tuple(_parameters(nominal, final)) if explained else (),
+        tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),
+        tuple(
+            Rival(rival.candidates[-1].name, _gaps(rival.fit))
+            for found in naming.effects
+            for rival in found.indistinguishable
+        ),
+        tuple(blind_spots(fit, false_alarm)) if explained else (),
+    )
+    return fit, findings
+
+
+def _gaps(fit: SimulatedFit) -> FloatArray:
+    return np.array([fit.value(GAP, seen.name) for seen in fit.model.recordings])
+
+
+def _parameters(nominal: SimulatedFit, final: Explanation) -> Iterator[ChangedParameter]:
+    """What each candidate in the explanation found, phases left out."""
+    for candidate in final.candidates:
+        for place in amplitude_places(candidate):
+            unknown = candidate.unknowns[place]
+            yield ChangedParameter(
+                unknown.name.replace("__", "."),
+                candidate.recording,
+                float(candidate.neutral[place]),
+                final.fit.value(unknown.name, unknown.recording),
+                final.fit.sd(unknown.name, unknown.recording),
+                _unit(unknown.name),
+            )
+
+
+def _unit(name: str) -> str:
+    effect, _, parameter = name.partition("__")
+    if not parameter:
+        return PARAMETER_INFO[name].unit
+    return next(p.unit for p in effect_named(effect).parameters if p.name == parameter)
+
+
+def _candidates(fit: SimulatedFit, peaks: Sequence[OrderPeak]) -> list[Candidate]:
+    """All that may differ from the bench, in all recordings together and in each alone."""
+    model = fit.model
+    bench, recordings = model.bench, model.recordings
+    found = [
+        *(c for c in candidates(bench, recordings, "all", peaks) if c.kind == "effect"),
+        *(_changed(bench, name, (name,)) for name in CORRECTABLE_PARAMETERS),
+        *(_changed(bench, name, names) for name, names in CHANGED_TOGETHER.items()),
+        *_own_effects(bench),
+    ]
+    shared = {u.name for u in model.unknowns if u.recording is None}
+    everywhere = [c for c in found if not shared & {u.name for u in c.unknowns}]
+    if len(recordings) == 1:
+        return everywhere
+    own = {(u.name, u.recording) for u in model.unknowns}
+    within = [c.within(seen.name) for seen in recordings for c in found]
+    return [
+        *everywhere,
+        *(c for c in within if not own & {(u.name, u.recording) for u in c.unknowns}),
+    ]
+
+
+def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
+    values = np.array([bench.value(parameter) for parameter in parameters])
+    unknowns = tuple(
+        Unknown(parameter, value / FURTHEST_CHANGE, value * FURTHEST_CHANGE)
+        for parameter, value in zip(parameters, values, strict=True)
+    )
+    return Candidate(name, "parameter", unknowns, values)
+
+
+def _own_effects(bench: Bench) -> list[Candidate]:
+    """Effects that the bench has, grown or shrunk."""
+    found = []
+    for present in bench.effects:
+        values = present.complete()
+        for amplitude in effect_named(present.name).amplitudes:
+            value = values[amplitude.name]
+            if value == 0.0:
+                continue
+            low, high = sorted((value / FURTHEST_CHANGE, value * FURTHEST_CHANGE))
+            unknown = Unknown(f"{present.name}__{amplitude.name}", low, high)
+            found.append(Candidate(present.name, "parameter", (unknown,), np.array([value])))
+    return found
+
+
+def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[BlindSpot]:
+    """Changes in the last recording that would pass, the one that moves the change of δ most first.
+
+    With J the derivatives of the fit, C = (JᵀJ + P)⁻¹ and j that by the change, a change of size η
+    moves the unknowns by C Jᵀj η if it is not modelled, and is found where η exceeds its standard
+    deviation (jᵀj − jᵀJ C Jᵀj)^(−1/2), were it free, often enough for the threshold.
+    """
+    model = fit.model
+    first, last = model.recordings[0].name, model.recordings[-1].name
+    if first == last:
+        return []
+    toward = np.zeros(fit.point.size)
+    toward[model.index(GAP, last)] = fit.value(GAP, last)
+    toward[model.index(GAP, first)] = -fit.value(GAP, first)
+    least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
+    least += float(norm.isf(MISSED))
+    spots = []
+    for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)]):
+        if candidate.recording != last or len(amplitude_places(candidate)) != 1:
+            continue
+        spots += [
+            _largest_hidden(fit, candidate, columns, toward, least)
+            for columns in columns_of(fit, candidate)
+            if columns
+        ]
+    worst: dict[str, BlindSpot] = {}
+    for spot in sorted(spots, key=lambda spot: -spot.error_rad):
+        worst.setdefault(spot.name, spot)
+    return list(worst.values())
+
+
+def _largest_hidden(
+    fit: SimulatedFit,
+    candidate: Candidate,
+    columns: Sequence[FloatArray],
+    toward: FloatArray,
+    least: float,
+) -> BlindSpot:
+    """The change that passes and moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
+    matrix = np.column_stack(columns)
+    across = fit.jacobian.T @ matrix
+    moved = fit.covariance @ across
+    information = matrix.T @ matrix - across.T @ moved
+    pull = toward @ moved
+    hidden = np.linalg.pinv(information, hermitian=True) @ pull
+    reach = math.sqrt(max(float(pull @ hidden), 0.0))
+    place = amplitude_places(candidate)[0]
+    unknown = candidate.unknowns[place]
+    furthest = unknown.high - float(candidate.neutral[place])
+    if reach > 0.0:
+        hidden *= least / reach
+    size = float(np.linalg.norm(hidden))
+    if size > furthest or reach == 0.0:
+        hidden *= furthest / size if size > 0.0 else 0.0
+        size = furthest
+    return BlindSpot(
+        unknown.name.replace("__", "."), size, _unit(unknown.name), abs(float(pull @ hidden))
+    )
