@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 
-import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
