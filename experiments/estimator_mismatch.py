@@ -148,7 +148,7 @@ def generalised_amplitude(point: PointEstimate) -> float:
         train = pulse_train(time, first, decay, frequency, length, apart, period, dt)
         baseline = baseline_columns(time, period, objective.model.baseline_harmonics)
         columns = white(np.column_stack([train, baseline]))
-        linear = np.linalg.lstsq(columns, speed, rcond=None)[0]
+        linear = np.asarray(np.linalg.lstsq(columns, speed, rcond=None)[0], dtype=np.float64)
         return speed - columns @ linear, linear
 
     found = least_squares(lambda f: solved(f)[0], np.ones(len(_SEARCHED)), x_scale=1e-3)

@@ -24,12 +24,40 @@ LARGEST_LIMIT_RAD = 0.05
 """Nearly 3°: more than any joint whose gap can be measured by its ringing."""
 
 
+class Drift(Section):
+    """An entry of ``[joint.may_drift]``: half-width of a uniform prior, as a bench tolerance is."""
+
+    tolerance: Positive | None = None
+    relative_tolerance: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_of_the_two(self) -> Self:
+        if (self.tolerance is None) == (self.relative_tolerance is None):
+            refuse(
+                "A drift is given by one tolerance.",
+                found="both" if self.tolerance is not None else "none",
+                expected="tolerance = 0.5, in the parameter's unit, or relative_tolerance = 0.02",
+            )
+        return self
+
+    def half_width(self, value: float) -> float:
+        """In the parameter's unit, of a parameter of this value."""
+        if self.relative_tolerance is not None:
+            return self.relative_tolerance * abs(value)
+        return self.tolerance or 0.0
+
+
 class Joint(Section):
-    """``[joint]``: what is known of the joint itself."""
+    """``[joint]``: what is known of the joint itself.
+
+    ``may_drift``: how far a bench parameter or ``"effect.parameter"`` may move between the first
+    snapshot and each later one; the interval of the change then includes it.
+    """
 
     gear_ratio: Positive | None = None
     limit_rad: Positive | None = None
     decide_before: Date | None = None
+    may_drift: dict[str, Drift] = Field(default_factory=dict)
 
     @field_validator("limit_rad")
     @classmethod

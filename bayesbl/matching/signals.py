@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
-from bayesbl.bench.parameters import rotation_period_s
+from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
 from bayesbl.errors import RecordingError
 from bayesbl.matching.simulation_cache import RecentSimulations
@@ -188,6 +189,8 @@ class Unknown:
         Name of the recording it belongs to; ``None`` if all share it.
     logarithmic
         The coordinate is the natural logarithm of the value.
+    added
+        The value is added to what the recording has without it.
     """
 
     name: str
@@ -197,11 +200,13 @@ class Unknown:
     sd: float = math.inf
     recording: str | None = None
     logarithmic: bool = False
+    added: bool = False
 
     @property
     def label(self) -> str:
         """Name, with the recording where it belongs to one."""
-        return self.name if self.recording is None else f"{self.name} ({self.recording})"
+        name = f"drift of {self.name}" if self.added else self.name
+        return name if self.recording is None else f"{name} ({self.recording})"
 
     def value(self, coordinate: FloatArray) -> FloatArray:
         """From the coordinate to the value."""
@@ -234,6 +239,26 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
         Unknown(name, bench.value(name) - half, bench.value(name) + half)
         for name, half in bench.tolerances.items()
     ]
+
+
+def drift_unknowns(
+    bench: Bench, may_drift: Mapping[str, float], recordings: Sequence[str]
+) -> list[Unknown]:
+    """How far each parameter may have moved since the first recording, uniform.
+
+    Parameters
+    ----------
+    may_drift
+        Half-width by the name of a bench parameter or ``effect.parameter``, in its unit.
+    """
+    found = []
+    for name, half in may_drift.items():
+        value = bench.value(name)
+        signed = name in PARAMETER_INFO and PARAMETER_INFO[name].signed
+        low = -half if signed or value < 0.0 else max(-half, -value)
+        slot = name.replace(".", "__")
+        found += [Unknown(slot, low, half, recording=r, added=True) for r in recordings[1:]]
+    return found
 
 
 def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
@@ -307,13 +332,7 @@ class SimulatedSignals:
         """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
         points = np.atleast_2d(points)
-        settings = {
-            unknown.name: unknown.value(points[:, i])
-            for i, unknown in enumerate(self.unknowns)
-            if unknown.recording in (None, seen.name)
-        }
-        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known, **self.settings}
-        matrix = self.bench.vector(**(known | settings))
+        matrix = self.bench.vector(**self.settings_of(points, seen))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
         # Points often differ only in the unknowns of other recordings.
@@ -326,6 +345,26 @@ class SimulatedSignals:
             partial(_simulated, seen, samples, accuracy, self.workers),
         )
         return found[place.ravel()]
+
+    def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
+        """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
+
+        What is known of the recording goes before what all share, its own unknowns before both.
+        """
+        settings: dict[str, Any] = {"reference_speed_rpm": seen.reference_speed_rpm}
+        settings |= self.settings
+        own = []
+        for i, unknown in enumerate(self.unknowns):
+            if unknown.recording is None:
+                settings[unknown.name] = unknown.value(points[:, i])
+            elif unknown.recording == seen.name:
+                own.append((unknown, unknown.value(points[:, i])))
+        settings |= seen.known
+        for unknown, value in own:
+            if unknown.added:
+                value = value + settings.get(unknown.name, self.bench.value(unknown.name))
+            settings[unknown.name] = value
+        return settings
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""

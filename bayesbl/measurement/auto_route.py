@@ -100,7 +100,7 @@ class AutoMeasurer:
             return _instead(amplitude, direct, " ".join(dict.fromkeys(filter(None, failed))))
         reasons = [s.verdict.reason for s in amplitude.snapshots]
         found = _beside(direct, reasons, amplitude)
-        if self.amplitude.source.is_of_bench:
+        if self.amplitude.source.is_of_bench and found.change_reason is None:
             found = replace(found, change_reason=_disagreement(direct, amplitude))
         return _with_attributes(found)
 

@@ -21,7 +21,12 @@ import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.measurement import Snapshot
-from bayesbl.measurement.summary_types import DateInterval, LineSummary, WearSummary
+from bayesbl.measurement.summary_types import (
+    DateInterval,
+    LineSummary,
+    WearSummary,
+    WithheldWearSummary,
+)
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
     LEAST_SHARE_GROWING,
@@ -126,7 +131,9 @@ def used_dates(group: xr.Dataset) -> list[Date]:
     return [Date.fromisoformat(str(day)) for day, used in stored if used]
 
 
-def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | None:
+def summarise_wear(
+    tree: xr.DataTree, names: Sequence[str]
+) -> WearSummary | WithheldWearSummary | None:
     """``wear`` of the summary of a comparison (see the module)."""
     if WEAR.name not in tree.children:
         return None
@@ -134,7 +141,7 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | Non
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     limit, before = tree.attrs.get("limit_rad"), group.attrs.get("decide_before")
     dates = used_dates(group)
-    result: WearSummary = {
+    withheld: WithheldWearSummary = {
         "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
@@ -150,16 +157,20 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | Non
         "limit_not_before": None,
         "decide_before": before,
         "probability_limit_before": None,
-        "reason": group.attrs["reason"] or None,
+        "reason": group.attrs["reason"],
     }
-    if result["reason"]:
-        return result
+    if withheld["reason"]:
+        return withheld
     every = group["rate_rad_per_year"].values
     grows = every >= 0.0
     rate = every[grows]
-    result["rate_rad_per_year"] = interval(rate, level, kind)
-    result["rate_at_most_rad_per_year"] = float(np.quantile(rate, level))
-    result["probability_wear"] = float(np.mean(every > 0.0))
+    result: WearSummary = {
+        **withheld,
+        "rate_rad_per_year": interval(rate, level, kind),
+        "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
+        "probability_wear": float(np.mean(every > 0.0)),
+        "reason": None,
+    }
     if len(dates) >= FEWEST_FOR_SCATTER:
         scatter = group["scatter_rad_per_root_year"].values[grows]
         result["scatter_rad_per_root_year"] = interval(scatter, level, kind)

@@ -27,13 +27,22 @@ from bayesbl.units import unit_of
 DELTA = shared.DELTA.name
 
 
+DRIFT = "drift__"
+"""Before the name of what may have drifted since the first snapshot."""
+
+
 def result_name(unknown: Unknown) -> str:
     """Name of an unknown in results, ``delta_rad`` for the gap."""
+    if unknown.added:
+        return DRIFT + unknown.name
     return DELTA if unknown.name == GAP_UNKNOWN else unknown.name
 
 
 def unit_and_meaning(name: str) -> tuple[str, str]:
     """Unit and long name of an unknown by its name in results."""
+    if name.startswith(DRIFT):
+        unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
+        return unit, f"change since the first snapshot of: {meaning}"
     if name == DELTA:
         return shared.DELTA.unit, shared.DELTA.meaning
     if name in PARAMETER_INFO:

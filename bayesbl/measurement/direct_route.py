@@ -6,15 +6,19 @@ largely cancels in the change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.errors import ConfigError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
@@ -22,6 +26,7 @@ from bayesbl.matching.signals import (
     GAP,
     Observed,
     Unknown,
+    drift_unknowns,
     effect_unknowns,
     gap_unknown,
     observed,
@@ -33,25 +38,41 @@ from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.model_check import (
+    against_the_bench,
+    check_of_comparison,
+    check_of_snapshot,
+    undecided_change,
+    undecided_gap,
+)
 from bayesbl.measurement.task import StageProgress, Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
-from bayesbl.recording.types import MOTOR_CURRENT, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
 LARGEST_Z = 37.0
 """Beyond it a probability is zero in double precision."""
 
-FALSE_ALARM = 0.01
-"""Of the predictive check, over all channels and bands of a run."""
+
+NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
 class DirectMatch:
-    """A joint posterior with the predictive check of its optimum."""
+    """A joint posterior with the predictive check of its optimum, and what changed in the joint."""
 
     posterior: DirectPosterior
     check: tuple[RepeatingPower, ...]
+    joint: JointFindings
+
+    @property
+    def change_rad(self) -> FloatArray:
+        """Draws of the change of δ from the first recording to the last, shape (chain, draw)."""
+        names = [seen.name for seen in self.posterior.fit.model.recordings]
+        first, last = (self.posterior.values(GAP, name) for name in (names[0], names[-1]))
+        return last - first
 
     @property
     def shares_unknowns(self) -> bool:
@@ -72,14 +93,16 @@ class DirectMatch:
         ]
 
     def model_check(self, recording: str, level: float) -> JointCheck:
-        """Whether this recording may be one of the bench, by what repeats in every rotation.
+        """Whether this recording may be one of the bench as believed.
 
-        What disagrees is said by the verdict, which it withholds δ by.
+        What disagrees is said by the verdict, which it withholds δ by, or by the comparison.
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
-        return JointCheck(
-            not self.repeating(recording) and beyond is None,
-            [_item(entry) for entry in self.check if entry.recording == recording],
+        check = check_of_snapshot(self.joint, recording)
+        return replace(
+            check,
+            agrees=check.agrees and not self.repeating(recording) and beyond is None,
+            items=[*check.items, *(_item(e) for e in self.check if e.recording == recording)],
         )
 
 
@@ -122,6 +145,7 @@ class DirectMeasurer:
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
+            drifts_of(self.config, self.bench),
             estimator_of(self.config).sampler,
             task.seeds.direct,
         )
@@ -131,6 +155,7 @@ class DirectMeasurer:
             lambda: fit_directly(*problem, self.config.run.workers, task.progress),
             DirectMatch,
         )
+        level = self.config.interval.level
         return Measurement(
             "direct",
             [
@@ -138,6 +163,8 @@ class DirectMeasurer:
                 for index, recording in enumerate(task.recordings)
             ],
             attributes={"bench": self.bench.fingerprint()},
+            same_joint=check_of_comparison(found.joint, found.change_rad, level),
+            change_reason=undecided_change(found.joint, found.change_rad, level),
         )
 
     def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:
@@ -147,28 +174,74 @@ class DirectMeasurer:
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(found, posterior.fit.model.recordings[index], recording.notes, level),
+            direct_verdict(found, index, recording.notes, level),
             direct_groups(posterior, recording, index, check),
             model_check=found.model_check(recording.name, level),
         )
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
-    """A recording as the simulator is compared with it, at the speed that the config gives."""
+    """A recording as the simulator is compared with it, with what the config knows of it."""
     require_alive(recording, (MOTOR_CURRENT,))
-    speeds = {entry.name: entry.reference_speed_rpm for entry in config.recordings}
-    return observed(recording, bench, speeds[recording.name])
+    entry = next(e for e in config.recordings if e.name == recording.name)
+    known = {}
+    for name, value in entry.bench.items():
+        _require_part_of(bench, name, f"[[recordings]] bench of {entry.name}")
+        known[name.replace(".", "__")] = value
+    seen = observed(recording, bench, entry.reference_speed_rpm)
+    return replace(seen, known={**seen.known, **known})
+
+
+def drifts_of(config: SnapshotConfig, bench: Bench) -> dict[str, float]:
+    """Half-width of what may drift between snapshots, by name, in each parameter's unit."""
+    found = {}
+    for name, drift in config.joint.may_drift.items():
+        _require_part_of(bench, name, "[joint] may_drift")
+        found[name] = drift.half_width(bench.value(name))
+        if found[name] == 0.0:
+            raise ConfigError(
+                "A share of zero is no drift.",
+                where=f"[joint] may_drift, {name}",
+                found="relative_tolerance, and a value of 0 in the bench",
+                expected="tolerance, in the parameter's unit",
+            )
+    return found
+
+
+def _require_part_of(bench: Bench, name: str, where: str) -> None:
+    """Refuse what is no parameter of the bench or of an effect that it has."""
+    own = {
+        f"{present.name}.{parameter.name}"
+        for present in bench.effects
+        for parameter in effect_named(present.name).amplitudes
+    }
+    if name not in own | PARAMETER_INFO.keys():
+        raise ConfigError(
+            "The bench has no such parameter.",
+            where=where,
+            found=name,
+            expected="one of "
+            + ", ".join([*PARAMETER_INFO, *sorted(own)])
+            + ", or of an effect that the bench file has",
+        )
 
 
 def direct_unknowns(
-    bench: Bench, names: Sequence[str], gap_rad: tuple[float, float]
+    bench: Bench,
+    names: Sequence[str],
+    gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float] = NO_DRIFT,
 ) -> list[Unknown]:
-    """A gap and a start angle for each recording, and what is not known of their bench."""
+    """A gap and a start angle for each recording, and what is not known of their bench.
+
+    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it.
+    """
     return [
         *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
         *(start_angle_unknown(name) for name in names),
         *effect_unknowns(bench, names),
         *tolerance_unknowns(bench),
+        *drift_unknowns(bench, may_drift, names),
     ]
 
 
@@ -176,6 +249,7 @@ def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float],
     sampler: SamplerSettings,
     seed: np.random.SeedSequence,
     workers: int = 1,
@@ -183,35 +257,41 @@ def fit_directly(
     *,
     corrected: bool = True,
 ) -> DirectMatch:
-    """Optimum, predictive check and posterior of all recordings together.
+    """Optimum, posterior of all recordings together, and whether one joint made them.
+
+    What changed in the joint between the recordings is freed where it is found.
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad)
-    fit = fit_aligned(bench, recordings, unknowns, workers)
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift)
+    fit, joint = find_changes(fit_aligned(bench, recordings, unknowns, workers))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)
     posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
-    return DirectMatch(posterior, tuple(disagreements(fit)))
+    return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 
 
 def direct_verdict(
-    found: DirectMatch, recording: Observed, notes: Sequence[str] = (), level: float = 0.9
+    found: DirectMatch, index: int, notes: Sequence[str] = (), level: float = 0.9
 ) -> Verdict:
     """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
-    ``notes``: what was done to the recording; ``level``: of the interval.
+    ``index``: of its recording; ``notes``: what was done to it; ``level``: of the interval.
     """
     diagnostics = found.posterior.diagnostics
     outcome, reasons = diagnostics.outcome, list(diagnostics.reasons)
+    recording = found.posterior.fit.model.recordings[index]
+    gap = found.posterior.values(GAP, recording.name)
     repeating = found.repeating(recording.name)
-    if repeating:
+    against = [
+        found.posterior.beyond_tolerance(recording.name, level),
+        _disagreement_in_words(repeating) if repeating else None,
+        against_the_bench(found.joint),
+        undecided_gap(found.joint, index, gap, level),
+    ]
+    if any(against):
         outcome = "withheld"
-        reasons.insert(0, _disagreement_in_words(repeating))
-    beyond = found.posterior.beyond_tolerance(recording.name, level)
-    if beyond:
-        outcome = "withheld"
-        reasons.insert(0, beyond)
+        reasons = [*filter(None, against), *reasons]
     reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:
         reasons.append(

@@ -12,6 +12,7 @@ from importlib import import_module
 import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import require_plausible_limit
 from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
@@ -49,8 +50,21 @@ def measurer_of(config: SnapshotConfig) -> Measurer:
 
 
 def route_of_result(tree: xr.DataTree) -> Route:
-    """The route that a stored result was made by; version 0.1 named the direct one only."""
-    return route_of(tree.attrs.get("route", "amplitude"))
+    """The route that a stored result was made by.
+
+    Raises
+    ------
+    ResultError
+        If there is no such route.
+    """
+    name = tree.attrs.get("route")
+    if not isinstance(name, str) or name not in ROUTES:
+        raise ResultError(
+            "This result was made by no known route.",
+            found=f"route {name!r}",
+            expected=" or ".join(ROUTES),
+        )
+    return route_of(name)
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:

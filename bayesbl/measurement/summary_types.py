@@ -184,32 +184,51 @@ class DateInterval(TypedDict):
     kind: str
 
 
-class WearSummary(TypedDict):
-    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
-
-    ``snapshots`` are those since the last repair. ``rate_rad_per_year`` has healing ruled out,
-    ``probability_wear`` that the gap grows has not. ``scatter_rad_per_root_year`` is irregular
-    wear, ``None`` under four snapshots; ``line`` is ``None`` under three. ``years_to_limit`` count
-    from the last snapshot; before ``limit_not_before`` the limit is not reached, one-sided.
-    ``reason`` says why all of these are ``None``.
-    """
+class _DatedSummary(TypedDict):
+    """Of dated snapshots since the last repair."""
 
     snapshots: list[str]
     first_date: str
     last_date: str
     level: float
-    rate_rad_per_year: Interval | None
-    rate_at_most_rad_per_year: float | None
-    probability_wear: float | None
+    limit_rad: float | None
+    decide_before: str | None
+
+
+class WearSummary(_DatedSummary):
+    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
+
+    ``rate_rad_per_year`` has healing ruled out, ``probability_wear`` that the gap grows has not.
+    ``scatter_rad_per_root_year`` is irregular wear, ``None`` under four snapshots; ``line`` is
+    ``None`` under three. ``years_to_limit`` count from the last snapshot; before
+    ``limit_not_before`` the limit is not reached, one-sided.
+    """
+
+    rate_rad_per_year: Interval
+    rate_at_most_rad_per_year: float
+    probability_wear: float
     scatter_rad_per_root_year: Interval | None
     line: LineSummary | None
-    limit_rad: float | None
     years_to_limit: Interval | None
     limit_date: DateInterval | None
     limit_not_before: str | None
-    decide_before: str | None
     probability_limit_before: float | None
-    reason: str | None
+    reason: None
+
+
+class WithheldWearSummary(_DatedSummary):
+    """As :class:`WearSummary` where no rate can be given; ``reason`` says why."""
+
+    rate_rad_per_year: None
+    rate_at_most_rad_per_year: None
+    probability_wear: None
+    scatter_rad_per_root_year: None
+    line: None
+    years_to_limit: None
+    limit_date: None
+    limit_not_before: None
+    probability_limit_before: None
+    reason: str
 
 
 class ComparisonSummary(Head):
@@ -228,4 +247,8 @@ class ComparisonSummary(Head):
     ringing_change: Interval | None
     probability_ringing_grew: float | None
     same_joint: JointCheckSummary
-    wear: WearSummary | None
+    wear: WearSummary | WithheldWearSummary | None
+
+
+MeasuredSummary = FitSummary | ComparisonSummary
+"""Of gaps measured in recordings; ``kind`` says which."""

@@ -8,8 +8,8 @@ is fitted together with every gap, so wear is never taken for a change of the jo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,15 +17,15 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
+from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_noise
 from bayesbl.naming.motor_orders import OrderPeak
-from bayesbl.naming.search import Naming, name_missing
+from bayesbl.naming.search import name_missing
 from bayesbl.recording.types import FloatArray
 
 CHANGED_TOGETHER = {
@@ -46,22 +46,60 @@ MISSED = 0.05
 
 
 @dataclass(frozen=True, slots=True)
+class ChangedParameter:
+    """What the bench would have to have instead of what it has.
+
+    Attributes
+    ----------
+    name
+        Of the bench parameter, or ``effect.parameter``.
+    recording
+        The only one it has changed in; ``None`` where all recordings speak against the bench.
+    believed, found
+        By the bench, and by the recordings, in ``unit``; ``sd`` is the uncertainty of ``found``.
+    """
+
+    name: str
+    recording: str | None
+    believed: float
+    found: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another explanation that the recordings cannot tell from the one chosen.
+
+    Attributes
+    ----------
+    name
+        Of the effect or of what changed.
+    gaps_rad
+        δ of each recording if it is the true one, shape (recordings,).
+    """
+
+    name: str
+    gaps_rad: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class BlindSpot:
-    """A change of the joint in one recording that the check would not see.
+    """A change of the joint in its last recording that the check would not see.
 
     Attributes
     ----------
     name
         Of the bench parameter, or ``effect.parameter``.
     size
-        Largest change that passes, in the parameter's unit.
+        Largest change that passes, in ``unit``.
     error_rad
         By which it would move the change of δ from the first recording to the last; absolute.
     """
 
     name: str
-    recording: str
     size: float
+    unit: str
     error_rad: float
 
 
@@ -71,47 +109,31 @@ class JointFindings:
 
     Attributes
     ----------
-    nominal
-        Fitted with the bench as believed.
-    before
-        What repeats beyond noise with the bench as believed.
     explained
-        Whether nothing repeats any more in ``final``.
+        Whether the bench, with what changed, explains all recordings to within noise.
+    changed
+        What had to be freed for that; empty where the bench does as it is.
+    could_be
+        Names of what is freed, and of what these recordings cannot tell from it.
+    blind_spots
+        The one that moves the change of δ most first.
     """
 
-    nominal: SimulatedFit
-    naming: Naming
-    before: tuple[RepeatingPower, ...]
     explained: bool
-
-    @property
-    def final(self) -> SimulatedFit:
-        """With what changed freed; ``nominal`` where nothing did, or nothing explains it."""
-        return self.naming.final.fit if self.explained else self.nominal
-
-    @property
-    def changed(self) -> tuple[Candidate, ...]:
-        """What is freed in ``final``."""
-        return self.naming.final.candidates if self.explained else ()
+    changed: tuple[ChangedParameter, ...]
+    could_be: tuple[str, ...]
+    rivals: tuple[Rival, ...]
+    blind_spots: tuple[BlindSpot, ...]
 
     @property
     def agrees(self) -> bool:
         """Whether the bench as believed explains all recordings."""
         return self.explained and not self.changed
 
-    @property
-    def could_be(self) -> tuple[str, ...]:
-        """Names of what is freed, and of what these recordings cannot tell from it."""
-        found = [name for effect in self.naming.effects for name in effect.members]
-        return tuple(dict.fromkeys(found))
 
-    @property
-    def rivals(self) -> tuple[Explanation, ...]:
-        """Other explanations that these recordings cannot tell from ``final``."""
-        return tuple(r for effect in self.naming.effects for r in effect.indistinguishable)
-
-
-def find_changes(nominal: SimulatedFit, false_alarm: float = FALSE_ALARM) -> JointFindings:
+def find_changes(
+    nominal: SimulatedFit, false_alarm: float = FALSE_ALARM
+) -> tuple[SimulatedFit, JointFindings]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
     Parameters
@@ -120,21 +142,62 @@ def find_changes(nominal: SimulatedFit, false_alarm: float = FALSE_ALARM) -> Joi
         All recordings of a joint fitted together with the bench as believed.
     false_alarm
         Of the predictive check and of the search, each over all that it tests.
+
+    Returns
+    -------
+    The fit with what changed freed, or the nominal one where nothing did or nothing explains it.
     """
-    before = disagreements(nominal)
     naming = name_missing(
         nominal,
         partial(_candidates, nominal),
         max_effects=MOST_CHANGES,
         false_alarm=false_alarm,
+        screened=True,
     )
     final = naming.final
     if final.candidates:
         # What changed is not noise: the interval rests on the noise estimated without it.
         final = with_noise(final, remaining_noise(final.fit))
-        naming = replace(naming, final=final)
     explained = agrees(disagreements(final.fit), false_alarm)
-    return JointFindings(nominal, naming, tuple(before), explained)
+    fit = final.fit if explained else nominal
+    findings = JointFindings(
+        explained,
+        tuple(_parameters(nominal, final)) if explained else (),
+        tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),
+        tuple(
+            Rival(rival.candidates[-1].name, _gaps(rival.fit))
+            for found in naming.effects
+            for rival in found.indistinguishable
+        ),
+        tuple(blind_spots(fit, false_alarm)) if explained else (),
+    )
+    return fit, findings
+
+
+def _gaps(fit: SimulatedFit) -> FloatArray:
+    return np.array([fit.value(GAP, seen.name) for seen in fit.model.recordings])
+
+
+def _parameters(nominal: SimulatedFit, final: Explanation) -> Iterator[ChangedParameter]:
+    """What each candidate in the explanation found, phases left out."""
+    for candidate in final.candidates:
+        for place in amplitude_places(candidate):
+            unknown = candidate.unknowns[place]
+            yield ChangedParameter(
+                unknown.name.replace("__", "."),
+                candidate.recording,
+                float(candidate.neutral[place]),
+                final.fit.value(unknown.name, unknown.recording),
+                final.fit.sd(unknown.name, unknown.recording),
+                _unit(unknown.name),
+            )
+
+
+def _unit(name: str) -> str:
+    effect, _, parameter = name.partition("__")
+    if not parameter:
+        return PARAMETER_INFO[name].unit
+    return next(p.unit for p in effect_named(effect).parameters if p.name == parameter)
 
 
 def _candidates(fit: SimulatedFit, peaks: Sequence[OrderPeak]) -> list[Candidate]:
@@ -151,7 +214,12 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[OrderPeak]) -> list[Candidate
     everywhere = [c for c in found if not shared & {u.name for u in c.unknowns}]
     if len(recordings) == 1:
         return everywhere
-    return [*everywhere, *(c.within(seen.name) for seen in recordings for c in found)]
+    own = {(u.name, u.recording) for u in model.unknowns}
+    within = [c.within(seen.name) for seen in recordings for c in found]
+    return [
+        *everywhere,
+        *(c for c in within if not own & {(u.name, u.recording) for u in c.unknowns}),
+    ]
 
 
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
@@ -233,7 +301,6 @@ def _largest_hidden(
     if size > furthest or reach == 0.0:
         hidden *= furthest / size if size > 0.0 else 0.0
         size = furthest
-    assert candidate.recording is not None
     return BlindSpot(
-        unknown.name.replace("__", "."), candidate.recording, size, abs(float(pull @ hidden))
+        unknown.name.replace("__", "."), size, _unit(unknown.name), abs(float(pull @ hidden))
     )

@@ -7,12 +7,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import answer, diagnosis, wear
-from bayesbl.presentation.words import SURE, Summary
+from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import SnapshotSummary
+    from bayesbl.diagnosis.summary import DiagnosisSummary
+    from bayesbl.measurement.summary_types import (
+        ComparisonSummary,
+        MeasuredSummary,
+        SnapshotSummary,
+        WearSummary,
+    )
+    from bayesbl.runs.study import StudySummary
+    from bayesbl.runs.sweep_summary import SweepSummary
 
 CLOSE = 0.05
 """Relative distance from the limit that a guess in two digits does not resolve."""
@@ -29,7 +37,7 @@ class Advice:
     sentences: tuple[str, ...]
 
 
-def of_sweep(_: Summary) -> Advice:
+def of_sweep(_: SweepSummary) -> Advice:
     """What the curve of a sweep is for."""
     return Advice(
         "note",
@@ -41,7 +49,7 @@ def of_sweep(_: Summary) -> Advice:
     )
 
 
-def of_study(summary: Summary) -> Advice:
+def of_study(summary: StudySummary) -> Advice:
     """Whether all cases of a study count."""
     failed = sum(int(row["failed"]) for row in summary["rows"])
     if failed:
@@ -50,7 +58,7 @@ def of_study(summary: Summary) -> Advice:
     return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
 
 
-def of_snapshots(summary: Summary) -> Advice:
+def of_snapshots(summary: MeasuredSummary) -> Advice:
     """Whether and when to repair, by the last snapshot."""
     last = answer.snapshots(summary)[-1][1]
     if last["delta_rad"] is None:
@@ -63,9 +71,11 @@ def of_snapshots(summary: Summary) -> Advice:
                 "as you would without this measurement.",
             ),
         )
-    head = _by_forecast(summary, last) or _by_limit(summary, last)
+    compared = summary if summary["kind"] == "compare" else None
+    rated = wear.with_rate(compared) if compared else None
+    head = (_by_forecast(rated, last) if rated else None) or _by_limit(summary, last)
     if head is None:
-        head = _without_limit(summary)
+        head = _without_limit(compared, rated)
     elif answer.is_by_other_machine(summary):
         head = _by_other_machine(head)
     if answer.has_shrunk(summary) and head.tone != "act":
@@ -74,7 +84,7 @@ def of_snapshots(summary: Summary) -> Advice:
     return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
 
 
-def of_diagnosis(summary: Summary) -> Advice:
+def of_diagnosis(summary: DiagnosisSummary) -> Advice:
     """Whether the bench can be used, and how it should be completed."""
     match summary["verdict"]:
         case "named" if diagnosis.has_augmented_bench(summary):
@@ -111,12 +121,11 @@ def _by_other_machine(head: Advice) -> Advice:
     return Advice("watch" if head.tone == "fine" else head.tone, title, head.sentences)
 
 
-def _by_forecast(summary: Summary, last: SnapshotSummary) -> Advice | None:
-    """Until when no repair is due, where the limit is ahead and there is a forecast."""
+def _by_forecast(found: WearSummary, last: SnapshotSummary) -> Advice | None:
+    """Until when no repair is due, where the limit is ahead."""
     above = last.get("probability_above_limit")
-    if above is None or above > 1.0 - SURE or not wear.has_rate(summary):
+    if above is None or above > 1.0 - SURE:
         return None
-    found = summary["wear"]
     sentences = tuple(wear.sentences(found))
     if found["probability_wear"] < SURE:
         return Advice("fine", "No repair is due, and no wear is shown.", sentences)
@@ -129,7 +138,7 @@ def _by_forecast(summary: Summary, last: SnapshotSummary) -> Advice | None:
     return Advice(tone, f"Plan the repair for {found['limit_not_before']} or before.", sentences)
 
 
-def _by_limit(summary: Summary, last: SnapshotSummary) -> Advice | None:
+def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
     """Repair or not, by the probability that the last gap is above its limit."""
     above, why = last.get("probability_above_limit"), answer.above_limit(summary)
     if above is None or why is None:
@@ -142,14 +151,14 @@ def _by_limit(summary: Summary, last: SnapshotSummary) -> Advice | None:
     return Advice("watch", "Look at this joint soon.", (why, again))
 
 
-def _without_limit(summary: Summary) -> Advice:
+def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None) -> Advice:
     ask = "To see whether a repair is due, give the gap at which it is (--limit-rad)."
-    if wear.has_rate(summary):
-        if summary["wear"]["probability_wear"] >= SURE:
-            sentences = tuple(wear.sentences(summary["wear"]))
+    if rated is not None:
+        if rated["probability_wear"] >= SURE:
+            sentences = tuple(wear.sentences(rated))
             return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
         return Advice("fine", "No wear is shown: measure again later.", (ask,))
-    change = summary.get("change_rad")
+    change = None if summary is None else summary["change_rad"]
     if change is None:
         return Advice("note", "Compare this gap with what the joint may have.", (ask,))
     if change["low"] > 0.0:
@@ -158,17 +167,9 @@ def _without_limit(summary: Summary) -> Advice:
     return Advice("fine", "No wear is shown: measure again later.", (why, ask))
 
 
-def _caveats(summary: Summary, last: SnapshotSummary) -> Iterator[str]:
-    change, found = summary.get("change_rad"), summary.get("wear")
-    if found is not None and found["reason"]:
-        yield found["reason"]
-    bent = wear.not_straight(found) if wear.has_rate(summary) and found else None
-    if bent:
-        yield bent
-    if found is not None and len(found["snapshots"]) == 2:
-        yield "Two snapshots cannot show whether the wear is steady: take a third."
-    if found is None and change is not None and change["low"] > 0.0:
-        yield from _growth_again(last, change["median"])
+def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
+    if summary["kind"] == "compare":
+        yield from _caveats_of_change(summary, last)
     if answer.has_shrunk(summary):
         yield answer.SHRANK
     if answer.is_by_other_machine(summary):
@@ -176,6 +177,20 @@ def _caveats(summary: Summary, last: SnapshotSummary) -> Iterator[str]:
             "These gaps rest on the curve of another machine, the paper's test bench: make a "
             "curve for your joint (bayesbl sweep) before you act on them."
         )
+
+
+def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Iterator[str]:
+    change, found = summary["change_rad"], summary["wear"]
+    if found is None:
+        if change is not None and change["low"] > 0.0:
+            yield from _growth_again(last, change["median"])
+        return
+    if found["reason"] is not None:
+        yield found["reason"]
+    elif bent := wear.not_straight(found):
+        yield bent
+    if len(found["snapshots"]) == 2:
+        yield "Two snapshots cannot show whether the wear is steady: take a third."
 
 
 def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
@@ -195,7 +210,7 @@ def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
     )
 
 
-def _go_on(summary: Summary) -> Iterator[str]:
+def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     """What to do with the bench that the diagnosis wrote."""
     yield (
         f"{AUGMENTED_BENCH}, beside this page, is the bench with what was named, a bench file like "

@@ -9,7 +9,11 @@ from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import RouteSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import (
+        MeasuredSummary,
+        RouteSummary,
+        SnapshotSummary,
+    )
 
 BOUND_EXPLAINED = (
     "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
@@ -22,9 +26,10 @@ CHECK_EXPLAINED = (
 )
 
 
-def is_direct(summary: words.Summary) -> bool:
+def is_direct(summary: MeasuredSummary) -> bool:
     """Whether the answer comes from simulations of the bench."""
-    return bool(summary.get("snapshots", [summary])[0].get("route") == "direct")
+    first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
+    return first["route"] == "direct"
 
 
 def blocks(part: SnapshotSummary) -> Iterator[Block]:

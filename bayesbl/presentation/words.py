@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import SnapshotSummary
     from bayesbl.results.intervals import Interval
-
-Summary = Mapping[str, Any]
-"""``summary.json`` as :func:`bayesbl.runs.summary.summarise` makes it, or a part of it."""
 
 RAREST = 1e-3
 """Probabilities closer than this to 0 or 1 are beyond what some thousand draws can show."""

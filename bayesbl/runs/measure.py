@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
@@ -12,7 +13,10 @@ from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.measurement.task import estimator_of, recording_of
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.workflow import Options, Plan, Summary, require_output, run_into_folder
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
 
 
 def run(config: SnapshotConfig, options: Options) -> Summary:

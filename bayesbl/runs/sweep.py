@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -32,13 +33,18 @@ from bayesbl.runs.workflow import (
     Options,
     Plan,
     Progress,
-    Summary,
     require_affordable,
     require_output,
     run_into_folder,
 )
 
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
+
 CACHE = ".sweep-cache"
+
+CACHE_BYTES = 200_000_000
+"""What finished rows may take, some ten thousand of them; the oldest go first."""
 
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
 """What simulating and fitting takes, roughly: all recordings of a row are held at once."""
@@ -90,6 +96,7 @@ def run_sweep(
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
+    work.keep_latest(CACHE_BYTES)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
     swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, progress)

@@ -319,7 +319,9 @@ def configured(
 
 
 def _named(kind: str) -> tuple[str, ...]:
-    return (f"{kind}.toml", "before.csv", "after.csv", "bench.toml", "axis.csv", "study.py")
+    """Its files, and what its output would be or replace."""
+    inputs = ("before.csv", "after.csv", "bench.toml", "axis.csv", "study.py")
+    return (f"{kind}.toml", *inputs, "result/", "/dev/")
 
 
 def _own(tables: Any, name: str) -> Any:

@@ -105,6 +105,7 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "changes": steps,
         "probability_increase": given_probability,
         "same_joint": check(),
+        "wear": None,
     }
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_recordings import draw_symbols, synthetic_recording
 from scipy import stats
 from synthetic_ringing import TRUTH
 
@@ -43,7 +44,6 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 from bayesbl.ringing.waveform import pulse_train
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import (

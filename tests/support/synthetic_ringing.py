@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from made_recordings import synthetic_recording
 from scipy.optimize import brentq
 
 from bayesbl.noise.process import NoiseModel
@@ -23,7 +24,6 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import synthetic_recording
 
 TRUTH = {
     AMPLITUDE: 20.0,

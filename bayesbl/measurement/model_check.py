@@ -1,0 +1,154 @@
+"""What a comparison with the bench says of the joint: items, sentences, what is withheld.
+
+From what :mod:`bayesbl.naming.joint_change` finds to the checks of a snapshot and of a comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
+from bayesbl.naming.joint_change import ChangedParameter, JointFindings
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import number
+
+MATTERS = 0.2
+"""Share of an interval by which an error moves δ or its change too far to be left unsaid."""
+
+
+def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
+    """One recording against its bench."""
+    own = [c for c in found.changed if c.recording in (None, recording)]
+    return JointCheck(
+        found.explained and not own,
+        [_item(c) for c in own],
+        found.could_be if own else (),
+    )
+
+
+def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: float) -> JointCheck:
+    """The recordings against one another, with what none of them would show.
+
+    ``change_rad``: draws of the change of δ from the first to the last.
+    """
+    between = [c for c in found.changed if c.recording is not None]
+    sentences = [_sentence(c) for c in between]
+    others = [name for name in found.could_be if not any(c.name.startswith(name) for c in between)]
+    if between and others:
+        sentences.append(f"{_listed(others, 'or').capitalize()} would look the same.")
+    return JointCheck(
+        found.explained and not between,
+        [_item(c) for c in between],
+        found.could_be if between else (),
+        sentences,
+        [
+            BlindSpot(
+                f"{spoken(spot.name)} by {spot.size:.2g} {spot.unit}".strip(),
+                "too small for these recordings to show",
+                spot.error_rad,
+            )
+            for spot in found.blind_spots
+            if spot.error_rad > MATTERS * _width(change_rad, level)
+        ],
+    )
+
+
+def against_the_bench(found: JointFindings) -> str | None:
+    """Why no gap can be trusted where all recordings speak against the bench."""
+    everywhere = [c for c in found.changed if c.recording is None]
+    if not everywhere:
+        return None
+    told = _listed([_as_found(c) for c in everywhere], "and")
+    others = [name for name in found.could_be if name not in {c.name for c in everywhere}]
+    instead = f" {_listed(others, 'or')} would do the same." if others else ""
+    return (
+        f"The recordings speak against the bench: with {told} it would explain them.{instead} "
+        "Correct the bench file, or give what is not known exactly a tolerance."
+    )
+
+
+def undecided_gap(
+    found: JointFindings, index: int, gap_rad: FloatArray, level: float
+) -> str | None:
+    """Why δ of a recording depends on which of several changes is the true one.
+
+    ``index``: of the recording; ``gap_rad``: draws of its δ.
+    """
+    middle = float(np.median(gap_rad))
+    apart = [(r.name, float(r.gaps_rad[index])) for r in found.rivals]
+    return _undecided(found, apart, middle, _width(gap_rad, level), "δ")
+
+
+def undecided_change(found: JointFindings, change_rad: FloatArray, level: float) -> str | None:
+    """The same of the change of δ from the first recording to the last."""
+    middle = float(np.median(change_rad))
+    apart = [(r.name, float(r.gaps_rad[-1] - r.gaps_rad[0])) for r in found.rivals]
+    return _undecided(found, apart, middle, _width(change_rad, level), "the change of δ")
+
+
+def _undecided(
+    found: JointFindings,
+    rivals: Sequence[tuple[str, float]],
+    chosen_rad: float,
+    width_rad: float,
+    what: str,
+) -> str | None:
+    apart = [(n, value) for n, value in rivals if abs(value - chosen_rad) > MATTERS * width_rad]
+    if not apart:
+        return None
+    name, value = max(apart, key=lambda rival: abs(rival[1] - chosen_rad))
+    chosen = _listed([spoken(c.name) for c in found.changed], "and")
+    return (
+        f"Something else than the gap changed in the joint, and the recordings do not tell what: "
+        f"if it is {chosen}, {what} is {1e3 * chosen_rad:.3g} mrad; if it is "
+        f"{spoken(name)}, {1e3 * value:.3g} mrad. Record the motor current too, record a "
+        "second speed or direction, or give what is known of the recording in "
+        "[[recordings]] bench."
+    )
+
+
+def _item(changed: ChangedParameter) -> CheckItem:
+    z = (changed.found - changed.believed) / changed.sd if changed.sd > 0.0 else 0.0
+    return CheckItem(changed.name, changed.found, changed.believed, changed.unit, z)
+
+
+def _sentence(changed: ChangedParameter) -> str:
+    return (
+        f"In {changed.recording} something else than the gap has changed: {_as_found(changed)}. "
+        "The change of δ is given with this allowed for."
+    )
+
+
+def _as_found(changed: ChangedParameter) -> str:
+    share = ""
+    if changed.believed:
+        percent = 100.0 * (changed.found / changed.believed - 1.0)
+        share = f" ({'+' if percent > 0.0 else ''}{number(percent, 1)} %)"
+    text = f"{spoken(changed.name)} of {changed.found:.4g} instead of {changed.believed:.4g}"
+    return f"{text} {changed.unit}".rstrip() + share
+
+
+def spoken(name: str) -> str:
+    """A bench parameter or ``effect.parameter`` in words, with its name."""
+    effect, _, parameter = name.partition(".")
+    if effect in PARAMETER_INFO:
+        return f"{PARAMETER_INFO[effect].meaning} ({name})"
+    if not parameter:
+        return name.replace("_", " ")
+    meaning = next(p.meaning for p in effect_named(effect).parameters if p.name == parameter)
+    return f"{effect.replace('_', ' ')}, {meaning} ({name})"
+
+
+def _width(draws_rad: FloatArray, level: float) -> float:
+    low, high = np.quantile(draws_rad, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return float(high - low)
+
+
+def _listed(texts: Sequence[str], last: str) -> str:
+    if len(texts) < 2:
+        return "".join(texts)
+    return f"{', '.join(texts[:-1])} {last} {texts[-1]}"
