@@ -8,7 +8,7 @@ may move each of them is taken off the difference before it is held against its 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,16 +72,13 @@ IN_WORDS = {
     DECAY: "damping or the controller's gains",
 }
 
+SHOWN_BEST = (PROPORTIONAL, INTEGRAL, harmonic_name("current", 1), FREQUENCY, DECAY)
+"""Of which it is told how much may change unseen."""
+
 WITHOUT_CURRENT = (
     BlindSpot(
         "the speed controller's gains, the torque constant and friction",
         "there is no motor current in the recordings",
-    ),
-)
-WITHOUT_BENCH = (
-    BlindSpot(
-        "changes of damping, gains or transmission too small for this check",
-        "without a bench it is not known what they do to δ",
     ),
 )
 
@@ -115,11 +112,12 @@ def same_joint(fits: Sequence[Fit], repaired: Sequence[bool]) -> JointCheck:
         else:
             pairs.append((first, snapshot))
     found = [(other, item) for first, other in pairs for item in _compared(first, other)]
-    with_current = all(MOTOR_CURRENT in fit.point.recording.channels for fit in fits)
-    blind = WITHOUT_BENCH if with_current else (*WITHOUT_CURRENT, *WITHOUT_BENCH)
     if not found:
-        return JointCheck(True, blind_spots=blind)
+        return NOTHING_COMPARED
     bound = float(norm.isf(0.5 * FALSE_ALARM / len(found)))
+    blind = [*_too_small(pairs, bound)]
+    if not all(MOTOR_CURRENT in fit.point.recording.channels for fit in fits):
+        blind = [*WITHOUT_CURRENT, *blind]
     apart = [(other, item) for other, item in found if abs(item.z) > bound]
     several = len(pairs) > 1
     return JointCheck(
@@ -173,9 +171,29 @@ def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
         difference = after.value - before.value
         explained = _explained(name, first, other)
         beyond = math.copysign(max(abs(difference) - explained, 0.0), difference)
-        sd = math.hypot(before.standard_error, after.standard_error)
-        items.append(CheckItem(name, after.value, before.value, before.unit, beyond / sd))
+        z = beyond / _sd(name, first, other)
+        items.append(CheckItem(name, after.value, before.value, before.unit, z))
     return items
+
+
+def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[BlindSpot]:
+    """How much of each quantity could change unseen, by the pair that shows it worst."""
+    for name in SHOWN_BEST:
+        shares = [
+            (bound * _sd(name, first, other) + _explained(name, first, other))
+            / first.features[name].value
+            for first, other in pairs
+            if name in first.features and name in other.features
+        ]
+        if shares:
+            yield BlindSpot(
+                f"a change of the {name} by less than {100.0 * max(shares):.2g} %",
+                "too small for these recordings to show",
+            )
+
+
+def _sd(name: str, first: _Seen, other: _Seen) -> float:
+    return math.hypot(first.features[name].standard_error, other.features[name].standard_error)
 
 
 def _explained(name: str, first: _Seen, other: _Seen) -> float:
