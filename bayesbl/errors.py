@@ -36,6 +36,12 @@ class UserError(Exception):
         self.expected = expected
         super().__init__(self._message())
 
+    def name_file(self, file: str | Path) -> None:
+        """Say the file that the error was found in, where none is named yet."""
+        if self.file is None:
+            self.file = str(file)
+            self.args = (self._message(),)
+
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions that cross process boundaries are rebuilt from args and would lose keywords.
         parts = (self.problem, self.file, self.where, self.found, self.expected)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import RunConfig
@@ -13,6 +13,8 @@ from bayesbl.errors import ResultError
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from bayesbl.runs.summary import Summary
 
 
 def fit(
@@ -74,7 +76,7 @@ def compare(
     return _measure("compare", [first, *later], config, options, dates)
 
 
-def run(config: str | Path | RunConfig, *, force: bool = False) -> Mapping[str, Any]:
+def run(config: str | Path | RunConfig, *, force: bool = False) -> Summary:
     """Run a configuration of any kind but ``simulate`` and write its output folder with figures.
 
     Returns

@@ -24,6 +24,10 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.append(str(Path(__file__).parent))
+
+from made_recordings import synthetic_recording
+
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import load_config
@@ -50,7 +54,6 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.ringing.warm_start import EarlierOptimum, warm_optimum
 from bayesbl.sampling.chains import SamplerSettings
 

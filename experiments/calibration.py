@@ -17,6 +17,7 @@ shipped, coverage is reported and ranks are not tested.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -35,23 +36,26 @@ from pydantic import (
     model_validator,
 )
 
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import rank
+from calibration_table import calibration_line
+from made_recordings import draw_symbols, drifting, synthetic_recording, with_samples_lost
+
 from bayesbl.bench.bench import Bench, SpeedSource
-from bayesbl.bench.spoiling import drifting, with_samples_lost
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY
-from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
-from bayesbl.sampling.calibration import rank
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
@@ -189,8 +193,6 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Coverage at each level, whether it is in its band, uniformity of the ranks, and widths."""
-    from bayesbl.sampling.calibration_table import calibration_line
-
     from_prior = row.bench is None or isinstance(row.gap_rad, tuple)
     line: dict[str, float | str] = {}
     for name in QUANTITIES:
@@ -201,7 +203,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """Coverage less what was promised, row by row, and the ranks' distribution less uniform."""
-    from bayesbl.presentation.figures.calibration import draw_calibration
+    from calibration_figure import draw_calibration  # matplotlib is behind it, no case needs it
 
     return draw_calibration(table, cases, list(QUANTITIES))
 
@@ -251,7 +253,7 @@ def _by_amplitude(
     for kind in wanted:
         seeds = sample_seed.spawn(len(points))
         ringing = [_ringing(p, kind, own) for p, own in zip(points, seeds, strict=True)]
-        found = gaps(curve, [r for r, _ in ringing], gap_seed)
+        found = gaps([curve] * len(ringing), [r for r, _ in ringing], gap_seed)
         withheld = any(w for _, w in ringing) or any(gap.reason is not None for gap in found)
         before, after = (gap.delta_rad.ravel() for gap in found)
         answers.append(Answer((before, after), withheld))
@@ -288,7 +290,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.gap_rad, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
@@ -328,7 +330,7 @@ def _gap(row: Row, generator: np.random.Generator) -> float:
 def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Generator) -> Recording:
     """A recording of a random start angle, as it would be read in."""
     start_angle_rad = generator.uniform(0.0, 2.0 * math.pi)
-    how = {
+    how: dict[str, Any] = {
         "rotations": row.rotations,
         "sampling_hz": row.sampling_hz,
         "start_angle_rad": start_angle_rad,

@@ -9,6 +9,7 @@ cases of each row the one weighted by full simulations is computed too.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
+
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import LEVELS, coverage
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
@@ -29,7 +34,6 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.sampling.calibration import LEVELS, coverage
 from bayesbl.sampling.chains import SamplerSettings
 
 FAST = SamplerSettings(ensembles=2, max_steps=1000)

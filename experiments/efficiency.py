@@ -131,7 +131,7 @@ def _by_amplitude(
     point = likeliest_branch(curve, estimator, estimator.estimate(recording, fit_seed))
     centre, covariance = point.ringing
     draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
-    (found,) = gaps(curve, [MeasuredRinging(draws, centre, covariance)], gap_seed)
+    (found,) = gaps([curve], [MeasuredRinging(draws, centre, covariance)], gap_seed)
     return np.asarray(np.log(found.delta_rad).ravel())
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -500,7 +500,8 @@ def _autoregressive(size: int, noise: Noise, rng: np.random.Generator) -> np.nda
     phi = noise.speed_coefficient
     white = rng.standard_normal(size)
     white[1:] *= math.sqrt(1.0 - phi * phi)
-    return noise.speed_sd_rpm * signal.lfilter([1.0], [1.0, -phi], white)
+    filtered: np.ndarray = signal.lfilter([1.0], [1.0, -phi], white)
+    return noise.speed_sd_rpm * filtered
 
 
 def _lose_samples(
@@ -522,7 +523,11 @@ def _main() -> None:
     bench = reference_bench()
     every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
     values = {name: value for name, (value, default) in every.items() if value != default}
-    common = {"gap_rad": 8e-4, "start_angle_rad": 0.4, "reference_speed_rpm": 2000.0}
+    common: dict[str, Any] = {
+        "gap_rad": 8e-4,
+        "start_angle_rad": 0.4,
+        "reference_speed_rpm": 2000.0,
+    }
     motor = {"motor_start_angle_rad": 0.9}
 
     def both(settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:

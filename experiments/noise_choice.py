@@ -11,21 +11,26 @@ truth. The posterior of A is normal around the optimum, with the covariance that
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+from made_recordings import draw_symbols, synthetic_recording
+
 from bayesbl.config.fields import as_tuple
 from bayesbl.noise.process import NoiseModel
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.symbols import AMPLITUDE
-from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
-from bayesbl.sampling.calibration import coverage_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,14 +13,20 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
+
+sys.path.append(str(Path(__file__).parent))
+
+from made_recordings import draw_symbols, synthetic_recording
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
@@ -39,11 +45,11 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import draw_symbols, synthetic_recording
 
 AMPLITUDE_RPM = 20.0
 SAME_RMSE = 1e-6
 """An RMSE within this part of the optimum's is the optimum's."""
+Method = Literal["guess", "paper", "nine symbols", "nine symbols as printed"]
 PAPER_METHODS = ("paper", "nine symbols", "nine symbols as printed")
 
 COLUMNS = {
@@ -65,7 +71,7 @@ class Row(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    method: Literal["guess", "paper", "nine symbols", "nine symbols as printed"]
+    method: Method
     cases: int = Field(ge=1)
     signal_to_noise: tuple[float, float]
 
@@ -100,7 +106,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         noise,
         generator,
         rotations=generator.uniform(4.0, 6.0),
-        baseline_rpm=baseline[: 2 * harmonics],
+        baseline_rpm=baseline[: 2 * harmonics].tolist(),
     )
     objective = Objective(DisturbanceModel(harmonics), recording.time_s, recording.motor_speed_rpm)
     begin = time.process_time()
@@ -131,9 +137,9 @@ def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
     }
 
 
-def search(method: str, objective: Objective, generator: np.random.Generator) -> Found:
+def search(method: Method, objective: Objective, generator: np.random.Generator) -> Found:
     """Where a method ends on a recording."""
-    if method in ("guess", "paper"):
+    if method == "guess" or method == "paper":
         optimum = find_optimum(objective, method, generator)
         return Found(optimum.symbols, optimum.rmse_rpm, optimum.evaluations)
     return search_nine(objective, generator, as_printed=method == "nine symbols as printed")

@@ -69,9 +69,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         for gap, own in zip((row.gap_rad, row.gap_rad + change), fit_seeds, strict=True)
     ]
     together_seed, *own_seeds = gap_seed.spawn(3)
-    shared = [gap.delta_rad for gap in gaps(curve, ringing, together_seed)]
+    shared = [gap.delta_rad for gap in gaps([curve] * len(ringing), ringing, together_seed)]
     apart = [
-        gaps(curve, [one], own)[0].delta_rad for one, own in zip(ringing, own_seeds, strict=True)
+        gaps([curve], [one], own)[0].delta_rad for one, own in zip(ringing, own_seeds, strict=True)
     ]
     result = {"change_rad": change}
     for way, (before, after) in zip(WAYS, (shared, apart), strict=True):

@@ -14,6 +14,7 @@ without a change it is a false alarm, of which there should be at most one minus
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -32,6 +33,10 @@ from pydantic import (
     model_validator,
 )
 
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
@@ -39,12 +44,11 @@ from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
-from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.sampling.calibration import coverage_band
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
@@ -299,7 +303,7 @@ def _by_amplitude(
         centre, covariance = point.ringing
         draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
         ringing.append(MeasuredRinging(draws, centre, covariance))
-    before, after = gaps(curve, ringing, gap_seed)
+    before, after = gaps([curve, curve], ringing, gap_seed)
     withheld = before.reason is not None or after.reason is not None
     return before.delta_rad, after.delta_rad, withheld
 
@@ -313,7 +317,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.prior_rad, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.prior_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name) for name in SNAPSHOTS)

@@ -20,11 +20,14 @@ import xarray as xr
 from common import ROOT, PaperFigure, Stored, arrays, main
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.calibration import draw_calibration
+sys.path.append(str(ROOT / "experiments"))
+
+from calibration_figure import draw_calibration
+from calibration_statistics import FALSE_ALARM, LEVELS, POINTS
+from calibration_table import WORDS
+
 from bayesbl.results.store import read_tree
 from bayesbl.runs.study import stored_rows
-from bayesbl.sampling.calibration import FALSE_ALARM, LEVELS, POINTS
-from bayesbl.sampling.calibration_table import WORDS
 
 STUDIES = ("calibration_main", "calibration")
 RANKS = "calibration_ranks"

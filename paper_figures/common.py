@@ -15,10 +15,11 @@ import csv
 import sys
 import tempfile
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -33,7 +34,7 @@ from bayesbl.results.store import read_tree
 ROOT = Path(__file__).parents[1]
 TABLES = ROOT / "experiments/results"
 
-Arrays = xr.Dataset | xr.DataTree
+Arrays = TypeVar("Arrays", bound=xr.Dataset | xr.DataTree)
 """What a figure shows: arrays with units, nothing else."""
 
 
@@ -177,7 +178,7 @@ class Stored:
 
 
 @dataclass(frozen=True)
-class PaperFigure:
+class PaperFigure(Generic[Arrays]):
     """One figure.
 
     Attributes
@@ -212,7 +213,7 @@ def arrays(**variables: tuple[object, ...]) -> xr.Dataset:
     return xr.Dataset({n: (d, np.asarray(v), {"units": u}) for n, (d, v, u) in variables.items()})
 
 
-def picked(tree: xr.DataTree, **variables: Sequence[str] | None) -> xr.DataTree:
+def picked(tree: xr.DataTree, **variables: Collection[str] | None) -> xr.DataTree:
     """Some variables of some groups with all attributes; ``None`` for every variable of a group."""
     groups = {}
     for group, names in variables.items():
@@ -238,7 +239,7 @@ def options(description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def write_all(figures: Sequence[PaperFigure], stored: Stored, folder: Path) -> int:
+def write_all(figures: Sequence[PaperFigure[Any]], stored: Stored, folder: Path) -> int:
     """Write figures and say which files; exit status 2 if something they need is missing."""
     lacking: dict[str, list[str]] = {}
     for figure in figures:
@@ -247,12 +248,12 @@ def write_all(figures: Sequence[PaperFigure], stored: Stored, folder: Path) -> i
                 print(path)
         except UserError as problem:
             lacking.setdefault(str(problem), []).append(figure.name)
-    for problem, names in lacking.items():
-        print(f"Not drawn: {', '.join(names)}. {problem}", file=sys.stderr)
+    for reason, names in lacking.items():
+        print(f"Not drawn: {', '.join(names)}. {reason}", file=sys.stderr)
     return 2 if lacking else 0
 
 
-def main(*figures: PaperFigure, arguments: Sequence[str] | None = None) -> int:
+def main(*figures: PaperFigure[Any], arguments: Sequence[str] | None = None) -> int:
     """Draw from what is stored already."""
     given = options("Figures from stored results.").parse_args(arguments)
     return write_all(figures, Stored(given.results, given.tables), given.out)

@@ -43,16 +43,16 @@ def data(stored: Stored) -> xr.Dataset:
     others = [n for n in counts if n not in effects]
     hidden = known + sorted(others, key=lambda n: (n.startswith(_OUTSIDE), n))
     given = {answer for found in counts.values() for answer in found}
-    answers = [n for n in hidden if n in given or not n.startswith((_OUTSIDE, "nothing"))]
-    answers += sorted(given - set(answers) - set(_VERDICTS)) + list(_VERDICTS)
-    matrix = [[counts[name][answer] for answer in answers] for name in hidden]
-    right = [[answer == _right(name) for answer in answers] for name in hidden]
+    columns = [n for n in hidden if n in given or not n.startswith((_OUTSIDE, "nothing"))]
+    columns += sorted(given - set(columns) - set(_VERDICTS)) + list(_VERDICTS)
+    matrix = [[counts[name][answer] for answer in columns] for name in hidden]
+    right = [[answer == _right(name) for answer in columns] for name in hidden]
     return (
         arrays(
             count=(("hidden", "answer"), matrix, "1"),
             right=(("hidden", "answer"), right, "1"),
         )
-        .assign_coords(hidden=hidden, answer=answers)
+        .assign_coords(hidden=hidden, answer=columns)
         .assign_attrs(pairs=pairs, both_named=both)
     )
 

@@ -10,6 +10,7 @@ from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
@@ -19,7 +20,6 @@ from bayesbl.presentation.figures.style import (
     look,
     new_figure,
 )
-from bayesbl.runs.summary import summarise
 from bayesbl.units import unit_of
 
 RECORDING = "forward"
@@ -42,20 +42,27 @@ def data(stored: Stored) -> xr.Dataset:
             columns[f"{channel}_{name}"] = (("stage", "angle"), both, unit)
         errors = [float(stage[f"{channel}_map_error"]) for stage in residuals]
         columns[f"{channel}_map_error"] = ("stage", errors, unit)
-    summary, rows, labels, held = summarise(tree), [], [], []
+    summary, rows, labels, held = summarise_diagnosis(tree), [], [], []
     for recording, channels in summary["disagreement"]["recordings"].items():
         for channel, uses in channels.items():
             for use, found in uses.items():
-                rows.append([found[stage] / found["noise_floor"] for stage in _STAGES])
+                rms = np.array([found["before"], found["after"]])
+                rows.append(rms / found["noise_floor"])
                 labels.append(f"{recording}, {_CHANNELS[channel].lower().removeprefix('motor ')}")
                 held.append(use == "held_out")
     columns["over_noise"] = (("piece", "stage"), rows, "1")
     columns["held_out"] = ("piece", held, "1")
     effect = summary["effects"][0]
     (torque,) = effect["parameters"].values()
-    gaps = {f"delta_{s}_mrad": 1e3 * summary[f"delta_rad_{s}"]["median"] for s in _STAGES}
-    found = arrays(**columns).assign_coords(piece=labels, stage=list(_STAGES))
-    return found.assign_attrs(effect=effect["name"], size=torque["median"], **gaps)
+    before, after = summary["delta_rad_before"], summary["delta_rad_after"]
+    assert before is not None
+    assert after is not None
+    gaps = {
+        "delta_before_mrad": 1e3 * before["median"],
+        "delta_after_mrad": 1e3 * after["median"],
+    }
+    shown = arrays(**columns).assign_coords(piece=labels, stage=list(_STAGES))
+    return shown.assign_attrs(effect=effect["name"], size=torque["median"], **gaps)
 
 
 def draw(shown: xr.Dataset) -> Figure:

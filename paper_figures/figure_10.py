@@ -34,7 +34,7 @@ def caption(tree: xr.DataTree) -> str:
     gaps = "; ".join(
         f"{s.name} {interval_in_words(tree, gap_interval(tree, s))}" for s in snapshots(tree)
     )
-    draws = 1e3 * tree["change"]["change_rad"].values
+    draws = 1e3 * tree["change"].to_dataset()["change_rad"].values
     return (
         "(a) Amplitude A and gap δ of both recordings on the curve that was swept on the bench, "
         f"with their posterior distributions along the axes: {gaps}. (b) The change of the gap, "

@@ -19,7 +19,7 @@ _SOFTER = 20.0
 def data(stored: Stored) -> xr.Dataset:
     """K_BL(Δθ, δ) for the gap in the middle of the sweep, by sharpness α."""
     stiffness = stored.bench.value("shaft_stiffness_nm_per_rad")
-    gaps = stored.tree("sweep")["sweep"]["gap_rad"].values
+    gaps = stored.tree("sweep")["sweep"].to_dataset()["gap_rad"].values
     gap = float(gaps[gaps.size // 2])
     alphas = stored.bench.value("stiffness_sharpness_per_rad"), _SOFTER / gap
     twist = gap * np.linspace(-2.5, 2.5, 4001)

@@ -18,7 +18,7 @@ def data(stored: Stored) -> xr.DataTree:
 
 def caption(tree: xr.DataTree) -> str:
     """What is seen."""
-    gaps = 1e3 * tree["examples"]["gap_rad"].values
+    gaps = 1e3 * tree["examples"].to_dataset()["gap_rad"].values
     return (
         f"Motor speed of the virtual bench without noise at {gaps.size} gaps δ from {gaps[0]:.2f} "
         f"to {gaps[-1]:.2f} mrad. (a) One load rotation; (b), (c) the two impacts, shaded in (a), "

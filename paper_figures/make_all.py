@@ -16,6 +16,7 @@ import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from common import COUNTED, RESULTS, ROOT, STUDIES, PaperFigure, Stored, options, write_all
 
@@ -32,7 +33,7 @@ NAMES = (
     "time_to_limit",
 )
 
-FIGURES: list[PaperFigure] = [import_module(name).FIGURE for name in NAMES]
+FIGURES: list[PaperFigure[Any]] = [import_module(name).FIGURE for name in NAMES]
 
 
 def run_missing(results: Path) -> None:

@@ -82,7 +82,8 @@ def draw(shown: xr.Dataset) -> Figure:
 
 
 def _draw_shares(panel: Axes, shown: xr.Dataset) -> None:
-    labels, row = {}, 0.0
+    row = 0.0
+    labels: dict[float, str] = {}
     for curve in shown["curve"].values:
         for snapshot in shown["snapshot"].values:
             part, left = shown.sel(curve=curve, snapshot=snapshot), 0.0

@@ -51,7 +51,6 @@ LONGER = {
 SAME_IDEA = {
     "bench": "a bench: as it is, as a file, its commands",
     "bench_draws": "draws of the bench over a sweep: the numbers, their figure",
-    "calibration": "how often an interval is right: the numbers, their words, their figure",
     "change": "the change of the gap: the numbers, their figure",
     "convergence": "whether the chains agree: the numbers, their figure",
     "diagnose": "the kind diagnose: its configuration, its run",

@@ -79,7 +79,17 @@ def main() -> None:
     # differently on other numbers of cores.
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ[f"{library}_NUM_THREADS"] = "1"
+    _open_what_is_closed()
     sys.exit(status())
+
+
+def _open_what_is_closed() -> None:
+    """A service may have no standard output: prints go nowhere, and files never get its number."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        if number > 0:
+            name = ("stdout", "stderr")[number - 1]
+            setattr(sys, name, os.fdopen(number, "w", encoding="utf-8", closefd=False))
+    os.close(number)
 
 
 def status(arguments: Sequence[str] | None = None) -> int:

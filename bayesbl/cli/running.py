@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayesbl.cli.statuses import WITHHELD
-from bayesbl.errors import ResultError
+from bayesbl.errors import ConfigError, ResultError
 
 if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
@@ -67,7 +67,16 @@ def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) ->
     from bayesbl.presentation.terminal import say
     from bayesbl.runs.simulate import run_simulate
 
-    given = {name: options[name] for name in ("out", "seed", "workers")}
+    given = {name: options.pop(name) for name in ("out", "seed", "workers")}
+    unused = [name for name, value in options.items() if value is not None]
+    if unused:
+        raise ConfigError(
+            "This option does not go with a simulation.",
+            file=config,
+            where=f"--{unused[0]}",
+            found=options[unused[0]],
+            expected="--out, --seed or --workers",
+        )
     files = [str(file) for file in run_simulate(config, **given, force=force)]
     if json:
         import json as encoder

@@ -54,15 +54,15 @@ def report_command(result: ResultPath) -> None:
 def inspect_command(result: ResultPath, json: Json = False) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
-    from bayesbl.presentation.subjects import summary_of
     from bayesbl.presentation.terminal import make_console
     from bayesbl.results.store import json_text
     from bayesbl.runs.declared_groups import read_result
+    from bayesbl.runs.summary import summarise
 
     tree = read_result(result)
     if json:
         # Not the summary.json beside it: only what is in result.nc is verified.
-        typer.echo(json_text(summary_of(tree)), nl=False)
+        typer.echo(json_text(summarise(tree)), nl=False)
     else:
         print_summary(tree, make_console())
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from datetime import date as Date
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl.config.fields import (
-    PUBLISHED,
     CurveSource,
     InputPath,
     Positive,
@@ -25,12 +24,40 @@ LARGEST_LIMIT_RAD = 0.05
 """Nearly 3°: more than any joint whose gap can be measured by its ringing."""
 
 
+class Drift(Section):
+    """An entry of ``[joint.may_drift]``: half-width of a uniform prior, as a bench tolerance is."""
+
+    tolerance: Positive | None = None
+    relative_tolerance: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_of_the_two(self) -> Self:
+        if (self.tolerance is None) == (self.relative_tolerance is None):
+            refuse(
+                "A drift is given by one tolerance.",
+                found="both" if self.tolerance is not None else "none",
+                expected="tolerance = 0.5, in the parameter's unit, or relative_tolerance = 0.02",
+            )
+        return self
+
+    def half_width(self, value: float) -> float:
+        """In the parameter's unit, of a parameter of this value."""
+        if self.relative_tolerance is not None:
+            return self.relative_tolerance * abs(value)
+        return self.tolerance or 0.0
+
+
 class Joint(Section):
-    """``[joint]``: what is known of the joint itself."""
+    """``[joint]``: what is known of the joint itself.
+
+    ``may_drift``: how far a bench parameter or ``"effect.parameter"`` may move between the first
+    snapshot and each later one; the interval of the change then includes it.
+    """
 
     gear_ratio: Positive | None = None
     limit_rad: Positive | None = None
     decide_before: Date | None = None
+    may_drift: dict[str, Drift] = Field(default_factory=dict)
 
     @field_validator("limit_rad")
     @classmethod
@@ -86,16 +113,24 @@ class Noise(Section):
 class Estimator(Section):
     """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
 
-    ``bench`` and ``gap_rad``, the range of its log-uniform prior, belong to the direct route; the
-    rest to the amplitude route, which the direct one shows beside its own answer.
+    Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
+    the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
+    range of the direct route's log-uniform prior.
     """
 
-    route: Literal["amplitude", "direct"] = "amplitude"
+    route: Literal["auto", "amplitude", "direct"] = "amplitude"
     bench: InputPath | None = None
     gap_rad: Range = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)
     noise: Noise = Field(default_factory=Noise)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _auto_with_a_bench(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "bench" in value:
+            return {"route": "auto", **value}
+        return value
 
     @field_validator("gap_rad")
     @classmethod
@@ -106,19 +141,12 @@ class Estimator(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.route == "direct" and self.bench is None:
+        if self.route != "amplitude" and self.bench is None:
             refuse(
-                "The direct route needs a bench.",
-                found='route = "direct" without a bench',
+                "This route needs a bench.",
+                found=f'route = "{self.route}" without a bench',
                 expected='bench = "bench.toml" (--bench bench.toml)',
                 at=("route",),
-            )
-        if self.bench is not None and "route" not in self.model_fields_set:
-            refuse(
-                "A bench is given, but not the route that uses it.",
-                found=f'bench = "{self.bench}" without a route',
-                expected='route = "direct" (--route direct); for a curve, sweep the bench',
-                at=("bench",),
             )
         if self.route == "direct" and self.search.start_from is not None:
             refuse(
@@ -144,9 +172,12 @@ class Posterior(Section):
 
 
 class Curve(Section):
-    """``[curve]``: from amplitude to gap; ``published`` or the result of a sweep."""
+    """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
 
-    source: CurveSource = PUBLISHED
+    Without a source the curves are those of the estimator's bench; without a bench there is no δ.
+    """
+
+    source: CurveSource | None = None
     allow_extrapolation: bool = False
 
 
@@ -174,6 +205,25 @@ class SnapshotConfig(RecordedConfig):
     posterior: Posterior = Field(default_factory=Posterior)
     interval: Interval = Field(default_factory=Interval)
     curve: Curve = Field(default_factory=Curve)
+
+    @model_validator(mode="after")
+    def _one_curve(self) -> Self:
+        estimator, source = self.estimator, self.curve.source
+        if source is None or estimator.bench is None or estimator.route == "auto":
+            return self
+        if estimator.route == "direct":
+            refuse(
+                "The direct route needs no curve.",
+                found=f'source = "{source}" with route = "direct"',
+                expected='no source, or route = "auto" for the amplitude beside it',
+                at=("curve", "source"),
+            )
+        refuse(
+            "There are two curves: that of the bench and another one.",
+            found=f'source = "{source}" and bench = "{estimator.bench}"',
+            expected="one of them",
+            at=("curve", "source"),
+        )
 
     @field_validator("recordings")
     @classmethod

@@ -74,7 +74,8 @@ ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
 class SnapshotRecording(Section):
     """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
 
-    ``repaired`` marks the first one after a repair.
+    ``repaired`` marks the first one after a repair. ``bench``: what is known to have been another
+    value than the bench file's when it was made, a bench parameter or ``"effect.parameter"``.
     """
 
     name: Name
@@ -82,6 +83,7 @@ class SnapshotRecording(Section):
     date: Date | None = None
     repaired: bool = False
     reference_speed_rpm: float | None = None
+    bench: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod

@@ -18,13 +18,16 @@ import xarray as xr
 
 from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.residual_groups import residuals_dataset
+from bayesbl.diagnosis.residual_groups import residuals_dataset, residuals_group
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
 from bayesbl.results.intervals import IntervalKind
 from bayesbl.results.variables import Group, Variable, dataset, labels
 from bayesbl.units import unit_of
+
+STAGES = ("before", "after")
+"""The bench as believed, and with what was named."""
 
 _PIECE = (
     Variable("recording", ("piece",), "", "recording", "text"),
@@ -96,6 +99,12 @@ RANKING = Group(
 )
 
 
+def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a diagnosis."""
+    of_pieces = (disagreement_group(""), signals_group(""))
+    return (*of_pieces, POSTERIOR, RANKING, *map(residuals_group, STAGES))
+
+
 def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
     """The whole result, without its origin.
 
@@ -113,8 +122,9 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
         groups["posterior"] = _posterior(found.posterior)
     if found.ranking:
         groups["ranking"] = _of_rows(RANKING, found.ranking)
-    analyses = {"before": found.residuals_before, "after": found.residuals_after}
-    for stage, analysis in analyses.items():
+    for stage, analysis in zip(
+        STAGES, (found.residuals_before, found.residuals_after), strict=True
+    ):
         if analysis is not None:
             groups[f"residuals_{stage}"] = residuals_dataset(analysis, stage)
     tree = xr.DataTree.from_dict(groups)

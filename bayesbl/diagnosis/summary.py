@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from statistics import NormalDist
-from typing import Any, Literal, NotRequired, TypedDict, cast
+from typing import Any, Literal, NotRequired, TypedDict
 
 import xarray as xr
 
@@ -16,18 +16,18 @@ from bayesbl.diagnosis.disagreement import FloorFrom, Use
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
-from bayesbl.results.intervals import IntervalKind, interval
+from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.summary_types import Head, head
 
 _PLACE = ("recording", "channel", "use")
 
 
-class CredibleInterval(TypedDict):
-    """Bounds are ``None`` where the value was held."""
+class HeldValue(TypedDict):
+    """An interval without bounds: the value was not fitted."""
 
     median: float
-    low: float | None
-    high: float | None
+    low: None
+    high: None
     level: float
     kind: IntervalKind
 
@@ -36,7 +36,7 @@ class EffectSummary(TypedDict):
     """A named effect; names of parameters to intervals."""
 
     name: str
-    parameters: dict[str, CredibleInterval]
+    parameters: dict[str, Interval | HeldValue]
     probability: float
     z: float
     indistinguishable_from: list[str]
@@ -48,7 +48,7 @@ class ParameterErrorSummary(TypedDict):
     name: str
     believed: float
     tolerance: float
-    fitted: CredibleInterval
+    fitted: Interval | HeldValue
     indistinguishable_from: list[str]
 
 
@@ -112,11 +112,11 @@ class Answer(TypedDict):
     verdict: Verdict
     effects: list[EffectSummary]
     parameter_errors: list[ParameterErrorSummary]
-    bench_parameters: dict[str, CredibleInterval]
+    bench_parameters: dict[str, Interval | HeldValue]
     remaining: list[RemainingSummary]
     disagreement: DisagreementTableSummary
-    delta_rad_before: CredibleInterval | None
-    delta_rad_after: CredibleInterval | None
+    delta_rad_before: Interval | None
+    delta_rad_after: Interval | None
     suggested_recording: SuggestedRecording | None
     augmented_bench: NotRequired[str]
     diagnostics: NotRequired[SamplingSummary]
@@ -167,17 +167,21 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     return answer
 
 
-def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> CredibleInterval:
+def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Interval | HeldValue:
     """From the draws; of a normal distribution, or lognormal one, where there are none."""
     if estimate.draws is not None:
-        return cast(CredibleInterval, interval(estimate.draws, level, kind))
+        return interval(estimate.draws, level, kind)
     value = math.exp if estimate.logarithmic else float
-    known = math.isfinite(estimate.sd)
-    reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * estimate.sd if known else 0.0
+    median = value(estimate.value)
+    if not math.isfinite(estimate.sd):
+        return {
+            "median": median, "low": None, "high": None, "level": level, "kind": "equal_tailed"
+        }  # fmt: skip
+    reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * estimate.sd
     return {
-        "median": value(estimate.value),
-        "low": value(estimate.value - reach) if known else None,
-        "high": value(estimate.value + reach) if known else None,
+        "median": median,
+        "low": value(estimate.value - reach),
+        "high": value(estimate.value + reach),
         "level": level,
         "kind": "equal_tailed",
     }

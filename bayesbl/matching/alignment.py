@@ -151,17 +151,7 @@ def _align(
     seen, noise = model.recordings[recording], model.noise[recording]
     folded = _folded(seen)
     size = folded.shape[1]
-    settings = {
-        u.name: u.value(points[:, i])
-        for i, u in enumerate(model.unknowns)
-        if u.recording in (None, seen.name) and u.name != START_ANGLE
-    }
-    matrix = model.bench.vector(
-        **(
-            {"reference_speed_rpm": seen.reference_speed_rpm, START_ANGLE: 0.0}
-            | {**model.settings, **settings}
-        )
-    )
+    matrix = model.bench.vector(**(model.settings_of(points, seen) | {START_ANGLE: 0.0}))
     if len(matrix) < len(points):
         matrix = np.repeat(matrix, len(points), axis=0)
     rate = size / seen.rotation_period_s

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
-from bayesbl.bench.parameters import rotation_period_s
+from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
 from bayesbl.errors import RecordingError
 from bayesbl.matching.simulation_cache import RecentSimulations
@@ -30,6 +31,11 @@ GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
+
+LARGEST_SPEED_ERROR = 0.01
+"""Relative difference of a recording's mean speed from the one it is simulated at: on the reference
+bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
+"""
 
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
@@ -88,6 +94,36 @@ class Observed:
         return None if self.motor_angle_rad is None else float(self.motor_angle_rad[0])
 
 
+def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None = None) -> float:
+    """The speed that a recording was made at, rpm, negative in reverse.
+
+    Parameters
+    ----------
+    stated_rpm
+        If ``None``, the bench's own, with the recording's direction.
+
+    Raises
+    ------
+    RecordingError
+        If the recording's mean speed is another.
+    """
+    mean = float(recording.motor_speed_rpm.mean())
+    reference = stated_rpm or math.copysign(bench.value("reference_speed_rpm"), mean)
+    if abs(mean / reference - 1.0) > LARGEST_SPEED_ERROR:
+        raise RecordingError(
+            " ".join(
+                [
+                    "The recording was made at another speed than the bench's.",
+                    speed_in_another_unit(recording, reference) or "",
+                ]
+            ).strip(),
+            file=recording.name,
+            found=f"{mean:.6g} rpm on average",
+            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
+        )
+    return reference
+
+
 def observed(
     recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
 ) -> Observed:
@@ -105,21 +141,7 @@ def observed(
         than two load rotations.
     """
     speed = recording.motor_speed_rpm
-    mean = float(speed.mean())
-    nominal = bench.value("reference_speed_rpm")
-    reference = reference_speed_rpm or math.copysign(nominal, mean)
-    if abs(mean / reference - 1.0) > 0.01:
-        raise RecordingError(
-            " ".join(
-                [
-                    "The recording was made at another speed than the bench's.",
-                    speed_in_another_unit(recording, reference) or "",
-                ]
-            ).strip(),
-            file=recording.name,
-            found=f"{mean:.6g} rpm on average",
-            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
-        )
+    reference = reference_speed(recording, bench, reference_speed_rpm)
     period = recording.sampling_period_s
     grid = recording.time_s[0] + period * np.arange(speed.size)
     if np.max(np.abs(recording.time_s - grid)) > 0.1 * period:
@@ -167,6 +189,8 @@ class Unknown:
         Name of the recording it belongs to; ``None`` if all share it.
     logarithmic
         The coordinate is the natural logarithm of the value.
+    added
+        The value is added to what the recording has without it.
     """
 
     name: str
@@ -176,11 +200,13 @@ class Unknown:
     sd: float = math.inf
     recording: str | None = None
     logarithmic: bool = False
+    added: bool = False
 
     @property
     def label(self) -> str:
         """Name, with the recording where it belongs to one."""
-        return self.name if self.recording is None else f"{self.name} ({self.recording})"
+        name = f"drift of {self.name}" if self.added else self.name
+        return name if self.recording is None else f"{name} ({self.recording})"
 
     def value(self, coordinate: FloatArray) -> FloatArray:
         """From the coordinate to the value."""
@@ -213,6 +239,26 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
         Unknown(name, bench.value(name) - half, bench.value(name) + half)
         for name, half in bench.tolerances.items()
     ]
+
+
+def drift_unknowns(
+    bench: Bench, may_drift: Mapping[str, float], recordings: Sequence[str]
+) -> list[Unknown]:
+    """How far each parameter may have moved since the first recording, uniform.
+
+    Parameters
+    ----------
+    may_drift
+        Half-width by the name of a bench parameter or ``effect.parameter``, in its unit.
+    """
+    found = []
+    for name, half in may_drift.items():
+        value = bench.value(name)
+        signed = name in PARAMETER_INFO and PARAMETER_INFO[name].signed
+        low = -half if signed or value < 0.0 else max(-half, -value)
+        slot = name.replace(".", "__")
+        found += [Unknown(slot, low, half, recording=r, added=True) for r in recordings[1:]]
+    return found
 
 
 def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
@@ -286,13 +332,7 @@ class SimulatedSignals:
         """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
         points = np.atleast_2d(points)
-        settings = {
-            unknown.name: unknown.value(points[:, i])
-            for i, unknown in enumerate(self.unknowns)
-            if unknown.recording in (None, seen.name)
-        }
-        known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known, **self.settings}
-        matrix = self.bench.vector(**(known | settings))
+        matrix = self.bench.vector(**self.settings_of(points, seen))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
         # Points often differ only in the unknowns of other recordings.
@@ -305,6 +345,26 @@ class SimulatedSignals:
             partial(_simulated, seen, samples, accuracy, self.workers),
         )
         return found[place.ravel()]
+
+    def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
+        """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
+
+        What is known of the recording goes before what all share, its own unknowns before both.
+        """
+        settings: dict[str, Any] = {"reference_speed_rpm": seen.reference_speed_rpm}
+        settings |= self.settings
+        own = []
+        for i, unknown in enumerate(self.unknowns):
+            if unknown.recording is None:
+                settings[unknown.name] = unknown.value(points[:, i])
+            elif unknown.recording == seen.name:
+                own.append((unknown, unknown.value(points[:, i])))
+        settings |= seen.known
+        for unknown, value in own:
+            if unknown.added:
+                value = value + settings.get(unknown.name, self.bench.value(unknown.name))
+            settings[unknown.name] = value
+        return settings
 
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""

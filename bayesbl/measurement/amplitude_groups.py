@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayesbl.measurement.change import Gap
+from bayesbl.measurement.other_route import DIRECT_ROUTE
 from bayesbl.measurement.shared_groups import (
     ACCEPTANCE,
     CHAIN,
@@ -52,7 +55,7 @@ POSTERIOR = Group(
         *table(
             "baseline_rpm (chain, draw, baseline_term) | rpm | load-angle harmonics of the speed"
         ),
-        DELTA,
+        replace(DELTA, optional=True),
     ),
     (CHAIN, DRAW, labels("baseline_term", "term of the load-angle baseline")),
     named=_symbol(*DRAWS),
@@ -63,7 +66,7 @@ SAMPLE_STATS = Group(
     (
         *table("""
             lp (chain, draw) | 1 | log likelihood less its largest, linear symbols at their best
-            outside_curve (chain, draw) | 1 | amplitude below (-1), inside (0) or above (1)
+            outside_curve? (chain, draw) | 1 | amplitude below (-1), inside (0) or above (1)
                 the range of the gap curve
         """),
         ACCEPTANCE,
@@ -161,11 +164,12 @@ GROUPS = (
     DIAGNOSTICS,
     GAP,
     SAMPLER_CHECK,
+    DIRECT_ROUTE,
 )
 
 
-def amplitude_groups(fit: Fit, gap: Gap, level: float) -> dict[str, xr.Dataset]:
-    """All groups of one snapshot, without a ``snapshot`` dimension."""
+def amplitude_groups(fit: Fit, gap: Gap | None, level: float) -> dict[str, xr.Dataset]:
+    """All groups of one snapshot, without a ``snapshot`` dimension; no ``gap`` without a curve."""
     checked = {} if fit.check is None else {"sampler_check": _sampler_check(fit.check)}
     return {
         **checked,
@@ -178,7 +182,7 @@ def amplitude_groups(fit: Fit, gap: Gap, level: float) -> dict[str, xr.Dataset]:
         "noise": _noise(fit),
         "misfit": _of(MISFIT, fit.point.misfit),
         "diagnostics": _diagnostics(fit),
-        "gap": gap_group(gap.budget),
+        "gap": gap_group({} if gap is None else gap.budget),
     }
 
 
@@ -186,24 +190,37 @@ def _of(group: Group, source: object) -> xr.Dataset:
     return dataset(group, attributes(group, source))
 
 
-def _posterior(fit: Fit, gap: Gap) -> xr.Dataset:
-    draws = {name: v.ravel()[gap.index] for name, v in fit.posterior.draws.items()}
-    baseline = fit.posterior.baseline_rpm.reshape(gap.index.size, -1)
+def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
+    """Which of the posterior's draws is stored at each place, shape (chain, draw)."""
+    if gap is not None:
+        return gap.index
+    shape = fit.posterior.log_likelihood.shape
+    return np.arange(fit.posterior.log_likelihood.size).reshape(shape)
+
+
+def _posterior(fit: Fit, gap: Gap | None) -> xr.Dataset:
+    index = _index(fit, gap)
+    draws = {name: v.ravel()[index] for name, v in fit.posterior.draws.items()}
+    baseline = fit.posterior.baseline_rpm.reshape(index.size, -1)
     terms = [n for n in jacobian_columns(fit.point.optimum.model) if n not in SYMBOLS]
     return dataset(
         POSTERIOR,
-        {**draws, "baseline_rpm": baseline[gap.index], "delta_rad": gap.delta_rad},
-        {**numbered(gap.delta_rad.shape), "baseline_term": terms},
+        {
+            **draws,
+            "baseline_rpm": baseline[index],
+            "delta_rad": None if gap is None else gap.delta_rad,
+        },
+        {**numbered(index.shape), "baseline_term": terms},
     )
 
 
-def _sample_stats(fit: Fit, gap: Gap) -> xr.Dataset:
+def _sample_stats(fit: Fit, gap: Gap | None) -> xr.Dataset:
     return dataset(
         SAMPLE_STATS,
         {
-            "lp": fit.posterior.log_likelihood.ravel()[gap.index],
+            "lp": fit.posterior.log_likelihood.ravel()[_index(fit, gap)],
             "acceptance_rate": fit.posterior.diagnostics.acceptance,
-            "outside_curve": gap.outside,
+            "outside_curve": None if gap is None else gap.outside,
         },
     )
 

@@ -5,42 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
 from bayesbl.measurement.amplitude_summary import summarise_amplitude
+from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.change import Gap
-from bayesbl.measurement.compatibility import (
-    other_speed,
-    require_one_speed_of_all,
-    require_same_estimator,
-    unsuited,
-)
+from bayesbl.measurement.compatibility import unsuited
+from bayesbl.measurement.curves import curve_source
 from bayesbl.measurement.earlier import read_earlier
 from bayesbl.measurement.fits import FitJob, earlier_of, gaps_of_fits, run_fits
+from bayesbl.measurement.joint_check import NOTHING_COMPARED
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
-from bayesbl.measurement.task import Task, curve_of, estimator_of
+from bayesbl.measurement.same_joint import change_reason, same_joint
+from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
-from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import Recording
-from bayesbl.ringing.estimator import Fit, nominal_speed_rpm
+from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.second_sampler import require_second_sampler
 
 
 class AmplitudeMeasurer:
-    """The amplitude route with its estimator and gap curve."""
+    """The amplitude route with its estimator and where its gap curves come from."""
 
-    def __init__(self, config: SnapshotConfig) -> None:
+    def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
         self.config = config
         self.estimator = estimator_of(config)
-        self.curve = curve_of(config)
+        self.source = curve_source(config, bench)
 
     @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Gaps that the curve reaches."""
-        return self.curve.gap_range_rad
+    def gap_range_rad(self) -> tuple[float, float] | None:
+        """Gaps that the curve reaches; ``None`` without one."""
+        return self.source.gap_range_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """What else a run needs: an earlier optimum, the second sampler."""
+        """The curve, and what else a run needs: an earlier optimum, the second sampler."""
+        yield "curve", self.source.describe
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
             yield "start from", lambda: _earlier_in_words(start_from)
@@ -56,51 +57,55 @@ class AmplitudeMeasurer:
             )
 
     def require_usable(self, recording: Recording) -> None:
-        """The curve means the same amplitude as a fit of this recording."""
-        require_same_estimator(self.curve, self.estimator, recording)
+        """A curve means the same amplitude as a fit of this recording, or can be swept to."""
+        self.source.require_usable(recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
         """Why δ would be withheld whatever the fit finds."""
-        if not self.config.curve.allow_extrapolation:
-            against = other_speed(recording, self.curve)
-            question = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
-            yield from (sentence for sentence in (against and question, against) if sentence)
+        return self.source.doubts(recording)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """All recordings are of one speed, which is said where there are several."""
-        if len(recordings) < 2:
-            return None
-        require_one_speed_of_all(recordings)
-        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
+        """All recordings are of one speed, unless each has a curve of its own."""
+        return self.source.require_together(recordings)
 
     def measure(self, task: Task) -> Measurement:
-        """Fit every recording and read its gap from the curve."""
-        fits = run_fits(self._jobs(task), task.config.run.workers, task.progress)
+        """Fit every recording and read its gap from its curve, if there is one."""
+        curves = self.source.curves(task)
+        fits = run_fits(self._jobs(task, curves), task.config.run.workers, task.progress)
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
-        found = gaps_of_fits(task, self.curve, fits)
+        found = [None] * len(fits) if curves is None else gaps_of_fits(task, curves, fits)
+        of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
+        check = NOTHING_COMPARED
+        if not self.source.is_of_bench:
+            check = same_joint(fits, [entry.repaired for entry in task.config.recordings])
         return Measurement(
             "amplitude",
             [
                 Snapshot(
                     recording.name,
-                    gap.delta_rad,
+                    None if gap is None else gap.delta_rad,
                     verdict(
                         fit,
                         gap,
-                        unsuited(recording, fit, self.curve, task.config),
-                        speed_in_another_unit(recording, self.curve.reference_speed_rpm),
+                        unsuited(recording, fit, curve, task.config),
+                        self.source.question(recording),
                     ),
                     amplitude_groups(fit, gap, task.config.interval.level),
                 )
-                for recording, fit, gap in zip(task.recordings, fits, found, strict=True)
+                for recording, fit, gap, curve in zip(
+                    task.recordings, fits, found, of_each, strict=True
+                )
             ],
-            self.curve,
-            warnings=self.curve.warnings,
+            curves or (),
+            warnings=self.source.warnings,
+            same_joint=check,
+            change_reason=None if curves is None else change_reason(check),
         )
 
-    def _jobs(self, task: Task) -> list[FitJob]:
+    def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
+        of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         start_from = task.config.estimator.search.start_from
         earlier = {} if start_from is None else read_earlier(start_from)
         check = task.config.posterior.check_sampler
@@ -109,7 +114,7 @@ class AmplitudeMeasurer:
         return [
             FitJob(
                 self.estimator,
-                self.curve,
+                curve,
                 recording,
                 seed,
                 task.config.joint.gear_ratio,
@@ -117,7 +122,12 @@ class AmplitudeMeasurer:
                 check,
                 task.work,
             )
-            for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True)
+            for recording, seed, curve in zip(
+                task.recordings,
+                task.seeds.recordings,
+                of_each,
+                strict=True,
+            )
         ]
 
 
@@ -131,12 +141,14 @@ def _second_sampler() -> str:
 
 
 def verdict(
-    fit: Fit, gap: Gap, unsuited: Sequence[str] = (), question: str | None = None
+    fit: Fit, gap: Gap | None, unsuited: Sequence[str] = (), question: str | None = None
 ) -> Verdict:
     """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
 
     Parameters
     ----------
+    gap
+        ``None`` without a curve: then the ringing's amplitude is what is answered.
     unsuited
         Reasons beside the fit's and the gap's own.
     question
@@ -144,8 +156,9 @@ def verdict(
     """
     diagnostics = fit.posterior.diagnostics
     disagreement = None if fit.check is None else fit.check.reason
-    notes = (*fit.point.notes, *gap.notes)
-    against = [*unsuited, *(reason for reason in (gap.reason, disagreement) if reason)]
+    notes = (*fit.point.notes, *(() if gap is None else gap.notes))
+    beyond = None if gap is None else gap.reason
+    against = [*unsuited, *(reason for reason in (beyond, disagreement) if reason)]
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"
@@ -163,4 +176,11 @@ def verdict(
     return Verdict(outcome, tuple(reasons), " ".join(against) or None)
 
 
-ROUTE = Route("amplitude", GROUPS, AmplitudeMeasurer, summarise_amplitude)
+def prepare(config: SnapshotConfig) -> AmplitudeMeasurer:
+    """With the bench, if one is configured and no curve is named."""
+    file = config.estimator.bench
+    swept = file is not None and config.curve.source is None
+    return AmplitudeMeasurer(config, bench_of(config) if swept else None)
+
+
+ROUTE = Route("amplitude", GROUPS, summarise_amplitude)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from bayesbl.measurement.other_route import summarised_routes
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import (
     NoiseSummary,
@@ -18,6 +19,8 @@ def summarise_amplitude(stored: StoredSnapshot) -> SnapshotSummary:
     """The contract's keys, and beside them the misfit, the start and the second sampler."""
     posterior, optimum = stored.groups["posterior"], stored.groups["optimum"]
     result: SnapshotSummary = {
+        "route": "amplitude",
+        "routes": summarised_routes(stored),
         "delta_rad": stored.delta_rad,
         "amplitude_rpm": stored.interval("posterior", AMPLITUDE),
         "parameters": {s: stored.interval("posterior", s) for s in SYMBOLS if s in posterior},

@@ -68,14 +68,17 @@ class Gap:
 
 
 def gaps(
-    curve: GapCurve,
+    curves: GapCurve | Sequence[GapCurve],
     snapshots: Sequence[MeasuredRinging],
     seed: np.random.SeedSequence,
     *,
     allow_extrapolation: bool = False,
     level: float = 0.9,
 ) -> list[Gap]:
-    """δ of every snapshot of one joint, all through the same draws of the curve.
+    """δ of every snapshot of one joint, each through its curve, all through the same draws of it.
+
+    Curves of one bench at other speeds or rates have the same draws of the bench in the same order,
+    so a draw is of one bench for all; what else is uncertain of two curves is independent.
 
     Importance sampling: each draw of A is put through several draws of the curve, start-angle
     scatter drawn per snapshot, and then resampled with weights. The weights carry the prior, flat
@@ -84,24 +87,28 @@ def gaps(
 
     Parameters
     ----------
+    curves
+        One for all snapshots, or each one's own of one bench.
     level
         Of the one-sided bound that a withheld answer gives.
     """
+    if isinstance(curves, GapCurve):
+        curves = [curves] * len(snapshots)
     shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
     chains, count = snapshots[0].amplitude_rpm.shape
-    narrows = curve.ringing is not None and "bench" in curve.sources
+    narrows = all(curve.ringing is not None and "bench" in curve.sources for curve in curves)
     copies = CANDIDATES_PER_DRAW if narrows else 1
     total = chains * count * copies
-    shared = curve.draw(total, np.random.default_rng(shared_seed))
+    shared = _shared_draws(curves, total, np.random.default_rng(shared_seed))
     amplitudes = [
         _scattered(curve, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(own))
-        for s, own in zip(snapshots, own_seeds, strict=True)
+        for curve, s, own in zip(curves, snapshots, own_seeds, strict=True)
     ]
-    prior = np.sum([_log(curve.log_slope(a)) for a in amplitudes], axis=0)
+    prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
     weights, notes = prior, tuple[str, ...]()
     if narrows:
         matched = prior + np.sum(
-            [_log_match(shared, s, a) for s, a in zip(snapshots, amplitudes, strict=True)], axis=0
+            [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)], axis=0
         )
         effective = effective_size(matched)
         if effective >= FEWEST_EFFECTIVE:
@@ -114,10 +121,11 @@ def gaps(
             )
     own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
     index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
-    chosen = shared.take(index)
     result = []
-    for snapshot, candidates in zip(snapshots, amplitudes, strict=True):
-        amplitude = candidates[index]
+    for curve, draws, snapshot, candidates in zip(
+        curves, shared, snapshots, amplitudes, strict=True
+    ):
+        chosen, amplitude = draws.take(index), candidates[index]
         delta = chosen.gap(amplitude).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
         result.append(
@@ -131,6 +139,20 @@ def gaps(
             )
         )
     return result
+
+
+def _shared_draws(
+    curves: Sequence[GapCurve], count: int, generator: np.random.Generator
+) -> list[CurveDraws]:
+    """Draws of each curve, the same for the same curve and of the same benches for all."""
+    made = {id(curves[0]): curves[0].draw(count, generator)}
+    (first,) = made.values()
+    for curve in curves[1:]:
+        if id(curve) not in made:
+            own = curve.draw(count, generator)
+            bench = {name: rows for name, rows in first.rows.items() if name == "bench"}
+            made[id(curve)] = CurveDraws(curve, {**own.rows, **bench})
+    return [made[id(curve)] for curve in curves]
 
 
 def _scattered(

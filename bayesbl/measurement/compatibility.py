@@ -45,10 +45,12 @@ LIMIT_BEYOND = 10.0
 """A limit that lies beyond the gaps that can be measured by more than this factor is a mistake."""
 
 
-def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float]) -> None:
+def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float] | None) -> None:
     """The limit is not far from all gaps that can be measured: most likely another unit."""
+    if limit_rad is None or range_rad is None:
+        return
     low, high = range_rad
-    if limit_rad is None or low / LIMIT_BEYOND <= limit_rad <= LIMIT_BEYOND * high:
+    if low / LIMIT_BEYOND <= limit_rad <= LIMIT_BEYOND * high:
         return
     raise ConfigError(
         "The limit is far from every gap that can be measured here.",
@@ -116,11 +118,11 @@ def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
             raise RecordingError(
                 "The snapshots were recorded at different speeds, and the same gap rings "
                 "differently at another speed: that would pass for wear.",
-                file=other.source.file if other.source else other.name,
+                file=other.place,
                 where="motor_speed_rpm",
                 found=f"{speeds[1]:.5g} rpm on average, but {speeds[0]:.5g} rpm in {first.name}",
                 expected=f"speeds within {100.0 * SNAPSHOTS_APART:g} %, in one unit; record at the "
-                'same speed, or give a bench and take route = "direct"',
+                'same speed, or give a bench: bench = "bench.toml" (--bench bench.toml)',
             )
 
 
@@ -159,10 +161,12 @@ def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> 
     )
 
 
-def unsuited(recording: Recording, fit: Fit, curve: GapCurve, config: SnapshotConfig) -> list[str]:
+def unsuited(
+    recording: Recording, fit: Fit, curve: GapCurve | None, config: SnapshotConfig
+) -> list[str]:
     """Reasons why recording, curve and gear ratio do not belong together."""
     reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
-    if not config.curve.allow_extrapolation:
+    if curve is not None and not config.curve.allow_extrapolation:
         reasons.append(other_speed(recording, curve))
     return [reason for reason in reasons if reason]
 

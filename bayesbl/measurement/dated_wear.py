@@ -22,7 +22,13 @@ import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.measurement import Snapshot
-from bayesbl.measurement.summary_types import DateInterval, FallSummary, RateInterval, WearSummary
+from bayesbl.measurement.summary_types import (
+    DateInterval,
+    FallSummary,
+    RateInterval,
+    WearSummary,
+    WithheldWearSummary,
+)
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
     LONGEST_YEARS,
@@ -74,9 +80,15 @@ WEAR = Group(
 
 
 def wear_of(
-    config: CompareConfig, snapshots: Sequence[Snapshot], seed: np.random.SeedSequence
+    config: CompareConfig,
+    snapshots: Sequence[Snapshot],
+    seed: np.random.SeedSequence,
+    change_reason: str | None = None,
 ) -> xr.Dataset | None:
-    """Group :data:`WEAR` of a comparison; ``None`` where not every recording has a date."""
+    """Group :data:`WEAR` of a comparison; ``None`` where not every recording has a date.
+
+    ``change_reason`` is why the change of the gap is withheld, which withholds its rate too.
+    """
     dates = config.dates
     if dates is None:
         return None
@@ -95,9 +107,12 @@ def wear_of(
     if withheld:
         group.attrs["reason"] = f"The gap is withheld for {', '.join(withheld)}."
         return group
+    if change_reason:
+        group.attrs["reason"] = change_reason
+        return group
     years = np.array([years_between(since[0], day) for day in since])
     drift_seed, wear_seed = seed.spawn(2)
-    measured = np.stack([snapshot.delta_rad for snapshot in chosen])
+    measured = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
     start, limit = config.wear.in_service_since, config.joint.limit_rad
     age = None if start is None else max(years_between(start, since[0]), 0.0)
@@ -146,7 +161,9 @@ def used_dates(group: xr.Dataset) -> list[Date]:
     return [Date.fromisoformat(str(day)) for day, used in stored if used]
 
 
-def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | None:
+def summarise_wear(
+    tree: xr.DataTree, names: Sequence[str]
+) -> WearSummary | WithheldWearSummary | None:
     """``wear`` of the summary of a comparison (see the module)."""
     if WEAR.name not in tree.children:
         return None
@@ -154,7 +171,7 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | Non
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     limit, before = tree.attrs.get("limit_rad"), group.attrs.get("decide_before")
     dates = used_dates(group)
-    result: WearSummary = {
+    withheld: WithheldWearSummary = {
         "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
@@ -174,23 +191,27 @@ def summarise_wear(tree: xr.DataTree, names: Sequence[str]) -> WearSummary | Non
         "not_before": None,
         "decide_before": before,
         "probability_before": None,
-        "reason": group.attrs["reason"] or None,
+        "reason": group.attrs["reason"],
     }
-    if result["reason"]:
-        return result
-    result["probability_wear"] = float(np.mean(group["trend_rad_per_year"].values > 0.0))
+    if withheld["reason"]:
+        return withheld
     shares = np.bincount(group["law"].values.astype(int).ravel(), minlength=len(LAWS))
     shares = shares / shares.sum()
-    result["law"] = {law.name: float(p) for law, p in zip(LAWS, shares, strict=True)}
     grown = group["current_rad"].values - group["first_rad"].values
     rate = grown / years_between(dates[0], dates[-1])
-    result["rate"] = _rate(interval(rate, level, kind))
-    result["rate_now"] = _rate(interval(group["rate_now_rad_per_year"].values, level, kind))
-    result["rate_at_most_rad_per_year"] = float(np.quantile(rate, level))
+    result: WearSummary = {
+        **withheld,
+        "probability_wear": float(np.mean(group["trend_rad_per_year"].values > 0.0)),
+        "law": {law.name: float(p) for law, p in zip(LAWS, shares, strict=True)},
+        "rate": _rate(interval(rate, level, kind)),
+        "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
+        "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
+        "fall": _fall(group, withheld["snapshots"]),
+        "reason": None,
+    }
     if len(dates) >= FEWEST_FOR_SCATTER:
         scatter = group["scatter_rad_per_root_year"].values
         result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
-    result["fall"] = _fall(group, result["snapshots"])
     if "years_to_limit" in group:
         years = group["years_to_limit"].values
         found = interval(years, level, kind)

@@ -8,7 +8,6 @@ what the amplitude of the ringing says of the same recording.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -20,25 +19,30 @@ from bayesbl.matching.predictive_check import RepeatingPower
 from bayesbl.matching.signals import GAP as GAP_UNKNOWN
 from bayesbl.matching.signals import Unknown
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.change import Gap
+from bayesbl.measurement.other_route import AMPLITUDE_ROUTE
 from bayesbl.recording.types import Recording
 from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
-from bayesbl.ringing.estimator import Fit
-from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.units import unit_of
 
 DELTA = shared.DELTA.name
-NEITHER = np.full((1, 1), np.nan)
-"""Draws of the amplitude route where it has none."""
+
+
+DRIFT = "drift__"
+"""Before the name of what may have drifted since the first snapshot."""
 
 
 def result_name(unknown: Unknown) -> str:
     """Name of an unknown in results, ``delta_rad`` for the gap."""
+    if unknown.added:
+        return DRIFT + unknown.name
     return DELTA if unknown.name == GAP_UNKNOWN else unknown.name
 
 
 def unit_and_meaning(name: str) -> tuple[str, str]:
     """Unit and long name of an unknown by its name in results."""
+    if name.startswith(DRIFT):
+        unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
+        return unit, f"change since the first snapshot of: {meaning}"
     if name == DELTA:
         return shared.DELTA.unit, shared.DELTA.meaning
     if name in PARAMETER_INFO:
@@ -136,15 +140,6 @@ DIAGNOSTICS = Group(
     (shared.SAMPLED_SYMBOLS,),
 )
 
-AMPLITUDE_ROUTE = Group(
-    "amplitude_route",
-    table("""
-        delta_rad (amplitude_chain, amplitude_draw) | rad
-            | backlash gap by the amplitude and the gap curve
-        amplitude_rpm (amplitude_chain, amplitude_draw) | rpm | amplitude of the impact ringing
-    """),
-)
-
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
@@ -159,21 +154,11 @@ GROUPS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ByAmplitude:
-    """What the amplitude route says of a recording; ``reason`` where it has no answer."""
-
-    fit: Fit | None
-    gap: Gap | None
-    reason: str | None
-
-
 def direct_groups(
     posterior: DirectPosterior,
     recording: Recording,
     index: int,
     check: Sequence[RepeatingPower],
-    beside: ByAmplitude,
 ) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension.
 
@@ -194,7 +179,6 @@ def direct_groups(
         "predictive_check": _check(check),
         "diagnostics": _diagnostics(posterior, index),
         "gap": shared.gap_group(_budget(posterior, recording.name)),
-        "amplitude_route": _beside(beside),
     }
 
 
@@ -309,13 +293,3 @@ def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
     noise = float(alone[list(free).index(place), list(free).index(place)])
     share = min(1.0, noise / float(posterior.draws[..., place].var()))
     return {"noise": share, "bench": 1.0 - share}
-
-
-def _beside(found: ByAmplitude) -> xr.Dataset:
-    delta = NEITHER if found.gap is None else found.gap.delta_rad
-    amplitude = NEITHER
-    if found.fit is not None:
-        amplitude = found.fit.posterior.draws[AMPLITUDE]
-        if found.gap is not None:
-            amplitude = amplitude.ravel()[found.gap.index]
-    return dataset(AMPLITUDE_ROUTE, {DELTA: delta, AMPLITUDE: amplitude})

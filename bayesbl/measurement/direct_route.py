@@ -1,21 +1,24 @@
 """Straight from recordings to the gap: their bench is simulated until it matches them.
 
 All snapshots of a joint are fitted at once. They share the bench, so what is not known of it
-largely cancels in the change. The amplitude route's answer is stored beside.
+largely cancels in the change.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
+from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import load_bench
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.errors import BenchError, ConfigError, UserError
+from bayesbl.errors import ConfigError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
@@ -23,17 +26,17 @@ from bayesbl.matching.signals import (
     GAP,
     Observed,
     Unknown,
+    drift_unknowns,
     effect_unknowns,
     gap_unknown,
     observed,
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.measurement.change import Gap
-from bayesbl.measurement.compatibility import require_same_estimator, unsuited
-from bayesbl.measurement.direct_groups import GROUPS, ByAmplitude, direct_groups
+from bayesbl.measurement.bench_of import bench_of
+from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
-from bayesbl.measurement.fits import FitJob, gaps_of_fits
+from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.model_check import (
     against_the_bench,
@@ -42,16 +45,18 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
-from bayesbl.measurement.task import StageProgress, Task, curve_of, estimator_of
+from bayesbl.measurement.task import StageProgress, Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
-from bayesbl.ringing.estimator import Fit
 from bayesbl.sampling.chains import SamplerSettings
 
-GEAR_RATIOS_APART = 0.01
-"""Largest relative difference between the joint's gear ratio and its bench's."""
+LARGEST_Z = 37.0
+"""Beyond it a probability is zero in double precision."""
+
+
+NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +92,26 @@ class DirectMatch:
             and (self.shares_unknowns or entry.recording == recording)
         ]
 
+    def model_check(self, recording: str, level: float) -> JointCheck:
+        """Whether this recording may be one of the bench as believed.
+
+        What disagrees is said by the verdict, which it withholds δ by, or by the comparison.
+        """
+        beyond = self.posterior.beyond_tolerance(recording, level)
+        check = check_of_snapshot(self.joint, recording)
+        return replace(
+            check,
+            agrees=check.agrees and not self.repeating(recording) and beyond is None,
+            items=[*check.items, *(_item(e) for e in self.check if e.recording == recording)],
+        )
+
 
 class DirectMeasurer:
-    """The direct route with its bench, and the estimator and curve of the amplitude beside it."""
+    """The direct route with its bench."""
 
-    def __init__(self, config: SnapshotConfig) -> None:
+    def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
         self.config = config
-        self.bench = bench_of(config)
-        self.estimator = estimator_of(config)
-        self.curve = curve_of(config)
+        self.bench = bench
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:
@@ -112,9 +128,8 @@ class DirectMeasurer:
         return iter(())
 
     def require_usable(self, recording: Recording) -> None:
-        """The bench can be compared with it, and the curve means the same amplitude as its fit."""
+        """The bench can be compared with it."""
         observed_of(self.config, self.bench, recording)
-        require_same_estimator(self.curve, self.estimator, recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
         """None: what cannot be compared is refused."""
@@ -125,12 +140,13 @@ class DirectMeasurer:
         return None
 
     def measure(self, task: Task) -> Measurement:
-        """Match the bench with all recordings at once, and read the amplitudes beside."""
+        """Match the bench with all recordings at once."""
         problem = (
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
-            self.estimator.sampler,
+            drifts_of(self.config, self.bench),
+            estimator_of(self.config).sampler,
             task.seeds.direct,
         )
         found = task.work.get(
@@ -139,124 +155,93 @@ class DirectMeasurer:
             lambda: fit_directly(*problem, self.config.run.workers, task.progress),
             DirectMatch,
         )
-        beside = self._by_amplitude(task)
         level = self.config.interval.level
         return Measurement(
             "direct",
             [
-                self._snapshot(recording, index, found, beside[index])
+                self._snapshot(recording, index, found)
                 for index, recording in enumerate(task.recordings)
             ],
-            self.curve,
             attributes={"bench": self.bench.fingerprint()},
             same_joint=check_of_comparison(found.joint, found.change_rad, level),
             change_reason=undecided_change(found.joint, found.change_rad, level),
         )
 
-    def _snapshot(
-        self, recording: Recording, index: int, found: DirectMatch, beside: ByAmplitude
-    ) -> Snapshot:
+    def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
+        level = self.config.interval.level
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(found, index, recording.notes, self.config.interval.level),
-            direct_groups(posterior, recording, index, check, beside),
-            {"amplitude_route": beside.reason},
-            check_of_snapshot(found.joint, recording.name),
+            direct_verdict(found, index, recording.notes, level),
+            direct_groups(posterior, recording, index, check),
+            model_check=found.model_check(recording.name, level),
         )
-
-    def _by_amplitude(self, task: Task) -> list[ByAmplitude]:
-        """By the amplitude of the ringing; where it gives no answer, the reason in its place."""
-        fits: list[Fit | UserError] = []
-        progress = task.progress
-        for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
-            gear_ratio = self.config.joint.gear_ratio
-            job = FitJob(self.estimator, self.curve, recording, seed, gear_ratio, work=task.work)
-            try:
-                fits.append(job.run(None if progress is None else partial(_beside, progress)))
-            except UserError as refusal:
-                fits.append(refusal)
-        found = iter(gaps_of_fits(task, self.curve, [f for f in fits if isinstance(f, Fit)]))
-        return [
-            self._answer(recording, fit, next(found))
-            if isinstance(fit, Fit)
-            else ByAmplitude(None, None, str(fit))
-            for recording, fit in zip(task.recordings, fits, strict=True)
-        ]
-
-    def _answer(self, recording: Recording, fit: Fit, gap: Gap) -> ByAmplitude:
-        reason = gap.reason
-        against = unsuited(recording, fit, self.curve, self.config)
-        if against:
-            reason = " ".join(against)
-        elif fit.posterior.diagnostics.outcome == "withheld":
-            reason = " ".join(fit.posterior.diagnostics.reasons)
-        return ByAmplitude(fit, gap, reason)
-
-
-def _beside(progress: StageProgress, recording: str, made: int, allowed: int) -> None:
-    progress(f"{recording} by amplitude", made, allowed)
-
-
-def bench_of(config: SnapshotConfig) -> Bench:
-    """The bench of a direct fit.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or it has no gap to measure.
-    """
-    file = config.estimator.bench
-    if file is None:
-        raise ConfigError("The direct route needs a bench.", expected="--bench FILE")
-    bench = load_bench(file)
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to measure.",
-            file=file,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
-    stated, known = config.joint.gear_ratio, bench.value("gear_ratio")
-    if stated is not None and abs(stated / known - 1.0) > GEAR_RATIOS_APART:
-        raise ConfigError(
-            "The joint's gear ratio is not that of its bench.",
-            where="[joint] gear_ratio",
-            found=f"{stated:g}, and {known:g} in {file}",
-            expected="the same in both",
-        )
-    low, high = config.estimator.gap_rad
-    try:
-        bench.simulate_many(np.array([low, high]), rotations=0.1)
-    except BenchError as error:
-        raise BenchError(
-            f"The bench cannot be simulated at the ends of the range of gaps. {error.problem}",
-            file=file,
-            where="[estimator] gap_rad",
-            found=error.found,
-            expected=error.expected,
-        ) from None
-    return bench
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
-    """A recording as the simulator is compared with it, at the speed that the config gives."""
+    """A recording as the simulator is compared with it, with what the config knows of it."""
     require_alive(recording, (MOTOR_CURRENT,))
-    speeds = {entry.name: entry.reference_speed_rpm for entry in config.recordings}
-    return observed(recording, bench, speeds[recording.name])
+    entry = next(e for e in config.recordings if e.name == recording.name)
+    known = {}
+    for name, value in entry.bench.items():
+        _require_part_of(bench, name, f"[[recordings]] bench of {entry.name}")
+        known[name.replace(".", "__")] = value
+    seen = observed(recording, bench, entry.reference_speed_rpm)
+    return replace(seen, known={**seen.known, **known})
+
+
+def drifts_of(config: SnapshotConfig, bench: Bench) -> dict[str, float]:
+    """Half-width of what may drift between snapshots, by name, in each parameter's unit."""
+    found = {}
+    for name, drift in config.joint.may_drift.items():
+        _require_part_of(bench, name, "[joint] may_drift")
+        found[name] = drift.half_width(bench.value(name))
+        if found[name] == 0.0:
+            raise ConfigError(
+                "A share of zero is no drift.",
+                where=f"[joint] may_drift, {name}",
+                found="relative_tolerance, and a value of 0 in the bench",
+                expected="tolerance, in the parameter's unit",
+            )
+    return found
+
+
+def _require_part_of(bench: Bench, name: str, where: str) -> None:
+    """Refuse what is no parameter of the bench or of an effect that it has."""
+    own = {
+        f"{present.name}.{parameter.name}"
+        for present in bench.effects
+        for parameter in effect_named(present.name).amplitudes
+    }
+    if name not in own | PARAMETER_INFO.keys():
+        raise ConfigError(
+            "The bench has no such parameter.",
+            where=where,
+            found=name,
+            expected="one of "
+            + ", ".join([*PARAMETER_INFO, *sorted(own)])
+            + ", or of an effect that the bench file has",
+        )
 
 
 def direct_unknowns(
-    bench: Bench, names: Sequence[str], gap_rad: tuple[float, float]
+    bench: Bench,
+    names: Sequence[str],
+    gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float] = NO_DRIFT,
 ) -> list[Unknown]:
-    """A gap and a start angle for each recording, and what is not known of their bench."""
+    """A gap and a start angle for each recording, and what is not known of their bench.
+
+    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it.
+    """
     return [
         *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
         *(start_angle_unknown(name) for name in names),
         *effect_unknowns(bench, names),
         *tolerance_unknowns(bench),
+        *drift_unknowns(bench, may_drift, names),
     ]
 
 
@@ -264,6 +249,7 @@ def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float],
     sampler: SamplerSettings,
     seed: np.random.SeedSequence,
     workers: int = 1,
@@ -277,7 +263,7 @@ def fit_directly(
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad)
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift)
     fit, joint = find_changes(fit_aligned(bench, recordings, unknowns, workers))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)
@@ -328,4 +314,21 @@ def _disagreement_in_words(entries: Sequence[RepeatingPower]) -> str:
     )
 
 
-ROUTE = Route("direct", GROUPS, DirectMeasurer, summarise_direct)
+def _item(entry: RepeatingPower) -> CheckItem:
+    band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
+    z = float(norm.isf(entry.probability))
+    return CheckItem(
+        f"power that repeats every rotation over that of noise, {entry.channel} {band}",
+        entry.ratio,
+        1.0,
+        "",
+        min(z, LARGEST_Z),
+    )
+
+
+def prepare(config: SnapshotConfig) -> DirectMeasurer:
+    """With its bench."""
+    return DirectMeasurer(config, bench_of(config))
+
+
+ROUTE = Route("direct", GROUPS, summarise_direct)

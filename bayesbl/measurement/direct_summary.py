@@ -5,34 +5,34 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from bayesbl.measurement.other_route import summarised_routes
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import (
-    ByAmplitudeSummary,
     NoiseSummary,
     PredictiveCheckEntry,
     SnapshotSummary,
 )
-from bayesbl.results.intervals import Interval, interval
 
-DELTA, AMPLITUDE = "delta_rad", "amplitude_rpm"
+DELTA = "delta_rad"
 
 
 def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
-    """The contract's keys, and beside them the bound, the predictive check and the other route."""
+    """The contract's keys, and beside them the bound and the predictive check."""
+    routes = summarised_routes(stored)
+    amplitude = routes["amplitude"].get("amplitude_rpm") if "amplitude" in routes else None
     posterior, optimum = stored.groups["posterior"], stored.groups["optimum"]
-    beside = _beside(stored)
     names = [str(n) for n in optimum["parameter"].values]
     return {
         "route": "direct",
+        "routes": routes,
         "delta_rad": stored.delta_rad,
-        "amplitude_rpm": beside["amplitude_rpm"],
+        "amplitude_rpm": amplitude,
         "parameters": {n: stored.interval("posterior", n) for n in names if n != DELTA},
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": dict(zip(names, optimum["cramer_rao_sd"].values.tolist(), strict=True)),
         "posterior_sd": {n: float(posterior[n].std()) for n in names},
         "noise": _noise(stored.groups["noise"]),
         "predictive_check": _check(stored.groups["predictive_check"]),
-        "amplitude_route": beside,
         "rotations": stored.number("diagnostics", "rotations"),
         "excluded_samples": stored.excluded_samples,
         "budget": stored.budget,
@@ -44,22 +44,6 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
         },
         "reason": stored.reason,
         "model_check": stored.model_check,
-    }
-
-
-def _beside(stored: StoredSnapshot) -> ByAmplitudeSummary:
-    group, reason = stored.groups["amplitude_route"], stored.group_reasons["amplitude_route"]
-
-    def described(name: str) -> Interval | None:
-        draws = group[name].values
-        draws = draws[np.isfinite(draws)]
-        return interval(draws, stored.level, stored.interval_kind) if draws.size else None
-
-    return {
-        "curve": stored.curve,
-        "delta_rad": None if reason else described(DELTA),
-        "amplitude_rpm": described(AMPLITUDE),
-        "reason": reason,
     }
 
 

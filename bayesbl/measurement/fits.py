@@ -30,7 +30,7 @@ class FitJob:
     """All that one fit needs; it can be sent to another process."""
 
     estimator: Estimator
-    curve: GapCurve
+    curve: GapCurve | None
     recording: Recording
     seed: np.random.SeedSequence
     gear_ratio: float | None
@@ -45,12 +45,14 @@ class FitJob:
         return self.estimator.restored(finished, self.recording, self.gear_ratio)
 
     def _finished(self, progress: Progress | None) -> FinishedFit:
+        curve = self.curve
+        branch = None if curve is None else partial(likeliest_branch, curve, self.estimator)
         fit = self.estimator.fit(
             self.recording,
             self.seed,
             self.gear_ratio,
             progress,
-            partial(likeliest_branch, self.curve, self.estimator),
+            branch,
             earlier=self.earlier,
             check=self.check,
         )
@@ -84,12 +86,10 @@ def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimu
     return optima.get(name) or next(reversed([*optima.values()]), None)
 
 
-def gaps_of_fits(task: Task, curve: GapCurve, fits: Sequence[Fit]) -> list[Gap]:
-    """The gap of every fit, all through the same draws of the curve."""
-    if not fits:
-        return []
+def gaps_of_fits(task: Task, curves: Sequence[GapCurve], fits: Sequence[Fit]) -> list[Gap]:
+    """The gap of every fit through its curve, all through the same draws."""
     return gaps(
-        curve,
+        curves,
         [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits],
         task.seeds.gap,
         allow_extrapolation=task.config.curve.allow_extrapolation,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import xarray as xr
 
-from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.fields import PUBLISHED
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
@@ -19,6 +19,13 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group
 from bayesbl.sampling.convergence import Outcome
 
+MeasurementOutcome = Outcome | Literal["no_curve"]
+
+NO_CURVE = (
+    "The same ringing belongs to other gaps on other joints, so there is no δ without a bench of "
+    "this joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
@@ -27,7 +34,8 @@ class Snapshot:
     Attributes
     ----------
     delta_rad
-        Draws of δ, shape (chain, draw), paired by draw between the snapshots of a measurement.
+        Draws of δ, shape (chain, draw), paired by draw between the snapshots of a measurement;
+        ``None`` without a curve.
     groups
         What is stored of it, by name of the group.
     group_reasons
@@ -37,7 +45,7 @@ class Snapshot:
     """
 
     name: str
-    delta_rad: FloatArray
+    delta_rad: FloatArray | None
     verdict: Verdict
     groups: Mapping[str, xr.Dataset]
     group_reasons: Mapping[str, str | None] = field(default_factory=dict)
@@ -54,8 +62,8 @@ class Measurement:
         Name of the route that made it.
     snapshots
         In order of time.
-    curve
-        From amplitude to gap.
+    curves
+        From amplitude to gap, one for each snapshot; none where the amplitude was not used.
     warnings
         Beside those of the recordings.
     attributes
@@ -68,19 +76,33 @@ class Measurement:
 
     route: str
     snapshots: Sequence[Snapshot]
-    curve: GapCurve
+    curves: Sequence[GapCurve] = ()
     warnings: Sequence[str] = ()
     attributes: Mapping[str, str] = field(default_factory=dict)
     same_joint: JointCheck = NOTHING_COMPARED
     change_reason: str | None = None
 
     @property
-    def outcome(self) -> Outcome:
-        """The worst of its snapshots' outcomes; withheld where the change alone is."""
+    def outcome(self) -> MeasurementOutcome:
+        """The worst of its snapshots' outcomes; withheld where the change alone is.
+
+        ``no_curve`` where all is well but δ, for want of a curve.
+        """
         if self.change_reason is not None:
             return "withheld"
         ordered: list[Outcome] = ["converged", "usable", "withheld"]
-        return max((s.verdict.outcome for s in self.snapshots), key=ordered.index)
+        worst = max((s.verdict.outcome for s in self.snapshots), key=ordered.index)
+        return "no_curve" if self.without_gap and worst != "withheld" else worst
+
+    @property
+    def without_gap(self) -> bool:
+        """Whether there is no δ, for want of a curve."""
+        return any(snapshot.delta_rad is None for snapshot in self.snapshots)
+
+    @property
+    def by_other_joint(self) -> bool:
+        """Whether the gaps are read from the curve of the paper's test bench."""
+        return self.route == "amplitude" and any(c.name == PUBLISHED for c in self.curves)
 
     @property
     def reason(self) -> str:
@@ -93,6 +115,8 @@ class Measurement:
             reason if len(who) == len(self.snapshots) else f"{', '.join(who)}: {reason}"
             for reason, who in names.items()
         ]
+        if self.without_gap:
+            sentences.append(NO_CURVE)
         return " ".join([*sentences, *filter(None, [self.change_reason])])
 
 
@@ -100,8 +124,8 @@ class Measurer(Protocol):
     """A route with what a configuration gives it; raises where it cannot use that."""
 
     @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Gaps that can be measured."""
+    def gap_range_rad(self) -> tuple[float, float] | None:
+        """Gaps that can be measured; ``None`` where none can."""
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """What it needs beside recordings and curve, as label and text, which may raise."""
@@ -124,19 +148,16 @@ class Measurer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A way from recordings to gaps.
+    """A way from recordings to gaps; its module has a ``prepare`` that gives its :class:`Measurer`.
 
     Attributes
     ----------
     groups
         What it stores of a snapshot.
-    prepare
-        Reads what a configuration names beside the recordings.
     summarise
         ``summary.json`` of a stored snapshot.
     """
 
     name: str
     groups: tuple[Group, ...]
-    prepare: Callable[[SnapshotConfig], Measurer]
     summarise: Callable[[StoredSnapshot], SnapshotSummary]

@@ -14,6 +14,7 @@ from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
 from bayesbl.naming.joint_change import ChangedParameter, JointFindings
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import number
 
 MATTERS = 0.2
 """Share of an interval by which an error moves δ or its change too far to be left unsaid."""
@@ -26,7 +27,6 @@ def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
         found.explained and not own,
         [_item(c) for c in own],
         found.could_be if own else (),
-        [] if not own else [_sentence(c) for c in own],
     )
 
 
@@ -37,8 +37,9 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
     """
     between = [c for c in found.changed if c.recording is not None]
     sentences = [_sentence(c) for c in between]
-    if between and len(found.could_be) > len(between):
-        sentences.append(f"It could be {_listed(found.could_be, 'or')}.")
+    others = [name for name in found.could_be if not any(c.name.startswith(name) for c in between)]
+    if between and others:
+        sentences.append(f"{_listed(others, 'or').capitalize()} would look the same.")
     return JointCheck(
         found.explained and not between,
         [_item(c) for c in between],
@@ -46,8 +47,8 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
         sentences,
         [
             BlindSpot(
-                f"{spoken(spot.name)} changed by up to {spot.size:.2g} {spot.unit}".strip(),
-                "the recordings would not show it",
+                f"{spoken(spot.name)} by {spot.size:.2g} {spot.unit}".strip(),
+                "too small for these recordings to show",
                 spot.error_rad,
             )
             for spot in found.blind_spots
@@ -116,14 +117,17 @@ def _item(changed: ChangedParameter) -> CheckItem:
 
 
 def _sentence(changed: ChangedParameter) -> str:
-    where = "all recordings" if changed.recording is None else changed.recording
-    return f"{where}: {_as_found(changed)}. This is not wear; it was freed there."
+    return (
+        f"In {changed.recording} something else than the gap has changed: {_as_found(changed)}. "
+        "The change of δ is given with this allowed for."
+    )
 
 
 def _as_found(changed: ChangedParameter) -> str:
     share = ""
     if changed.believed:
-        share = f" ({100.0 * (changed.found / changed.believed - 1.0):+.2g} %)"
+        percent = 100.0 * (changed.found / changed.believed - 1.0)
+        share = f" ({'+' if percent > 0.0 else ''}{number(percent, 1)} %)"
     text = f"{spoken(changed.name)} of {changed.found:.4g} instead of {changed.believed:.4g}"
     return f"{text} {changed.unit}".rstrip() + share
 
@@ -132,11 +136,11 @@ def spoken(name: str) -> str:
     """A bench parameter or ``effect.parameter`` in words, with its name."""
     effect, _, parameter = name.partition(".")
     if effect in PARAMETER_INFO:
-        return f"{PARAMETER_INFO[effect].meaning.split(',')[0]} ({name})"
+        return f"{PARAMETER_INFO[effect].meaning} ({name})"
     if not parameter:
-        return name
+        return name.replace("_", " ")
     meaning = next(p.meaning for p in effect_named(effect).parameters if p.name == parameter)
-    return f"{meaning} ({name})"
+    return f"{effect.replace('_', ' ')}, {meaning} ({name})"
 
 
 def _width(draws_rad: FloatArray, level: float) -> float:

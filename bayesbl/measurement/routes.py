@@ -1,7 +1,7 @@
 """Routes of measurement by name, and the one way to run them.
 
 A route is a module with a :class:`bayesbl.measurement.measurement.Route` called ``ROUTE``, and its
-row in :data:`ROUTES`.
+row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its results are that one's.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from importlib import import_module
 import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import require_plausible_limit
 from bayesbl.measurement.dated_wear import WEAR
-from bayesbl.measurement.measurement import Route
+from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
 from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
@@ -25,6 +26,7 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
     "direct": "bayesbl.measurement.direct_route",
+    "auto": "bayesbl.measurement.auto_route",
 }
 """Name to the module, which is imported only where it is used."""
 
@@ -35,9 +37,34 @@ def route_of(name: str) -> Route:
     return found
 
 
+def measurer_of(config: SnapshotConfig) -> Measurer:
+    """The route that a configuration asks for, with all that it reads beside the recordings.
+
+    Raises
+    ------
+    UserError
+        If the bench or the curve cannot be read or used.
+    """
+    prepared: Measurer = import_module(ROUTES[config.estimator.route]).prepare(config)
+    return prepared
+
+
 def route_of_result(tree: xr.DataTree) -> Route:
-    """The route that a stored result was made by; version 0.1 named the direct one only."""
-    return route_of(tree.attrs.get("route", "amplitude"))
+    """The route that a stored result was made by.
+
+    Raises
+    ------
+    ResultError
+        If there is no such route.
+    """
+    name = tree.attrs.get("route")
+    if not isinstance(name, str) or name not in ROUTES:
+        raise ResultError(
+            "This result was made by no known route.",
+            found=f"route {name!r}",
+            expected=" or ".join(ROUTES),
+        )
+    return route_of(name)
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
@@ -51,6 +78,7 @@ def measure(
     progress: StageProgress | None = None,
     work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
+    swept: WorkStore = NOTHING_KEPT,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -60,6 +88,8 @@ def measure(
         Keeps what is finished, and gives back what an earlier run had finished.
     say
         Called with a sentence on what each search started from, if from an earlier optimum.
+    swept
+        Keeps swept benches for this run and others.
 
     Returns
     -------
@@ -72,12 +102,12 @@ def measure(
         to the estimator, there is nothing to start from in the earlier result, or the second
         sampler is not installed.
     """
-    measurer = route_of(config.estimator.route).prepare(config)
+    measurer = measurer_of(config)
     require_plausible_limit(config.joint.limit_rad, measurer.gap_range_rad)
     recordings = tuple(recording_of(entry, config) for entry in config.recordings)
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)
     seeds = Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say)
+    task = Task(config, recordings, seeds, progress, work, say, swept)
     return measurement_tree(measurer.measure(task), task)

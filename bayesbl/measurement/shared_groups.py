@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.change import Change
-from bayesbl.recording.types import CHANNELS, Recording
+from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.results.variables import Group, Variable, dataset, labels, table
 from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.units import unit_of
@@ -67,13 +67,15 @@ GAP = Group(
 CHANGE = Group(
     "change",
     table("""
-        change_rad (chain, draw) | rad | change of the backlash gap from first to last
-        step_change_rad (step, chain, draw) | rad
+        change_rad? (chain, draw) | rad | change of the backlash gap from first to last
+        step_change_rad? (step, chain, draw) | rad
             | change of the backlash gap between neighbouring snapshots
+        ringing_change? (chain, draw) | 1
+            | change of the ringing's amplitude from first to last, as a share of the first
     """),
     table("""
-        step_from (step) | text | snapshot before the step
-        step_to (step) | text | snapshot after the step
+        step_from? (step) | text | snapshot before the step
+        step_to? (step) | text | snapshot after the step
     """),
 )
 
@@ -106,14 +108,18 @@ def gap_group(budget: Mapping[str, float]) -> xr.Dataset:
     return dataset(GAP, {"budget": list(budget.values())}, {"source": list(budget)})
 
 
-def change_group(total: Change, steps: Sequence[Change]) -> xr.Dataset:
-    """Draws of the change from first to last, and of each step."""
+def change_group(
+    total: Change | None, steps: Sequence[Change], ringing_change: FloatArray | None
+) -> xr.Dataset:
+    """Draws of the change from first to last, and of each step; what there is not is left out."""
+    values: dict[str, object] = {"ringing_change": ringing_change}
+    if total is None:
+        return dataset(CHANGE, values)
+    values["change_rad"] = total.change_rad
+    values["step_change_rad"] = np.stack([step.change_rad for step in steps])
     return dataset(
         CHANGE,
-        {
-            "change_rad": total.change_rad,
-            "step_change_rad": np.stack([step.change_rad for step in steps]),
-        },
+        values,
         {
             "step_from": [step.first for step in steps],
             "step_to": [step.last for step in steps],

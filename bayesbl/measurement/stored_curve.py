@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import xarray as xr
 
 from bayesbl.curve.gap_curve import GapCurve, Ringing
 from bayesbl.errors import CurveError
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.stacking import stack_snapshots
 from bayesbl.results.store import read_tree, texts
 from bayesbl.results.variables import (
     Group,
@@ -20,6 +23,9 @@ from bayesbl.results.variables import (
     require_declared,
     table,
 )
+
+AMPLITUDES = 200
+"""At which a curve is stored for figures."""
 
 SOURCE_PREFIX = "source_"
 """Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
@@ -37,6 +43,7 @@ CURVE = Group(
         *_COEFFICIENTS,
     ),
     table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
+    optional=True,
 )
 
 
@@ -67,10 +74,35 @@ GAP_CURVE = Group(
 )
 
 
-def curve_group(curve: GapCurve, level: float, seed: np.random.SeedSequence) -> xr.Dataset:
+def curve_group(
+    curves: Mapping[str, GapCurve], level: float, seed: np.random.SeedSequence
+) -> xr.Dataset:
+    """The gap curve over its range with the band of its draws.
+
+    Parameters
+    ----------
+    curves
+        By snapshot. Where they differ they are stacked over the range of all.
+    """
+    first = next(iter(curves.values()))
+    if all(curve is first for curve in curves.values()):
+        return one_curve_group(first, level, seed)
+    ranges = np.array([curve.amplitude_range_rpm for curve in curves.values()])
+    amplitude = np.geomspace(ranges.min(), ranges.max(), AMPLITUDES)
+    parts = {n: {CURVE.name: _curve(c, amplitude, level, seed)} for n, c in curves.items()}
+    return stack_snapshots(parts)[CURVE.name]
+
+
+def one_curve_group(curve: GapCurve, level: float, seed: np.random.SeedSequence) -> xr.Dataset:
     """The gap curve over its range with the band of its draws."""
-    low, high = curve.amplitude_range_rpm
-    amplitude = np.geomspace(low, high, 200)
+    amplitude = np.geomspace(*curve.amplitude_range_rpm, AMPLITUDES)
+    return _curve(curve, amplitude, level, seed)
+
+
+def _curve(
+    curve: GapCurve, amplitude: FloatArray, level: float, seed: np.random.SeedSequence
+) -> xr.Dataset:
+    """A group :data:`CURVE` at these amplitudes."""
     count = 1000
     draws = curve.draw(count, np.random.default_rng(seed))
     table = np.stack([draws.gap(np.full(count, a)) for a in amplitude])

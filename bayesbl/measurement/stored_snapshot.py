@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from bayesbl.config.fields import PUBLISHED
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, as_stored
 from bayesbl.measurement.summary_types import DiagnosticsSummary, JointCheckSummary
 from bayesbl.measurement.verdict import Verdict
@@ -32,8 +33,10 @@ class StoredSnapshot:
         Group name to its dataset, without the dimension ``snapshot``.
     group_reasons
         Group to why what it holds is no answer; ``None`` where it is one.
+    route
+        That its gap comes from.
     curve
-        Name of the gap curve.
+        Name of the gap curve; empty without one.
     limit_rad
         Gap at which the joint is to be repaired, if given.
     model_check
@@ -44,6 +47,7 @@ class StoredSnapshot:
     groups: Mapping[str, xr.Dataset]
     verdict: Verdict
     group_reasons: Mapping[str, str | None]
+    route: str
     curve: str
     level: float
     interval_kind: IntervalKind
@@ -73,7 +77,7 @@ class StoredSnapshot:
     @property
     def symbols(self) -> tuple[str, ...]:
         """Free symbols in the paper's order, δ behind them: all that has draws."""
-        return (*(n for n in SYMBOLS if n in self.groups["posterior"]), "delta_rad")
+        return tuple(n for n in (*SYMBOLS, "delta_rad") if n in self.groups["posterior"])
 
     @property
     def reason(self) -> str | None:
@@ -82,8 +86,8 @@ class StoredSnapshot:
 
     @property
     def withheld(self) -> bool:
-        """Whether δ must not be read."""
-        return self.reason is not None
+        """Whether δ must not be read, or there is none."""
+        return self.reason is not None or "delta_rad" not in self.groups["posterior"]
 
     @property
     def delta_rad(self) -> Interval | None:
@@ -92,10 +96,15 @@ class StoredSnapshot:
 
     @property
     def probability_above_limit(self) -> float | None:
-        """Share of draws of δ above the limit; ``None`` where there is none, or no δ."""
-        if self.limit_rad is None or self.withheld:
+        """Share of draws of δ above the limit; ``None`` without either, or by the paper's bench."""
+        if self.limit_rad is None or self.withheld or self.by_other_joint:
             return None
         return float(np.mean(self.groups["posterior"]["delta_rad"].values > self.limit_rad))
+
+    @property
+    def by_other_joint(self) -> bool:
+        """Whether the gap is read from the curve of the paper's test bench."""
+        return self.route == "amplitude" and self.curve == PUBLISHED
 
     @property
     def budget(self) -> dict[str, float]:
@@ -155,6 +164,7 @@ def _snapshot(
         groups,
         Verdict(verdict["outcome"], tuple(verdict["reasons"]), verdict["reason"] or None),
         reasons,
+        tree.attrs.get("route", "amplitude"),
         # Figures are also drawn from parts of a result, without it.
         tree["curve"].attrs["name"] if "curve" in tree.children else "",
         float(tree.attrs["interval_level"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -19,7 +20,7 @@ from bayesbl.measurement.summary_types import (
     StepSummary,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import interval
+from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.summary_types import head
 
 
@@ -29,8 +30,10 @@ def summarise_fit(tree: xr.DataTree) -> FitSummary:
     return {
         "kind": "fit",
         **head(tree),
-        "curve": stored.curve,
+        "curve": stored.curve or None,
         **_snapshot(tree, stored),
+        # Why there is no δ for want of a curve is a reason of the whole result.
+        "reason": stored.reason or head(tree)["reason"],
     }
 
 
@@ -39,12 +42,15 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
     stored = stored_snapshots(tree)
     change = tree["change"].to_dataset()
     names = [snapshot.name for snapshot in stored]
-    given = not change.attrs.get("reason")
-    total = _step(change["change_rad"].values, stored[0], stored[-1], given)
+    given = "change_rad" in change and not change.attrs.get("reason")
+    total = _step(change["change_rad"].values if given else None, stored[0], stored[-1])
+    steps = change["step_change_rad"].values if given else [None] * (len(names) - 1)
+    ringing = change["ringing_change"].values if "ringing_change" in change else None
+    of_ringing = _described(ringing, stored[0])
     return {
         "kind": "compare",
         **head(tree),
-        "curve": stored[0].curve,
+        "curve": stored[0].curve or None,
         "snapshots": [
             {
                 "name": s.name,
@@ -55,10 +61,11 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
         ],
         "change_rad": total["change_rad"],
         "changes": [
-            _step(change["step_change_rad"].values[i], stored[i], stored[i + 1], given)
-            for i in range(len(names) - 1)
+            _step(draws, *pair) for draws, pair in zip(steps, pairwise(stored), strict=True)
         ],
         "probability_increase": total["probability_increase"],
+        "ringing_change": of_ringing[0],
+        "probability_ringing_grew": of_ringing[1],
         "same_joint": _same_joint(change),
         "wear": summarise_wear(tree, names),
     }
@@ -78,13 +85,21 @@ def _same_joint(change: xr.Dataset) -> JointCheckSummary:
     return found
 
 
-def _step(
-    draws: FloatArray, first: StoredSnapshot, last: StoredSnapshot, given: bool
-) -> StepSummary:
-    given = given and not (first.withheld or last.withheld)
+def _step(draws: FloatArray | None, first: StoredSnapshot, last: StoredSnapshot) -> StepSummary:
+    given = None if first.withheld or last.withheld else draws
+    change, probability = _described(given, first)
     return {
         "from": first.name,
         "to": last.name,
-        "change_rad": interval(draws, first.level, first.interval_kind) if given else None,
-        "probability_increase": float(np.mean(draws > 0.0)) if given else None,
+        "change_rad": change,
+        "probability_increase": probability,
     }
+
+
+def _described(
+    draws: FloatArray | None, like: StoredSnapshot
+) -> tuple[Interval | None, float | None]:
+    """Interval of draws of a change, and the probability that it is positive."""
+    if draws is None:
+        return None, None
+    return interval(draws, like.level, like.interval_kind), float(np.mean(draws > 0.0))

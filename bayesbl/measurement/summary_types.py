@@ -91,13 +91,13 @@ class JointCheckSummary(TypedDict):
     blind_spots: list[BlindSpotSummary]
 
 
-class ByAmplitudeSummary(TypedDict):
-    """The amplitude route's answer, beside another route's."""
+class RouteSummary(TypedDict):
+    """What one route answers of a snapshot; ``reason``: why it has no δ."""
 
-    curve: str
     delta_rad: Interval | None
-    amplitude_rpm: Interval | None
     reason: str | None
+    amplitude_rpm: NotRequired[Interval | None]
+    curve: NotRequired[str]
 
 
 class _FromRinging(TypedDict, total=False):
@@ -111,16 +111,19 @@ class _FromRinging(TypedDict, total=False):
 class _FromSimulation(TypedDict, total=False):
     """Of the simulated bench."""
 
-    route: str
     cramer_rao_sd: dict[str, float]
     posterior_sd: dict[str, float]
     predictive_check: list[PredictiveCheckEntry]
-    amplitude_route: ByAmplitudeSummary
 
 
 class SnapshotSummary(_FromRinging, _FromSimulation):
-    """One snapshot; every route gives the keys here, and some of its own."""
+    """One snapshot; every route gives the keys here, and some of its own.
 
+    ``route`` is the one that answers, ``routes`` has the answer of each that was run.
+    """
+
+    route: str
+    routes: dict[str, RouteSummary]
     delta_rad: Interval | None
     amplitude_rpm: Interval | None
     parameters: dict[str, Interval]
@@ -146,7 +149,7 @@ class FitSummary(Head, SnapshotSummary):
     """``summary.json`` of a fit."""
 
     kind: Literal["fit"]
-    curve: str
+    curve: str | None
 
 
 StepSummary = TypedDict(
@@ -204,48 +207,79 @@ class DateInterval(TypedDict):
     kind: str
 
 
-class WearSummary(TypedDict):
-    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
-
-    ``snapshots`` are those since the last repair. ``probability_wear`` that the gap grows has not
-    ruled out healing, all that follows has. ``law`` is the posterior probability of each law of
-    wear, ``rate`` the mean since the first snapshot, ``rate_now`` that at the last one by the laws.
-    ``scatter_rad_per_root_year`` is irregular wear, ``None`` under four snapshots.
-    ``relative_sd_per_date`` is what the gap may drift, as configured, and ``drift_widens`` by what
-    factor that widens the rate. ``years_to_limit`` count from the last snapshot. ``reason`` says
-    why all of these are ``None``.
-    """
+class _DatedSummary(TypedDict):
+    """Of dated snapshots since the last repair."""
 
     snapshots: list[str]
     first_date: str
     last_date: str
     level: float
-    probability_wear: float | None
-    law: dict[str, float] | None
-    rate: RateInterval | None
-    rate_now: RateInterval | None
-    rate_at_most_rad_per_year: float | None
-    scatter_rad_per_root_year: Interval | None
-    fall: FallSummary | None
+    limit_rad: float | None
     relative_sd_per_date: float
     drift_widens: float | None
-    limit_rad: float | None
+    decide_before: str | None
+
+
+class WearSummary(_DatedSummary):
+    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
+
+    ``probability_wear`` that the gap grows has not ruled out healing, all that follows has. ``law``
+    is the posterior probability of each law of wear, ``rate`` the mean since the first snapshot,
+    ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is irregular wear,
+    ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may drift, as
+    configured, and ``drift_widens`` by what factor that widens the rate. ``years_to_limit`` count
+    from the last snapshot.
+    """
+
+    probability_wear: float
+    law: dict[str, float]
+    rate: RateInterval
+    rate_now: RateInterval
+    rate_at_most_rad_per_year: float
+    scatter_rad_per_root_year: Interval | None
+    fall: FallSummary
     years_to_limit: Interval | None
     date_of_limit: DateInterval | None
     not_before: NotBefore | None
-    decide_before: str | None
     probability_before: ProbabilityBefore | None
-    reason: str | None
+    reason: None
+
+
+class WithheldWearSummary(_DatedSummary):
+    """As :class:`WearSummary` where no rate can be given; ``reason`` says why."""
+
+    probability_wear: None
+    law: None
+    rate: None
+    rate_now: None
+    rate_at_most_rad_per_year: None
+    scatter_rad_per_root_year: None
+    fall: None
+    years_to_limit: None
+    date_of_limit: None
+    not_before: None
+    probability_before: None
+    reason: str
 
 
 class ComparisonSummary(Head):
-    """``summary.json`` of a comparison."""
+    """``summary.json`` of a comparison.
+
+    ``ringing_change`` is that of the amplitude from first to last as a share of the first, where it
+    was measured at one speed and rate, else ``None``.
+    """
 
     kind: Literal["compare"]
-    curve: str
+    curve: str | None
     snapshots: list[NamedSnapshotSummary]
     change_rad: Interval | None
     changes: list[StepSummary]
     probability_increase: float | None
+    ringing_change: Interval | None
+    probability_ringing_grew: float | None
     same_joint: JointCheckSummary
-    wear: WearSummary | None
+    wear: WearSummary | WithheldWearSummary | None
+
+
+MeasuredSummary = FitSummary | ComparisonSummary
+"""Of gaps measured in recordings; ``kind`` says which."""

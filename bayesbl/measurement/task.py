@@ -7,11 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
-from bayesbl.curve.gap_curve import GapCurve, published_curve
-from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
@@ -51,6 +48,8 @@ class Task:
         Keeps what is finished, and gives back what an earlier run had finished.
     say
         Called with a sentence on what each search started from, if from an earlier optimum.
+    swept
+        Keeps swept benches for this run and others.
     """
 
     config: SnapshotConfig
@@ -59,6 +58,7 @@ class Task:
     progress: StageProgress | None = None
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
+    swept: WorkStore = NOTHING_KEPT
 
     @property
     def names(self) -> list[str]:
@@ -94,10 +94,3 @@ def estimator_of(config: SnapshotConfig) -> Estimator:
             config.posterior.ensembles, config.posterior.max_steps, config.interval.level
         ),
     )
-
-
-def curve_of(config: SnapshotConfig) -> GapCurve:
-    """The gap curve that a configuration names."""
-    if config.curve.source == PUBLISHED:
-        return published_curve()
-    return read_curve(config.curve.source)

@@ -20,6 +20,7 @@ from bayesbl.measurement.stored_snapshot import ALONE
 from bayesbl.measurement.task import Task
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.stacking import stack_snapshots
+from bayesbl.ringing.symbols import AMPLITUDE
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
@@ -29,10 +30,12 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     keys = [snapshot.name for snapshot in snapshots]
     if isinstance(config, CompareConfig):
         groups = stack_snapshots({s.name: s.groups for s in snapshots})
-        groups["change"] = change_group(*changes({s.name: s.delta_rad for s in snapshots}))
+        groups["change"] = _change(measured)
         groups["change"].attrs["same_joint"] = _json(as_stored(measured.same_joint))
         groups["change"].attrs["reason"] = measured.change_reason or ""
-        wear = wear_of(config, snapshots, task.seeds.wear)
+        wear = None
+        if not (measured.without_gap or measured.by_other_joint):
+            wear = wear_of(config, snapshots, task.seeds.wear, measured.change_reason)
         if wear is not None:
             groups["wear"] = wear
     else:
@@ -45,7 +48,9 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     for group in snapshots[0].group_reasons:
         reasons = {key: s.group_reasons[group] for key, s in zip(keys, snapshots, strict=True)}
         groups[group].attrs["reasons"] = _json(reasons)
-    groups["curve"] = curve_group(measured.curve, level, task.seeds.curve)
+    if measured.curves:
+        curves = dict(zip(keys, measured.curves, strict=True))
+        groups["curve"] = curve_group(curves, level, task.seeds.curve)
     tree = xr.DataTree.from_dict(groups)
     tree.attrs = {
         "kind": config.kind,
@@ -62,6 +67,20 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     if config.joint.limit_rad is not None:
         tree.attrs["limit_rad"] = config.joint.limit_rad
     return tree
+
+
+def _change(measured: Measurement) -> xr.Dataset:
+    """Of the gaps where there are any, and of the ringing where it was fitted at one speed."""
+    snapshots = measured.snapshots
+    gaps = {s.name: s.delta_rad for s in snapshots if s.delta_rad is not None}
+    ringing = None
+    if measured.route == "amplitude" and len({id(curve) for curve in measured.curves}) <= 1:
+        first, last = (
+            s.groups["posterior"][AMPLITUDE].values for s in (snapshots[0], snapshots[-1])
+        )
+        ringing = last / first - 1.0
+    total, steps = changes(gaps) if gaps else (None, [])
+    return change_group(total, steps, ringing)
 
 
 def _json(content: Mapping[str, object]) -> str:

@@ -148,7 +148,11 @@ def find_changes(
     The fit with what changed freed, or the nominal one where nothing did or nothing explains it.
     """
     naming = name_missing(
-        nominal, partial(_candidates, nominal), max_effects=MOST_CHANGES, false_alarm=false_alarm
+        nominal,
+        partial(_candidates, nominal),
+        max_effects=MOST_CHANGES,
+        false_alarm=false_alarm,
+        screened=True,
     )
     final = naming.final
     if final.candidates:
@@ -165,7 +169,7 @@ def find_changes(
             for found in naming.effects
             for rival in found.indistinguishable
         ),
-        tuple(blind_spots(fit, false_alarm)),
+        tuple(blind_spots(fit, false_alarm)) if explained else (),
     )
     return fit, findings
 
@@ -210,7 +214,12 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[OrderPeak]) -> list[Candidate
     everywhere = [c for c in found if not shared & {u.name for u in c.unknowns}]
     if len(recordings) == 1:
         return everywhere
-    return [*everywhere, *(c.within(seen.name) for seen in recordings for c in found)]
+    own = {(u.name, u.recording) for u in model.unknowns}
+    within = [c.within(seen.name) for seen in recordings for c in found]
+    return [
+        *everywhere,
+        *(c for c in within if not own & {(u.name, u.recording) for u in c.unknowns}),
+    ]
 
 
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:

@@ -30,7 +30,8 @@ from bayesbl.recording.types import FloatArray
 Progress = Callable[[int, int], None]
 
 WORTH_FITTING = 0.5
-"""Promised gain from which on a candidate is fitted, as a share of what naming asks for."""
+"""Promised gain from which on a candidate is fitted, as a share of what naming asks for, or of the
+best one's where many are tried."""
 
 BEAMS = 3
 """Explanations that another candidate is added to."""
@@ -105,6 +106,7 @@ def name_missing(
     *,
     max_effects: int = 3,
     false_alarm: float = 0.01,
+    screened: bool = False,
     progress: Progress | None = None,
 ) -> Naming:
     """Add candidates until nothing significant remains, nothing generalises or the limit is met.
@@ -119,10 +121,15 @@ def name_missing(
         again in the residual beside the first that are named: they may have stood behind these.
     false_alarm
         Probability of naming anything where nothing is missing, over all candidates.
+    screened
+        Where the bench disagrees but is not far off, fit only the candidates that promise a good
+        share of what the best of them promises.
     progress
         Called with (fits made, fits expected).
     """
-    search = _Search(candidates(order_peaks(nominal_fit)), false_alarm, max_effects, progress)
+    search = _Search(
+        candidates(order_peaks(nominal_fit)), false_alarm, max_effects, screened, progress
+    )
     nominal = nominal_explanation(nominal_fit)
     before = disagreements(nominal_fit)
     first = search.first(nominal)
@@ -164,11 +171,13 @@ class _Search:
         candidates: Sequence[Candidate],
         false_alarm: float,
         max_effects: int,
+        screened: bool,
         progress: Progress | None,
     ) -> None:
         self._candidates = tuple(candidates)
         self._false_alarm = false_alarm
         self._max_effects = max_effects
+        self._screened_first = screened
         self._progress = progress
         self._made = 0
         self._fits: dict[tuple[int, int], tuple[Explanation, Explanation | None]] = {}
@@ -183,8 +192,10 @@ class _Search:
         derivatives tell what it could gain: what promises nothing is not fitted.
         """
         tried = self._candidates
-        if self.agrees(nominal) and not is_gross(nominal):
+        if not is_gross(nominal) and (self._screened_first or self.agrees(nominal)):
             least = WORTH_FITTING * self._threshold(1)
+            if self._screened_first:
+                least = max(least, WORTH_FITTING * self._best_promise(nominal))
             promised = zip(tried, self._promised(nominal), strict=True)
             tried = tuple(c for c, gain in promised if gain > least)
         return self._contenders([self._fit(nominal, c) for c in tried])

@@ -6,13 +6,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, wear
-from bayesbl.presentation.words import SURE, Summary
+from bayesbl.presentation import answer, diagnosis, ringing, wear
+from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import SnapshotSummary
+    from bayesbl.diagnosis.summary import DiagnosisSummary
+    from bayesbl.measurement.summary_types import (
+        ComparisonSummary,
+        MeasuredSummary,
+        SnapshotSummary,
+        WearSummary,
+    )
+    from bayesbl.runs.study import StudySummary
+    from bayesbl.runs.sweep_summary import SweepSummary
 
 CLOSE = 0.05
 """Relative distance from the limit that a guess in two digits does not resolve."""
@@ -29,7 +37,7 @@ class Advice:
     sentences: tuple[str, ...]
 
 
-def of_sweep(_: Summary) -> Advice:
+def of_sweep(_: SweepSummary) -> Advice:
     """What the curve of a sweep is for."""
     return Advice(
         "note",
@@ -41,7 +49,7 @@ def of_sweep(_: Summary) -> Advice:
     )
 
 
-def of_study(summary: Summary) -> Advice:
+def of_study(summary: StudySummary) -> Advice:
     """Whether all cases of a study count."""
     failed = sum(int(row["failed"]) for row in summary["rows"])
     if failed:
@@ -50,9 +58,11 @@ def of_study(summary: Summary) -> Advice:
     return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
 
 
-def of_snapshots(summary: Summary) -> Advice:
+def of_snapshots(summary: MeasuredSummary) -> Advice:
     """Whether and when to repair, by the last snapshot."""
     last = answer.snapshots(summary)[-1][1]
+    if ringing.is_alone(summary):
+        return _of_ringing(summary)
     if last["delta_rad"] is None:
         return Advice(
             "withheld",
@@ -63,18 +73,20 @@ def of_snapshots(summary: Summary) -> Advice:
                 "as you would without this measurement.",
             ),
         )
-    head = _by_forecast(summary, last) or _by_limit(summary, last)
-    if head is None:
-        head = _without_limit(summary)
-    elif answer.is_by_other_machine(summary):
-        head = _by_other_machine(head)
+    compared = summary if summary["kind"] == "compare" else None
+    rated = wear.with_rate(compared) if compared else None
+    head = (_by_forecast(rated, last) if rated else None) or _by_limit(summary, last)
+    if answer.is_by_other_machine(summary):
+        head = Advice("note", "Do not act on these gaps: they are of another machine's curve.", ())
+    elif head is None:
+        head = _without_limit(compared, rated)
     if answer.has_shrunk(summary) and head.tone != "act":
         title = "Are the files in order, or was the joint repaired?"
         head = Advice("watch", title, head.sentences)
     return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
 
 
-def of_diagnosis(summary: Summary) -> Advice:
+def of_diagnosis(summary: DiagnosisSummary) -> Advice:
     """Whether the bench can be used, and how it should be completed."""
     match summary["verdict"]:
         case "named" if diagnosis.has_augmented_bench(summary):
@@ -104,32 +116,40 @@ def of_diagnosis(summary: Summary) -> Advice:
             )
 
 
-def _by_other_machine(head: Advice) -> Advice:
-    """An order that rests on a limit and another machine's curve never gives the all-clear."""
-    order = head.title.removesuffix(".")
-    title = f"{order}, if this joint behaves like the paper's test bench."
-    return Advice("watch" if head.tone == "fine" else head.tone, title, head.sentences)
+def _of_ringing(summary: MeasuredSummary) -> Advice:
+    """What to do about a ringing that no curve leads from to a gap."""
+    if summary["kind"] == "compare" and not summary["same_joint"]["agrees"]:
+        return Advice(
+            "watch",
+            "Find out what changed besides the gap.",
+            (*summary["same_joint"]["sentences"], summary["reason"] or ""),
+        )
+    grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
+    title = "The ringing grew: describe the joint in a bench file to learn by how much gap."
+    if not grew:
+        title = "Describe the joint in a bench file to learn the gap."
+    return Advice("watch" if grew else "note", title, (summary["reason"] or "",))
 
 
-def _by_forecast(summary: Summary, last: SnapshotSummary) -> Advice | None:
-    """Until when no repair is due, where the limit is ahead and there is a forecast."""
+def _by_forecast(found: WearSummary, last: SnapshotSummary) -> Advice | None:
+    """Until when no repair is due, where the limit is ahead."""
     above = last.get("probability_above_limit")
-    if above is None or above > 1.0 - SURE or not wear.has_rate(summary):
+    if above is None or above > 1.0 - SURE:
         return None
-    found = summary["wear"]
     sentences = tuple(wear.sentences(found))
     if found["probability_wear"] < SURE:
         return Advice("fine", "No repair is due, and no wear is shown.", sentences)
-    if wear.not_before(found) is None:
+    earliest = wear.not_before(found)
+    if earliest is None:
         return Advice("fine", "No repair is due for years.", sentences)
     if wear.fallen(found):
         return Advice("watch", "Measure again before you plan a repair.", sentences)
     asked = found["probability_before"]
     tone: Tone = "fine" if asked is None or asked["probability"] <= 1.0 - SURE else "watch"
-    return Advice(tone, f"Plan the repair for {wear.not_before(found)} or before.", sentences)
+    return Advice(tone, f"Plan the repair for {earliest} or before.", sentences)
 
 
-def _by_limit(summary: Summary, last: SnapshotSummary) -> Advice | None:
+def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
     """Repair or not, by the probability that the last gap is above its limit."""
     above, why = last.get("probability_above_limit"), answer.above_limit(summary)
     if above is None or why is None:
@@ -142,14 +162,14 @@ def _by_limit(summary: Summary, last: SnapshotSummary) -> Advice | None:
     return Advice("watch", "Look at this joint soon.", (why, again))
 
 
-def _without_limit(summary: Summary) -> Advice:
+def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None) -> Advice:
     ask = "To see whether a repair is due, give the gap at which it is (--limit-rad)."
-    if wear.has_rate(summary):
-        if summary["wear"]["probability_wear"] >= SURE:
-            sentences = tuple(wear.sentences(summary["wear"]))
+    if rated is not None:
+        if rated["probability_wear"] >= SURE:
+            sentences = tuple(wear.sentences(rated))
             return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
         return Advice("fine", "No wear is shown: measure again later.", (ask,))
-    change = summary.get("change_rad")
+    change = None if summary is None else summary["change_rad"]
     if change is None:
         return Advice("note", "Compare this gap with what the joint may have.", (ask,))
     if change["low"] > 0.0:
@@ -158,24 +178,31 @@ def _without_limit(summary: Summary) -> Advice:
     return Advice("fine", "No wear is shown: measure again later.", (why, ask))
 
 
-def _caveats(summary: Summary, last: SnapshotSummary) -> Iterator[str]:
-    change, found = summary.get("change_rad"), summary.get("wear")
-    if found is not None and found["reason"]:
-        yield found["reason"]
-    fell = wear.fallen(found) if wear.has_rate(summary) and found else None
-    if fell:
-        yield fell
-    if found is not None and len(found["snapshots"]) == 2:
-        yield "Two snapshots cannot show whether the wear is steady: take a third."
-    if found is None and change is not None and change["low"] > 0.0:
-        yield from _growth_again(last, change["median"])
+def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
+    if summary["kind"] == "compare":
+        yield from _caveats_of_change(summary, last)
     if answer.has_shrunk(summary):
         yield answer.SHRANK
     if answer.is_by_other_machine(summary):
         yield (
-            "These gaps rest on the curve of another machine, the paper's test bench: make a "
-            "curve for your joint (bayesbl sweep) before you act on them."
+            "These gaps rest on the curve of another machine, the paper's test bench, at a speed "
+            "that is assumed: describe your joint in a bench file (--bench) before you act on "
+            "them. No probability of a limit, no rate and no date are given."
         )
+
+
+def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Iterator[str]:
+    change, found = summary["change_rad"], summary["wear"]
+    if found is None:
+        if change is not None and change["low"] > 0.0:
+            yield from _growth_again(last, change["median"])
+        return
+    if found["reason"] is not None:
+        yield found["reason"]
+    elif fell := wear.fallen(found):
+        yield fell
+    if len(found["snapshots"]) == 2:
+        yield "Two snapshots cannot show whether the wear is steady: take a third."
 
 
 def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
@@ -195,7 +222,7 @@ def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
     )
 
 
-def _go_on(summary: Summary) -> Iterator[str]:
+def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     """What to do with the bench that the diagnosis wrote."""
     yield (
         f"{AUGMENTED_BENCH}, beside this page, is the bench with what was named, a bench file like "

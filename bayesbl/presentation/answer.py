@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import direct_route, joint_check, wear, words
+from bayesbl.presentation import direct_route, joint_check, ringing, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import SamplerCheckSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import (
+        MeasuredSummary,
+        SamplerCheckSummary,
+        SnapshotSummary,
+    )
     from bayesbl.results.intervals import Interval
+    from bayesbl.runs.summary import Summary
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
+
+OTHER_MACHINE = "If this joint were the paper's test bench, at an assumed 2000 rpm"
 
 SHRANK = (
     "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
@@ -21,15 +28,19 @@ SHRANK = (
 )
 
 
-def snapshots(summary: words.Summary) -> list[tuple[str, SnapshotSummary]]:
+def is_measured(summary: Summary) -> TypeGuard[MeasuredSummary]:
+    """Whether a summary is of gaps measured in recordings."""
+    return summary["kind"] in ("fit", "compare")
+
+
+def snapshots(summary: MeasuredSummary) -> list[tuple[str, SnapshotSummary]]:
     """(name, part) of every snapshot; the name of a fit's only one is empty."""
-    if "snapshots" in summary:
+    if summary["kind"] == "compare":
         return [(part["name"], part) for part in summary["snapshots"]]
-    alone: Any = summary  # a fit is a snapshot itself
-    return [("", alone)]
+    return [("", summary)]
 
 
-def blocks(summary: words.Summary) -> Iterator[Block]:
+def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     """Everything below the headline: table of the snapshots, wear, and what limits the answer."""
     _, *others = lead(summary)
     for sentence in (*others, *steps(summary), above_limit(summary)):
@@ -41,39 +52,44 @@ def blocks(summary: words.Summary) -> Iterator[Block]:
     for name, part in snapshots(summary):
         if "sampler_check" in part:
             yield Sentence(sampler_check(part["sampler_check"]), "aside", name)
-    if summary.get("wear"):
-        yield from wear.blocks(summary)
-    yield Sentence(GAP_EXPLAINED, "aside")
+    if summary["kind"] == "compare" and summary["wear"] is not None:
+        yield from wear.blocks(summary, summary["wear"])
+    yield Sentence(ringing.EXPLAINED if ringing.is_alone(summary) else GAP_EXPLAINED, "aside")
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
-    for name, part in snapshots(summary):
-        if "amplitude_route" in part:
-            yield Sentence(direct_route.by_amplitude(name, part["amplitude_route"]), "aside")
+    for sentence in direct_route.other_route(summary):
+        yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
+    if ringing.is_alone(summary):
+        yield Sentence(summary["reason"] or "", "warning", "No gap")
+    elif change_is_withheld(summary):
+        yield Sentence(summary["reason"] or "", "warning", "Withheld")
     yield from joint_check.blocks(summary)
 
 
-def lead(summary: words.Summary) -> Iterator[str]:
+def lead(summary: MeasuredSummary) -> Iterator[str]:
     """What a fit or a comparison leads with: the wear where it has a rate, else gap or change."""
-    if not wear.has_rate(summary):
-        yield headline(summary)
-        return
-    yield wear.headline(summary)
-    if not wear.spans_repair(summary):
-        yield headline(summary)
+    if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
+        yield wear.headline(summary, rated)
+        if wear.spans_repair(summary, rated):
+            return
+    yield headline(summary)
 
 
-def headline(summary: words.Summary) -> str:
+def headline(summary: MeasuredSummary) -> str:
     """The gap, or the change of compared ones."""
-    compared = "snapshots" in summary
-    found = summary["change_rad" if compared else "delta_rad"]
-    if found is None:
-        what = "change of the gap" if compared else "gap"
-        return f"The {what} is withheld: these data do not give an answer that can be trusted."
-    if compared:
-        return f"{change_in_words(found)}; {grew(summary['probability_increase'])}."
-    return f"The gap is {words.in_mrad(found)}."
+    if ringing.is_alone(summary):
+        return ringing.headline(summary)
+    by = f"{OTHER_MACHINE}: " if is_by_other_machine(summary) else ""
+    if summary["kind"] == "compare":
+        change, growth = summary["change_rad"], summary["probability_increase"]
+        if change is not None and growth is not None:
+            return f"{by}{change_in_words(change)}; {grew(growth)}."
+    elif summary["delta_rad"] is not None:
+        return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
+    what = "change of the gap" if summary["kind"] == "compare" else "gap"
+    return f"The {what} is withheld: these data do not give an answer that can be trusted."
 
 
 def change_in_words(change: Interval) -> str:
@@ -90,30 +106,39 @@ def grew(value: float) -> str:
     return f"probability that it grew: {words.probability(value)}"
 
 
-def has_shrunk(summary: words.Summary) -> bool:
+def has_shrunk(summary: MeasuredSummary) -> bool:
     """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
-    change = summary.get("change_rad")
-    return change is not None and change["high"] < 0.0 and not summary.get("wear")
+    if summary["kind"] != "compare" or summary["wear"] is not None:
+        return False
+    return summary["change_rad"] is not None and summary["change_rad"]["high"] < 0.0
 
 
-def steps(summary: words.Summary) -> Iterator[str]:
+def steps(summary: MeasuredSummary) -> Iterator[str]:
     """Each step between neighbours, where there are more than two snapshots."""
-    changes = summary.get("changes", [])
+    changes = summary["changes"] if summary["kind"] == "compare" else []
     for step in changes if len(changes) > 1 else []:
-        change = "withheld"
-        if step["change_rad"] is not None:
-            change = f"{words.in_mrad(step['change_rad'])}; {grew(step['probability_increase'])}"
-        yield f"From {step['from']} to {step['to']}: {change}."
+        change, growth = step["change_rad"], step["probability_increase"]
+        found = "withheld"
+        if change is not None and growth is not None:
+            found = f"{words.in_mrad(change)}; {grew(growth)}"
+        yield f"From {step['from']} to {step['to']}: {found}."
 
 
-def is_by_other_machine(summary: words.Summary) -> bool:
+def change_is_withheld(summary: MeasuredSummary) -> bool:
+    """Whether the gaps of a comparison are given, and their change is not."""
+    if summary["kind"] != "compare" or summary["change_rad"] is not None:
+        return False
+    return all(part["delta_rad"] is not None for _, part in snapshots(summary))
+
+
+def is_by_other_machine(summary: MeasuredSummary) -> bool:
     """Whether the answer rests on the gap curve of the paper's test bench."""
     from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
 
-    return summary.get("curve") == PUBLISHED and not direct_route.is_direct(summary)
+    return summary["curve"] == PUBLISHED and not direct_route.is_direct(summary)
 
 
-def explained(summary: words.Summary) -> str:
+def explained(summary: MeasuredSummary) -> str:
     """What δ and the range beneath it are, and what they rest on."""
     direct = direct_route.is_direct(summary)
     condition = "the bench is as its file says" if direct else "the curve fits your joint"
@@ -124,10 +149,10 @@ def explained(summary: words.Summary) -> str:
     )
 
 
-def above_limit(summary: words.Summary) -> str | None:
+def above_limit(summary: MeasuredSummary) -> str | None:
     """The probability of each snapshot above the limit; ``None`` without a limit."""
     limited = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
-    if not limited:
+    if not limited or ringing.is_alone(summary) or is_by_other_machine(summary):
         return None
     each = ", ".join(
         _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in limited
@@ -136,7 +161,7 @@ def above_limit(summary: words.Summary) -> str | None:
     return f"Probability that the gap is above its limit of {limit:g} mrad: {each}."
 
 
-def budget(summary: words.Summary) -> Iterator[str]:
+def budget(summary: MeasuredSummary) -> Iterator[str]:
     """Where the width of the last interval given comes from, in one line."""
     answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
     for name, part in answered[-1:]:
@@ -150,7 +175,7 @@ def budget(summary: words.Summary) -> Iterator[str]:
             yield f"Variance of the gap{of(name)}, by source: {', '.join(each)}."
 
 
-def reasons(summary: words.Summary) -> Iterator[tuple[str, str]]:
+def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
     """(``Withheld`` or ``Note``, sentence) of all that limits an answer, each once.
 
     The names of the snapshots that it applies to come first.
@@ -165,7 +190,7 @@ def reasons(summary: words.Summary) -> Iterator[tuple[str, str]]:
         yield label, f"{', '.join(whose)}: {sentence}" if any(whose) else sentence
 
 
-def outliers(summary: words.Summary) -> Iterator[str]:
+def outliers(summary: MeasuredSummary) -> Iterator[str]:
     """A sentence for every snapshot whose noise is Student-t."""
     for name, part in snapshots(summary):
         freedom = part["noise"]["degrees_of_freedom"]
@@ -197,32 +222,43 @@ def _probability_or_withheld(part: SnapshotSummary) -> str:
     return "withheld" if value is None else words.probability(value)
 
 
-def _snapshot_table(summary: words.Summary) -> Table:
+def _snapshot_table(summary: MeasuredSummary) -> Table:
     parts = snapshots(summary)
-    compared = "snapshots" in summary
+    compared = summary["kind"] == "compare"
     first = parts[0][1]
     # There may be an answer where the ringing gives no amplitude.
     kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
+    alone = ringing.is_alone(summary)
+    beside = direct_route.beside(first)
     columns = (
         *([text("Snapshot")] if compared else []),
-        numbers("Gap δ\n(mrad)"),
-        numbers(f"{kind}\n(mrad)"),
+        *([] if alone else [numbers("Gap δ\n(mrad)"), numbers(f"{kind}\n(mrad)")]),
+        *([numbers(f"By {beside}\n(mrad)")] if beside else []),
         numbers("Ringing A\n(rpm)"),
+        *([numbers(f"{kind}\n(rpm)")] if alone else []),
         numbers("Load\nrotations"),
         numbers("Noise sd\n(rpm)"),
         text("Outcome"),
     )
-    return table(columns, [_row(name if compared else None, part, places) for name, part in parts])
+    rows = [
+        [*([name] if compared else []), *_cells(part, places, beside, alone)]
+        for name, part in parts
+    ]
+    return table(columns, rows)
 
 
-def _row(name: str | None, part: SnapshotSummary, places: int) -> Iterator[str]:
-    if name is not None:
-        yield name
-    delta = part["delta_rad"]
-    yield "withheld" if delta is None else number(1e3 * delta["median"], places)
-    yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
-    yield words.median_of(part["amplitude_rpm"], 1)
+def _cells(part: SnapshotSummary, places: int, beside: str | None, alone: bool) -> Iterator[str]:
+    delta, amplitude = part["delta_rad"], part["amplitude_rpm"]
+    if not alone:
+        yield "withheld" if delta is None else number(1e3 * delta["median"], places)
+        yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+    if beside:
+        other = part["routes"][beside]["delta_rad"]
+        yield "withheld" if other is None else words.bounds(other, 1e3)
+    yield words.median_of(amplitude, 1)
+    if alone:
+        yield "–" if amplitude is None else words.bounds(amplitude, places=1)
     yield f"{part['rotations']:.1f}"
     yield f"{part['noise']['sd_rpm']:.2f}"
     yield part["diagnostics"]["outcome"]

@@ -3,45 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route
-from bayesbl.presentation.words import Summary, interval_kind
+from bayesbl.presentation import answer, direct_route, ringing
+from bayesbl.presentation.words import interval_kind
+
+if TYPE_CHECKING:
+    from bayesbl.diagnosis.summary import DiagnosisSummary
+    from bayesbl.measurement.summary_types import MeasuredSummary
+    from bayesbl.runs.study import StudySummary
+    from bayesbl.runs.sweep_summary import SweepSummary
 
 
-def of_sweep(_: Summary) -> Iterator[str]:
+def of_sweep(_: SweepSummary) -> Iterator[str]:
     """Assumptions of a gap curve."""
     yield "The simulated bench is a two-mass drive whose only play is one gap."
     yield "The joint has the bench's parameters, within their tolerances where they have any."
     yield "Measured recordings are fitted as these simulated ones were."
 
 
-def of_diagnosis(_: Summary) -> Iterator[str]:
+def of_diagnosis(_: DiagnosisSummary) -> Iterator[str]:
     """Assumptions of a diagnosis."""
     yield "What is missing, if anything, is in the catalogue (bayesbl effects)."
     yield "Noise does not repeat; a named effect predicts what it was not fitted on."
     yield "The bench's other parameters have the values in its file, within their tolerances."
 
 
-def of_study(_: Summary) -> Iterator[str]:
+def of_study(_: StudySummary) -> Iterator[str]:
     """Assumptions of a study."""
     yield "Each case has random numbers of its own, from the seed, the row and its number."
 
 
-def of_snapshots(summary: Summary) -> Iterator[str]:
+def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
     """Assumptions of a measured gap."""
     last = answer.snapshots(summary)[-1][1]
     yield "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
     if direct_route.is_direct(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
+    elif ringing.is_alone(summary):
+        yield "More ringing may be more gap, or another load, stiffness, damping or controller."
     elif answer.is_by_other_machine(summary):
         yield "The joint rings like the paper's test bench (curve published, eq. 4)."
+        yield "The paper's test bench turned at 2000 rpm, which the paper does not state."
     else:
-        yield f"The joint rings like the bench of its gap curve ({summary.get('curve')})."
+        yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
     yield "Noise is what does not repeat from one rotation to the next, and is steady."
-    yield "Before the recording every gap is equally likely in ln δ."
-    if "snapshots" in summary:
+    if not ringing.is_alone(summary):
+        yield "Before the recording every gap is equally likely in ln δ."
+    if summary["kind"] == "compare":
         yield "Nothing but the gap changed between the snapshots: same joint, controller and load."
-    found = last["delta_rad"] or last.get("amplitude_rpm")
+    found = last["delta_rad"] or last["amplitude_rpm"]
     if found is not None:
         yield (
             f"The {interval_kind(found)} is a credible interval: given all this, the value "

@@ -7,21 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import direct_route
+from bayesbl.presentation import answer, direct_route
 from bayesbl.presentation.blocks import Block, Heading, Sentence
-from bayesbl.presentation.subjects import blocks, subject_of, summary_of
+from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.presentation.terminal import print_blocks
-from bayesbl.presentation.words import Summary
+from bayesbl.runs.summary import summarise
 
 if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
+    from bayesbl.runs.summary import Summary
+
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
     """The answer in words, its table, and everything that limits the answer."""
     withheld = summary["outcome"] == "withheld"
-    headline = subject_of(summary).headline(summary)
+    headline = SUBJECTS[summary["kind"]].headline(summary)
     print_blocks([Sentence(headline, "withheld" if withheld else "answer")], console)
     print_blocks(blocks(summary), console)
     if folder is not None:
@@ -31,9 +33,9 @@ def print_result(summary: Summary, folder: Path | None, console: Console) -> Non
 
 def print_summary(tree: xr.DataTree, console: Console) -> None:
     """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
-    summary = summary_of(tree)
+    summary = summarise(tree)
     print_result(summary, None, console)
-    print_blocks(subject_of(summary).details(tree, summary), console)
+    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
     print_blocks(_origin(tree, summary), console)
 
 
@@ -43,10 +45,19 @@ def _origin(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
         "Version": f"{summary['version']}, commit {summary['commit']}",
         "Made": tree.attrs.get("created_utc"),
         "Seed": summary["seed"],
-        "Gap curve": None if direct_route.is_direct(summary) else summary.get("curve"),
+        "Gap curve": _curve(summary),
     }
     inputs = json.loads(tree.attrs.get("input_sha256", "{}"))
     lines |= {f"SHA-256 of {file}": digest for file, digest in inputs.items()}
     for label, content in lines.items():
         if content is not None:
             yield Sentence(str(content), label=label)
+
+
+def _curve(summary: Summary) -> str | None:
+    """The curve that a sweep made, or that gaps were read from."""
+    if summary["kind"] == "sweep":
+        return summary["curve"]
+    if answer.is_measured(summary) and not direct_route.is_direct(summary):
+        return summary["curve"]
+    return None

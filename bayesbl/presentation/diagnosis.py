@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import Summary
 from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from bayesbl.diagnosis.disagreement import Use
+    from bayesbl.diagnosis.summary import DiagnosisSummary, DisagreementSummary, HeldValue
+    from bayesbl.results.intervals import Interval
 
 FAR_BEYOND_NOISE = 10.0
 """Standard deviations from zero above which their number is of no use to a reader."""
@@ -23,7 +26,7 @@ UNTOLD_SHARE = (
 _USES = {"used": "fitted on", "held_out": "held out"}
 
 
-def blocks(summary: Summary) -> Iterator[Block]:
+def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """One sentence per effect and parameter, the disagreement, what still repeats."""
     for sentence in (*effects(summary), *parameter_errors(summary)):
         yield Sentence(sentence)
@@ -34,14 +37,14 @@ def blocks(summary: Summary) -> Iterator[Block]:
         yield Sentence(sentence)
 
 
-def residual_blocks(tree: xr.DataTree, _: Summary) -> Iterator[Block]:
+def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
     """Residuals in steady rotation, where the result holds them."""
     for heading, sentences in residuals_in_words(tree):
         yield Heading(heading)
         yield from map(Sentence, sentences)
 
 
-def headline(summary: Summary) -> str:
+def headline(summary: DiagnosisSummary) -> str:
     """The verdict as a sentence."""
     names = [in_words(effect["name"]) for effect in summary["effects"]]
     match summary["verdict"]:
@@ -56,17 +59,17 @@ def headline(summary: Summary) -> str:
             return "Nothing is missing: the residuals do not repeat, or no finding generalises."
 
 
-def has_augmented_bench(summary: Summary) -> bool:
+def has_augmented_bench(summary: DiagnosisSummary) -> bool:
     """Whether the result's folder holds the bench with what was named."""
     return "augmented_bench" in summary
 
 
-def use_in_words(use: str) -> str:
+def use_in_words(use: Use) -> str:
     """``held out``."""
     return _USES[use]
 
 
-def effects(summary: Summary) -> Iterator[str]:
+def effects(summary: DiagnosisSummary) -> Iterator[str]:
     """Each named effect with its parameters and what it cannot be distinguished from."""
     for effect in summary["effects"]:
         parameters = ", ".join(
@@ -79,7 +82,7 @@ def effects(summary: Summary) -> Iterator[str]:
         yield text[0].upper() + text[1:]
 
 
-def parameter_errors(summary: Summary) -> Iterator[str]:
+def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
     """Parameters that do not hold what the bench file says."""
     for error in summary["parameter_errors"]:
         name, unit = quantity_and_unit(error["name"])
@@ -89,7 +92,7 @@ def parameter_errors(summary: Summary) -> Iterator[str]:
         yield text[0].upper() + text[1:]
 
 
-def remaining(summary: Summary) -> Iterator[str]:
+def remaining(summary: DiagnosisSummary) -> Iterator[str]:
     """What still repeats after naming."""
     from bayesbl.presentation.residuals import unexplained_phrase  # numpy is behind it
 
@@ -109,7 +112,7 @@ def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
             yield heading, residual_sentences(tree[group].to_dataset())
 
 
-def wear(summary: Summary) -> Iterator[str]:
+def wear(summary: DiagnosisSummary) -> Iterator[str]:
     """The gap before and after naming: what the effects do to it."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
     if before is None or after is None:
@@ -130,7 +133,7 @@ def wear(summary: Summary) -> Iterator[str]:
         yield f"The gap is {gap}."
 
 
-def suggestion(summary: Summary) -> Iterator[str]:
+def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
     """The recording that would separate what these cannot."""
     found = summary["suggested_recording"]
     if found is None:
@@ -145,14 +148,14 @@ def suggestion(summary: Summary) -> Iterator[str]:
     )
 
 
-def _sized(parameter: str, interval: Any) -> str:
+def _sized(parameter: str, interval: Interval | HeldValue) -> str:
     """``torque 15.00 N m (14.99 to 15.02)``; of one recording, ``phase (reverse) 0.71 rad``."""
     name, space, recording = parameter.partition(" ")
     quantity, unit = quantity_and_unit(name)
     return f"{quantity}{space}{recording} {_value(interval, unit)}"
 
 
-def _value(interval: Any, unit: str) -> str:
+def _value(interval: Interval | HeldValue, unit: str) -> str:
     if interval["low"] is None:
         return _with_unit(_digits(interval["median"]), unit)
     middle = number(interval["median"], words.decimals(interval))
@@ -174,7 +177,7 @@ def _beyond_noise(deviations: float) -> str:
     return f"{deviations:.0f} standard deviations from zero"
 
 
-def _disagreement_table(summary: Summary) -> Table:
+def _disagreement_table(summary: DiagnosisSummary) -> Table:
     titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
     rows = [
         (
@@ -188,7 +191,7 @@ def _disagreement_table(summary: Summary) -> Table:
     return table((text("Recording"), text("Use"), *map(numbers, titles)), rows)
 
 
-def _rows(summary: Summary) -> Iterator[tuple[str, str, Summary]]:
+def _rows(summary: DiagnosisSummary) -> Iterator[tuple[str, Use, DisagreementSummary]]:
     """(recording and channel, use, disagreement) of every row, those over all at the end."""
     from bayesbl.recording.types import CHANNELS  # numpy is behind it
 
@@ -213,7 +216,7 @@ def removed(closed: float | None) -> str:
     return "100 %" if shown == "100.0" else f"{shown} %"
 
 
-def _sized_rms(row: Summary, key: str) -> str:
+def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_floor"]) -> str:
     """``3.34 rpm``; over all channels ``4.2 × noise``."""
     unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
     return f"{row[key]:.3g}{unit}"

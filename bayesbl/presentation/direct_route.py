@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import ByAmplitudeSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import (
+        MeasuredSummary,
+        RouteSummary,
+        SnapshotSummary,
+    )
 
 BOUND_EXPLAINED = (
     "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
@@ -22,9 +27,10 @@ CHECK_EXPLAINED = (
 )
 
 
-def is_direct(summary: words.Summary) -> bool:
-    """Whether the answer comes from simulations of the bench: the amplitude then is beside it."""
-    return "amplitude_route" in summary.get("snapshots", [summary])[0]
+def is_direct(summary: MeasuredSummary) -> bool:
+    """Whether the answer comes from simulations of the bench."""
+    first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
+    return first["route"] == "direct"
 
 
 def blocks(part: SnapshotSummary) -> Iterator[Block]:
@@ -59,14 +65,39 @@ def corrected(part: SnapshotSummary) -> str:
     )
 
 
-def by_amplitude(name: str, route: ByAmplitudeSummary) -> str:
-    """The amplitude's δ, with the curve that it was read from."""
-    whose = f" of {name}" if name else ""
-    source = f"For comparison{whose}, by the ringing's amplitude and the curve {route['curve']}"
-    if route["delta_rad"] is None:
-        return f"{source}: no answer. {route['reason'] or ''}".rstrip()
-    warning = " (that curve belongs to the paper's bench)" if route["curve"] == "published" else ""
-    return f"{source}{warning}: {words.in_mrad(route['delta_rad'])}."
+def beside(part: SnapshotSummary) -> str | None:
+    """The route that was run beside the one that answers; ``None`` without one."""
+    return next((route for route in part["routes"] if route != part["route"]), None)
+
+
+def other_route(summary: MeasuredSummary) -> Iterator[str]:
+    """What the column of the other route rests on, and why it has no answer where it has none."""
+    from bayesbl.presentation.answer import snapshots
+
+    parts = snapshots(summary)
+    route = beside(parts[0][1])
+    if route is None:
+        return
+    yield f"For comparison {_by(route, parts[0][1]['routes'][route])}."
+    reasons: dict[str, list[str]] = {}
+    for name, part in parts:
+        found = part["routes"][route]
+        if found["delta_rad"] is None:
+            reasons.setdefault(found["reason"] or "", []).append(name)
+    for reason, names in reasons.items():
+        yield f"No answer by {route}{_of(names)}: {reason}"
+
+
+def _of(names: Sequence[str]) -> str:
+    return f" of {', '.join(names)}" if any(names) else ""
+
+
+def _by(route: str, found: RouteSummary) -> str:
+    if route == "direct":
+        return "by direct simulations of the bench"
+    curve = found.get("curve", "")
+    belongs = " (that curve belongs to the paper's bench)" if curve == "published" else ""
+    return f"by the ringing's amplitude and the curve of {Path(curve).name}{belongs}"
 
 
 def _parameter_table(part: SnapshotSummary) -> Table:

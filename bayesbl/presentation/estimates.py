@@ -12,10 +12,10 @@ from bayesbl.units import number
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.measurement.summary_types import SnapshotSummary
+    from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
 
 
-def blocks(tree: xr.DataTree, summary: words.Summary) -> Iterator[Block]:
+def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
     """Parameters and diagnostics of every snapshot."""
     for name, part in answer.snapshots(summary):
         yield Heading(f"Snapshot {name}" if name else "Fit")

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation.blocks import Block, Table, numbers, table, text
-from bayesbl.presentation.words import Summary
+
+if TYPE_CHECKING:
+    from bayesbl.runs.study import StudySummary
 
 
-def headline(summary: Summary) -> str:
+def headline(summary: StudySummary) -> str:
     """Which study, and how much of it."""
     rows = summary["rows"]
     cases = sum(int(row["cases"]) for row in rows)
     return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
 
 
-def blocks(summary: Summary) -> Iterator[Block]:
+def blocks(summary: StudySummary) -> Iterator[Block]:
     """The table with the time that each row took; commits are in the files."""
     from bayesbl.runs.study import table_columns
 

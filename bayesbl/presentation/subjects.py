@@ -1,10 +1,11 @@
-"""What is said of each kind of result, chosen by what its summary holds."""
+"""What is said of each kind of result."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bayesbl.presentation import (
     advice,
@@ -19,28 +20,23 @@ from bayesbl.presentation import (
 from bayesbl.presentation.advice import Advice
 from bayesbl.presentation.blocks import Block, Sentence
 from bayesbl.presentation.cards import Card
-from bayesbl.presentation.words import Summary
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from bayesbl.measurement.summary_types import MeasuredSummary
+    from bayesbl.runs.summary import Summary
 
-def _no_details(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
-    yield from ()
-
-
-def _no_cards(summary: Summary) -> Iterator[Card]:
-    yield from ()
+S = TypeVar("S", contravariant=True)
+"""The summary of one kind of result."""
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class Subject(Generic[S]):
     """How one kind of result is presented.
 
     Attributes
     ----------
-    key
-        Of ``summary.json``, which only summaries of this kind have.
     title
         Of the page.
     headline, blocks
@@ -49,20 +45,18 @@ class Subject:
         Diagnostics, from the stored result too.
     """
 
-    key: str
     title: str
-    headline: Callable[[Any], str]
-    blocks: Callable[[Any], Iterator[Block]]
-    advice: Callable[[Summary], Advice]
-    assumptions: Callable[[Summary], Iterator[str]]
-    cards: Callable[[Summary], Iterator[Card]] = _no_cards
-    details: Callable[[xr.DataTree, Summary], Iterator[Block]] = _no_details
+    headline: Callable[[S], str]
+    blocks: Callable[[S], Iterator[Block]]
+    advice: Callable[[S], Advice]
+    assumptions: Callable[[S], Iterator[str]]
+    cards: Callable[[S], Iterator[Card]] = lambda summary: iter(())
+    details: Callable[[xr.DataTree, S], Iterator[Block]] = lambda tree, summary: iter(())
     warning_label: str = "Warning"
 
 
-def _measured(key: str, title: str) -> Subject:
+def _measured(title: str) -> Subject[MeasuredSummary]:
     return Subject(
-        key,
         title,
         lambda summary: next(answer.lead(summary)),
         answer.blocks,
@@ -73,51 +67,37 @@ def _measured(key: str, title: str) -> Subject:
     )
 
 
-SUBJECTS = (
-    Subject(
-        "verdict",
-        "What a bench lacks",
-        diagnosis.headline,
-        diagnosis.blocks,
-        advice.of_diagnosis,
-        assumptions.of_diagnosis,
-        cards.of_diagnosis,
-        diagnosis.residual_blocks,
-        warning_label="Note",
-    ),
-    Subject(
-        "coefficients",
-        "Gap curve of a virtual bench",
-        sweep.headline,
-        sweep.blocks,
-        advice.of_sweep,
-        assumptions.of_sweep,
-    ),
-    Subject("rows", "Study", study.headline, study.blocks, advice.of_study, assumptions.of_study),
-    _measured("snapshots", "Backlash gap of a joint and its change"),
-    _measured("delta_rad", "Backlash gap of a joint"),
+SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
+    {
+        "diagnose": Subject(
+            "What a bench lacks",
+            diagnosis.headline,
+            diagnosis.blocks,
+            advice.of_diagnosis,
+            assumptions.of_diagnosis,
+            cards.of_diagnosis,
+            diagnosis.residual_blocks,
+            warning_label="Note",
+        ),
+        "sweep": Subject(
+            "Gap curve of a virtual bench",
+            sweep.headline,
+            sweep.blocks,
+            advice.of_sweep,
+            assumptions.of_sweep,
+        ),
+        "study": Subject(
+            "Study", study.headline, study.blocks, advice.of_study, assumptions.of_study
+        ),
+        "compare": _measured("Backlash gap of a joint and its change"),
+        "fit": _measured("Backlash gap of a joint"),
+    }
 )
-
-
-def subject_of(summary: Summary) -> Subject:
-    """The subject of a summary."""
-    return next(subject for subject in SUBJECTS if subject.key in summary)
 
 
 def blocks(summary: Summary) -> Iterator[Block]:
     """Everything that is said of a result below its headline."""
-    subject = subject_of(summary)
+    subject = SUBJECTS[summary["kind"]]
     yield from subject.blocks(summary)
-    for warning in summary.get("warnings", ()):
+    for warning in summary["warnings"]:
         yield Sentence(warning, "warning", subject.warning_label)
-
-
-def summary_of(tree: xr.DataTree) -> Summary:
-    """The summary of a stored result of any kind."""
-    if "study" in tree.attrs:
-        from bayesbl.runs.study import summarise_study
-
-        return summarise_study(tree)
-    from bayesbl.runs.summary import summarise
-
-    return summarise(tree)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from datetime import date
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import Summary
 from bayesbl.units import number
 
 if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import (
+        ComparisonSummary,
+        WearSummary,
+        WithheldWearSummary,
+    )
     from bayesbl.results.intervals import Interval
 
 MODEL = (
@@ -29,13 +33,14 @@ LAWS = {
 }
 """The laws of :data:`bayesbl.measurement.wear_laws.LAWS` in words."""
 
+_ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 
-def blocks(summary: Summary) -> Iterator[Block]:
+
+def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) -> Iterator[Block]:
     """Sentences and table of ``wear`` of a summary of a dated comparison."""
-    wear = summary["wear"]
-    if spans_repair(summary):
+    if spans_repair(summary, wear):
         yield Sentence(repaired(wear))
-    if wear["reason"]:
+    if wear["reason"] is not None:
         yield Sentence(wear["reason"], "warning", "No rate of wear")
         return
     fell = fallen(wear)
@@ -48,20 +53,20 @@ def blocks(summary: Summary) -> Iterator[Block]:
         yield Sentence(sentence, "aside")
 
 
-def has_rate(summary: Summary) -> bool:
-    """Whether a summary says how fast the gap grows."""
-    wear = summary.get("wear")
-    return wear is not None and not wear["reason"]
+def with_rate(summary: ComparisonSummary) -> WearSummary | None:
+    """The wear, where a summary says how fast the gap grows."""
+    wear = summary["wear"]
+    return None if wear is None or wear["reason"] is not None else wear
 
 
-def spans_repair(summary: Summary) -> bool:
+def spans_repair(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) -> bool:
     """Whether a repair lies between the first and the last of dated snapshots."""
-    return len(summary["wear"]["snapshots"]) < len(summary["snapshots"])
+    return len(wear["snapshots"]) < len(summary["snapshots"])
 
 
-def headline(summary: Summary) -> str:
+def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     """How large the gap is now and how fast it grows: the answer of dated snapshots."""
-    wear, last = summary["wear"], summary["snapshots"][-1]["delta_rad"]
+    last = summary["snapshots"][-1]["delta_rad"]
     now = "" if last is None else f"is {median_in_mrad(last)} mrad now and "
     if wear["probability_wear"] < words.SURE:
         return (
@@ -86,7 +91,7 @@ def month(value: str | None) -> str:
     return day(value) if value is None else date.fromisoformat(value).strftime("%b %Y")
 
 
-def repaired(wear: Summary) -> str:
+def repaired(wear: WearSummary | WithheldWearSummary) -> str:
     """What a repair between the snapshots means for what they show."""
     return (
         f'The joint was repaired before "{wear["snapshots"][0]}": the change from first to last '
@@ -94,7 +99,7 @@ def repaired(wear: Summary) -> str:
     )
 
 
-def sentences(wear: Summary) -> Iterator[str]:
+def sentences(wear: WearSummary) -> Iterator[str]:
     """The answer to how fast, until when, and whether before the date asked for."""
     from bayesbl.measurement.wear import LONGEST_YEARS
 
@@ -106,10 +111,11 @@ def sentences(wear: Summary) -> Iterator[str]:
         f"{words.significant(rate)} mrad a year."
     )
     yield law(wear)
-    if wear["years_to_limit"] is None:
+    years = wear["years_to_limit"]
+    if years is None or wear["limit_rad"] is None:
         return
     limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
-    if has_passed(wear, "high"):
+    if years["high"] == 0.0:
         yield f"The gap passed {limit} before {wear['last_date']}."
     elif not_before(wear) == wear["last_date"]:
         yield (
@@ -125,32 +131,33 @@ def sentences(wear: Summary) -> Iterator[str]:
         yield (
             f"With {share} probability the gap does not reach {limit} before {not_before(wear)}."
         )
-    if wear["decide_before"] is not None:
+    asked = wear["probability_before"]
+    if asked is not None:
         yield (
-            f"Probability that it passes {limit} by {wear['decide_before']}: "
-            f"{words.probability(wear['probability_before']['probability'])}."
+            f"Probability that it passes {limit} by {asked['date']}: "
+            f"{words.probability(asked['probability'])}."
         )
 
 
-def not_before(wear: Summary) -> str | None:
-    """The date to plan by; ``None`` where it is too far ahead to be given."""
-    found: str | None = wear["not_before"]["date"]
-    return found
+def not_before(wear: WearSummary) -> str | None:
+    """The date to plan by; ``None`` where it is too far ahead to be given, or without a limit."""
+    found = wear["not_before"]
+    return None if found is None else found["date"]
 
 
-def law(wear: Summary) -> str:
+def law(wear: WearSummary) -> str:
     """How probable each law of wear is, the likeliest first."""
     ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
     told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
     return f"If the joint wears, its wear is: {told}."
 
 
-def fallen(wear: Summary) -> str | None:
+def fallen(wear: WearSummary) -> str | None:
     """That the gap fell between two dates, which no wear explains."""
     from bayesbl.measurement.wear import FALSE_ALARM
 
-    fall = wear.get("fall")  # results of earlier versions have none
-    if fall is None or not fall["is_fall"]:
+    fall = wear["fall"]
+    if not fall["is_fall"]:
         return None
     return (
         f"{fall['snapshot']} lies {words.significant(1e3 * fall['fall_rad'])} mrad below the "
@@ -160,7 +167,7 @@ def fallen(wear: Summary) -> str | None:
     )
 
 
-def notes(wear: Summary) -> Iterator[str]:
+def notes(wear: WearSummary) -> Iterator[str]:
     """The model, what so few snapshots cannot show, and what drift was allowed for."""
     from bayesbl.measurement.wear import FEWEST_FOR_SCATTER
 
@@ -185,7 +192,7 @@ def notes(wear: Summary) -> Iterator[str]:
         )
 
 
-def _table(wear: Summary) -> Table:
+def _table(wear: WearSummary) -> Table:
     rate, scatter = wear["rate"], wear["scatter_rad_per_root_year"]
     rows = [
         _row(f"mean rate since {wear['first_date']}", rate, 1e3, "mrad/year"),
@@ -193,30 +200,28 @@ def _table(wear: Summary) -> Table:
     ]
     if scatter is not None:
         rows.append(_row("irregular wear", scatter, 1e3, "mrad/√year"))
-    if wear["years_to_limit"] is not None and not has_passed(wear, "high"):
-        rows.append(_row("from last recording to limit", wear["years_to_limit"], 1.0, "years"))
-    if wear["date_of_limit"] is not None:
-        rows.append(("date of the limit", *limit_dates(wear, day), ""))
+    years = wear["years_to_limit"]
+    if years is not None and years["high"] > 0.0:
+        rows.append(_row("from last recording to limit", years, 1.0, "years"))
+    dates = limit_dates(wear, day)
+    if dates is not None:
+        rows.append(("date of the limit", *dates, ""))
     kind = words.short_kind(rate)
     return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
 
 
 def _row(name: str, found: Interval, scale: float, unit: str) -> tuple[str, ...]:
-    low, middle, high = (_cell(scale * found[key]) for key in ("low", "median", "high"))
+    low, middle, high = (_cell(scale * found[key]) for key in _ENDS)
     return name, middle, f"{low} to {high}", unit
 
 
-def has_passed(wear: Summary, end: str) -> bool:
-    """Whether the limit lies before the last recording, by this end of the interval."""
-    return bool(wear["years_to_limit"][end] == 0.0)
-
-
-def limit_dates(wear: Summary, shown: Callable[[str | None], str]) -> tuple[str, str]:
+def limit_dates(wear: WearSummary, shown: Callable[[str | None], str]) -> tuple[str, str] | None:
     """When the limit is reached, and between which dates; a past date is given only as past."""
-    dates = wear["date_of_limit"]
+    years, dates = wear["years_to_limit"], wear["date_of_limit"]
+    if years is None or dates is None:
+        return None
     low, middle, high = (
-        f"before {wear['last_date']}" if has_passed(wear, end) else shown(dates[end])
-        for end in ("low", "median", "high")
+        f"before {wear['last_date']}" if years[end] == 0.0 else shown(dates[end]) for end in _ENDS
     )
     return middle, low if low == high else f"{low} to {high}"
 

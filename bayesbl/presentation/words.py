@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import SnapshotSummary
     from bayesbl.results.intervals import Interval
-
-Summary = Mapping[str, Any]
-"""``summary.json`` as :func:`bayesbl.runs.summary.summarise` makes it, or a part of it."""
 
 RAREST = 1e-3
 """Probabilities closer than this to 0 or 1 are beyond what some thousand draws can show."""
@@ -88,9 +85,10 @@ def median_of(interval: Interval | None, places: int) -> str:
 
 def significant(value: float, digits: int = 2) -> str:
     """``0.15``, ``32``, ``0.0007``: so many significant digits, never in powers of ten."""
-    if value == 0.0:
+    rounded = float(f"{value:.{digits - 1}e}")
+    if rounded == 0.0:
         return "0"
-    return number(value, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
+    return number(value, max(0, digits - 1 - math.floor(math.log10(abs(rounded)))))
 
 
 def percent(value: float) -> str:

@@ -30,12 +30,29 @@ def replacing(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        If nothing can be written there.
+        If nothing can be written there, or what is there is no file.
     """
     path = Path(path)
+    require_replaceable(path)
     with staging(path) as folder:
         yield folder / path.name
         os.replace(folder / path.name, path)
+
+
+def require_replaceable(path: Path) -> None:
+    """There is a file or nothing at a place: root could replace a device, which nobody wants.
+
+    Raises
+    ------
+    ResultError
+        If there is anything else.
+    """
+    if os.path.lexists(path) and not path.is_file():
+        raise ResultError(
+            "What is here is no file, and is not replaced by one.",
+            file=path,
+            expected="a new file, or one to replace with --force",
+        )
 
 
 @contextmanager
@@ -117,12 +134,25 @@ def _new_staging(path: Path) -> tuple[Path, int | None]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _clear_leftovers(path)
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
+        folder, handle = _locked_new(path)
         # mkdtemp keeps its folders private; a result is as readable as any folder made here.
         folder.chmod(0o777 & ~_umask())
     except OSError as error:
         raise _unwritable(path, error) from None
-    return folder, _lock(folder)
+    return folder, handle
+
+
+def _locked_new(path: Path) -> tuple[Path, int | None]:
+    """A new folder, locked before another writer of this path takes it for a leftover."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
+        handle = _lock(folder)
+        if handle is None and (sys.platform == "win32" or _cannot_lock(folder)):
+            return folder, None
+        if handle is not None and _is_still(folder, handle):
+            return folder, handle
+        if handle is not None:
+            os.close(handle)
 
 
 def _clear_leftovers(path: Path) -> None:

@@ -44,14 +44,8 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
     """
     path = _absolute(path)
     _undo_half_replacement(path)
-    for place in (path, *path.parents):
-        if os.path.lexists(place) and not place.is_dir():
-            raise ResultError(
-                "There is a file where the output folder should be.",
-                file=place,
-                expected="a folder",
-            )
-    if not path.exists():
+    require_no_file(path)
+    if not os.path.exists(path):  # Path.exists raises for a name that is too long
         return
     names = {entry.name for entry in path.iterdir()}
     if is_finished(path) and not force:
@@ -61,7 +55,9 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
             found=_listed(names),
             expected="another folder (--out), or --force to replace the result",
         )
-    foreign = names - OWN_NAMES - set(also) if is_finished(path) else names
+    foreign = names
+    if is_finished(path):
+        foreign = names - OWN_NAMES - set(also) | _foreign_figures(path / FIGURES)
     if foreign:
         raise ResultError(
             "This folder holds files that are not part of a result, and is left as it is.",
@@ -69,6 +65,23 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
             found=_listed(foreign),
             expected="a new or empty folder",
         )
+
+
+def require_no_file(folder: Path) -> None:
+    """There is no file at the place of a folder, nor at one above it.
+
+    Raises
+    ------
+    ResultError
+        Naming the file.
+    """
+    for place in (folder, *folder.parents):
+        if os.path.lexists(place) and not place.is_dir():
+            raise ResultError(
+                "There is a file where the output folder should be.",
+                file=place,
+                expected="a folder",
+            )
 
 
 @contextmanager
@@ -98,6 +111,18 @@ def new_result(
         yield folder
         require_free(path, force=force, also=also)
         _put_in_place(folder, path)
+
+
+def _foreign_figures(folder: Path) -> set[str]:
+    """What a user put among the figures: each of ours is there twice, as PDF and as PNG."""
+    other = {".pdf": ".png", ".png": ".pdf"}
+    files = list(folder.iterdir()) if folder.is_dir() else []
+    names = {file.name for file in files}
+    return {
+        f"{FIGURES}/{file.name}"
+        for file in files
+        if file.stem + other.get(file.suffix, "") not in names - {file.name}
+    }
 
 
 def _listed(names: Collection[str]) -> str:
@@ -130,6 +155,6 @@ def _aside(path: Path) -> Path:
 
 def _undo_half_replacement(path: Path) -> None:
     """Put the earlier result back if a run was killed between the two renames."""
-    if not os.path.lexists(path) and _aside(path).is_dir():
+    if not os.path.lexists(path) and os.path.isdir(_aside(path)):
         with suppress(OSError):
             _aside(path).rename(path)

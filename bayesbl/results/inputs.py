@@ -13,7 +13,8 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     """No output is an input or a folder that holds one, and no two outputs are one file.
 
     Files are compared as the system sees them: detours, symbolic and hard links, and names that
-    differ by case where the system does not tell them apart.
+    differ by case where the system does not tell them apart. Names of two outputs must differ by
+    more than case everywhere: what one system writes is copied to another.
 
     Raises
     ------
@@ -32,7 +33,7 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
                 )
     for number, output in enumerate(outputs):
         for other in outputs[:number]:
-            if _same(output, other):
+            if _same(output, other) or _folded(output) == _folded(other):
                 raise ResultError(
                     "Two outputs are the same file.",
                     file=output,
@@ -84,5 +85,9 @@ def _places(path: Path) -> set[Path]:
 def _same(one: Path, other: Path) -> bool:
     try:
         return os.path.samefile(one, other)
-    except OSError:  # one is not there yet: by name, as it would be on a system that ignores case
-        return os.path.realpath(one).casefold() == os.path.realpath(other).casefold()
+    except OSError:  # one is not there yet
+        return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _folded(path: Path) -> str:
+    return os.path.realpath(path).casefold()

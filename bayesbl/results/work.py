@@ -13,8 +13,9 @@ import json
 import platform
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -156,6 +157,18 @@ class WorkStore:
                 shutil.rmtree(file, ignore_errors=True)
             else:
                 file.unlink(missing_ok=True)
+
+    def keep_latest(self, size_bytes: int) -> None:
+        """Delete the oldest entries until the others take at most this much."""
+        files = [] if self.folder is None or not self.folder.is_dir() else self.folder.iterdir()
+        # Another run may be writing or deleting here: what is gone takes nothing.
+        with suppress(FileNotFoundError):
+            found = [(file.stat(), file) for file in files if file.is_file()]
+            found.sort(key=lambda entry: -entry[0].st_mtime_ns)
+            taken = accumulate(status.st_size for status, _ in found)
+            for (_, file), total in zip(found, taken, strict=True):
+                if total > size_bytes:
+                    file.unlink()
 
     def _key(self, what: str, inputs: object) -> str:
         return address([what, self.code, inputs])

@@ -17,10 +17,10 @@ _MODULES = {
     "fit": "bayesbl.measurement.routes",
     "compare": "bayesbl.measurement.routes",
     "sweep": "bayesbl.runs.sweep_groups",
+    "diagnose": "bayesbl.diagnosis.groups",
+    "study": "bayesbl.runs.study",
 }
 """Kind to the module whose ``declared_groups`` lists its groups."""
-
-_KINDS = (*_MODULES, "diagnose", "study")
 
 
 def read_result(path: str | Path) -> xr.DataTree:
@@ -36,21 +36,23 @@ def read_result(path: str | Path) -> xr.DataTree:
 
     tree = read_tree(path)
     kind = tree.attrs.get("kind")
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _MODULES:
         raise ResultError(
             "This result is of no known kind.",
             file=path,
             found=f"kind {kind!r}",
-            expected=" or ".join(_KINDS),
+            expected=" or ".join(_MODULES),
         )
-    require_declared(tree, declared_groups(tree), path)
+    try:
+        require_declared(tree, declared_groups(tree))
+    except ResultError as problem:
+        problem.name_file(path)
+        raise
     return tree
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
-    """Groups that a result declares; empty for kinds that declare none."""
-    module = _MODULES.get(tree.attrs["kind"])
-    if module is None:
-        return ()
-    groups: tuple[Group, ...] = import_module(module).declared_groups(tree)
+    """Groups that a result declares."""
+    module = import_module(_MODULES[tree.attrs["kind"]])
+    groups: tuple[Group, ...] = module.declared_groups(tree)
     return groups

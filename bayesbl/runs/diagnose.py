@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import TYPE_CHECKING
 
 import xarray as xr
 
@@ -19,14 +20,10 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.workflow import (
-    Options,
-    Plan,
-    Summary,
-    require_output,
-    run_into_folder,
-    settings_of,
-)
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
 
 FEWEST_SAMPLES = 200
 

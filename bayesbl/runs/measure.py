@@ -3,33 +3,45 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
-from bayesbl.measurement.routes import measure, route_of
-from bayesbl.measurement.task import curve_of, estimator_of, recording_of
+from bayesbl.measurement.curves import STORE
+from bayesbl.measurement.routes import measure, measurer_of
+from bayesbl.measurement.task import estimator_of, recording_of
 from bayesbl.recording.types import Recording
-from bayesbl.runs.workflow import Options, Plan, Summary, require_output, run_into_folder
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
 
 
 def run(config: SnapshotConfig, options: Options) -> Summary:
     """Measure, and write the output folder."""
     return run_into_folder(
-        config, options, lambda work: measure(config, options.progress, work, options.say)
+        config,
+        options,
+        lambda work: measure(config, options.progress, work, options.say, swept_benches(config)),
     )
+
+
+def swept_benches(config: SnapshotConfig) -> WorkStore:
+    """Where swept benches are kept, for all runs with results beside this one's."""
+    return WorkStore(config.run.output.parent / STORE)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:
     """What would be measured, and by what."""
     plan.add("output", partial(require_output, config.run.output))
-    estimator, curve = estimator_of(config), curve_of(config)
+    estimator = estimator_of(config)
     plan.lines += [
-        ("curve", curve.name),
         ("estimator", f"search {estimator.search}, noise {estimator.noise_kind}"),
         ("interval", f"{100.0 * config.interval.level:g} %, {config.interval.kind}"),
     ]
-    measurer = route_of(config.estimator.route).prepare(config)
+    measurer = measurer_of(config)
     for label, text in measurer.describe():
         plan.add(label, text)
 
@@ -51,6 +63,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         plan.add("limit", partial(_limit, config.joint.limit_rad, measurer.gap_range_rad))
 
 
-def _limit(limit_rad: float, range_rad: tuple[float, float]) -> str:
+def _limit(limit_rad: float, range_rad: tuple[float, float] | None) -> str:
     require_plausible_limit(limit_rad, range_rad)
-    return f"{1e3 * limit_rad:g} mrad"
+    given = "" if range_rad else "; not asked without δ"
+    return f"{1e3 * limit_rad:g} mrad{given}"

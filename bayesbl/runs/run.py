@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from bayesbl.config.files import require_text_names
 from bayesbl.config.loading import config_from_options, inputs_of, load_config
@@ -17,7 +17,10 @@ from bayesbl.errors import ConfigError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import CONFIG_FILE
 from bayesbl.results.inputs import require_apart
-from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Summary, Workflow
+from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Workflow
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
 
 WORKFLOWS: Mapping[str, str] = MappingProxyType(
     {
@@ -93,7 +96,7 @@ def run(
     """
     _require_output_apart(config, file)
     workflow = _workflow(config.kind)
-    plan = Plan()
+    plan = Plan(file)
     workflow.describe(config, plan)
     plan.require_sound()
     for sentence in plan.withheld:
@@ -110,7 +113,7 @@ def check(path: str | Path) -> Plan:
         If the file itself cannot be read or is not valid; what is wrong beyond it is in the plan.
     """
     kind = kind_of(path)
-    plan = Plan([("kind", kind)])
+    plan = Plan(path, [("kind", kind)])
     if kind in _FILES:
         _workflow(kind).describe(Path(path), plan)
         return plan

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,9 @@ from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
-from bayesbl.results.atomic import replacing
+from bayesbl.results.atomic import replacing, require_replaceable
 from bayesbl.results.inputs import require_apart, require_inside
-from bayesbl.runs.workflow import Plan, require_affordable
+from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 
 BYTES_PER_SAMPLE = 400.0
 """Of a simulated recording: its channels, and all of them as text."""
@@ -68,10 +68,10 @@ def run_simulate(
     config_path = Path(config_path)
     config = load_simulation(config_path)
     bench = load_bench(config.bench)
+    targets = _targets(config, config_path, out)
+    _require_possible(config, config_path, bench)
     seed = config.run.seed if seed is None else seed
     workers = config.run.workers if workers is None else workers
-    targets = _targets(config, config_path, out)
-    _require_possible(config, bench)
     _refuse_existing(targets, force)
 
     # A generator of its own for each recording: neither order nor workers change the numbers.
@@ -95,25 +95,32 @@ def describe(path: Path, plan: Plan) -> None:
     config = load_simulation(path)
     plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")
     plan.add("output", lambda: str(_targets(config, path)[0].parent))
-    plan.add("size", lambda: _require_possible(config, load_bench(config.bench)))
+    plan.add("size", lambda: _require_possible(config, path, load_bench(config.bench)))
     for entry in config.recordings:
         text = f"{entry.file}, gap {entry.gap_rad:g} rad, {entry.rotations:g} rotations"
         plan.lines.append((f"recording {entry.name}", text))
 
 
 def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = None) -> list[Path]:
-    """The files to write, the truth last; none is an input or leaves the folder unasked."""
+    """The files to write, the truth last; none is an input or leaves the folder unasked.
+
+    All can be written, but for files that are there already.
+    """
     folder = Path(out or config.run.output or config_path.absolute().parent)
     names = [entry.file for entry in config.recordings]
     if config.truth_file is not None:
         names.append(config.truth_file)
     targets = [require_inside(folder, name) for name in names]
     require_apart(targets, [config_path, config.bench])
+    for target in targets:
+        require_replaceable(target)
+    for parent in dict.fromkeys(target.absolute().parent for target in targets):
+        require_writable(parent)
     return targets
 
 
-def _require_possible(config: SimulateFile, bench: Bench) -> None:
-    """All recordings together fit into memory, where they are until all are written."""
+def _require_possible(config: SimulateFile, config_path: Path, bench: Bench) -> None:
+    """All recordings fit into memory, where they are until all are written; none is too short."""
     turned_s = [
         entry.rotations * bench.rotation_period_s(entry.reference_speed_rpm)
         for entry in config.recordings
@@ -126,6 +133,9 @@ def _require_possible(config: SimulateFile, bench: Bench) -> None:
         BYTES_PER_SAMPLE * samples,
         SECONDS_PER_SAMPLE * samples + SECONDS_PER_SECOND * sum(turned_s),
     )
+    for number, entry in enumerate(config.recordings):
+        with _of_entry(config_path, number):
+            bench.samples(entry.rotations, entry.sampling_hz, entry.reference_speed_rpm)
 
 
 def recording_csv(recording: Recording) -> str:
@@ -146,7 +156,7 @@ def _simulated(
 ) -> Recording:
     rng = np.random.default_rng(seed)
     drawn = float(rng.uniform(0.0, 2.0 * np.pi))
-    try:
+    with _of_entry(config_path, number):
         return bench.simulate(
             entry.gap_rad,
             rotations=entry.rotations,
@@ -157,6 +167,13 @@ def _simulated(
             seed=rng,
             name=entry.name,
         )
+
+
+@contextmanager
+def _of_entry(config_path: Path, number: int) -> Iterator[None]:
+    """What a bench cannot do is an error of the entry that asks for it."""
+    try:
+        yield
     except BenchError as error:
         raise ConfigError(
             error.problem,
@@ -169,7 +186,7 @@ def _simulated(
 
 def _refuse_existing(targets: Sequence[Path], force: bool) -> None:
     for target in targets:
-        if target.is_dir() or (target.exists() and not force):
+        if target.exists() and not force:
             raise ResultError(
                 "This file exists already.",
                 file=target,

@@ -9,28 +9,29 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ResultError
-from bayesbl.results.folder import (
-    is_finished,
-    require_free,
-)
+from bayesbl.results.folder import is_finished, require_free
 from bayesbl.results.provenance import git_commit, provenance_of
-from bayesbl.results.store import OUTCOME, read_tree
+from bayesbl.results.store import OUTCOME
+from bayesbl.results.summary_types import Head, head
+from bayesbl.results.variables import Group, Variable
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cases import Case, Job, run_in_processes
 from bayesbl.runs.cluster import run_on_cluster
+from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
-from bayesbl.runs.workflow import Options, Plan, Summary, require_output, write_result
+from bayesbl.runs.workflow import Options, Plan, require_output, write_result
 
 TABLE_FILE = "table.csv"
 
@@ -67,7 +68,7 @@ class Row:
         return self.definition, index
 
 
-def run(config: StudyConfig, options: Options) -> Summary:
+def run(config: StudyConfig, options: Options) -> StudySummary:
     """Run what is not finished of a study, write its output folder, and return the summary.
 
     A finished result is added to: its rows keep their cases, and the commit that made them. Where
@@ -110,6 +111,21 @@ def _in_words(config: StudyConfig) -> str:
     return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
 
 
+def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
+    """A group for each row of a study."""
+    own = tuple(
+        Variable(name, ("case",), unit, meaning, "number" if unit else "text")
+        for name, (unit, meaning) in _OWN_COLUMNS.items()
+    )
+    index = Variable("case", ("case",), "1", "index of the case")
+    return tuple(Group(name, own, (index,), _column) for name in _names_of_rows(tree))
+
+
+def _column(name: str) -> Variable:
+    """What the study's own code returns of each case."""
+    return Variable(name, ("case",), "", name)
+
+
 def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
     """The study with its rows, all of them validated.
 
@@ -125,17 +141,20 @@ def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
     ]
 
 
-def summarise_study(tree: xr.DataTree) -> dict[str, Any]:
+class StudySummary(Head):
+    """``summary.json`` of a study; ``rows`` are the lines of its table."""
+
+    kind: Literal["study"]
+    study: str
+    rows: list[dict[str, Any]]
+
+
+def summarise_study(tree: xr.DataTree) -> StudySummary:
     """``summary.json`` of a study, from the result alone."""
-    attributes = tree.attrs
     return {
         "kind": "study",
-        "study": attributes["study"],
-        "outcome": attributes[OUTCOME],
-        "reason": None,
-        "version": attributes["bayesbl_version"],
-        "commit": attributes["git_commit"],
-        "seed": int(attributes["seed"]),
+        **head(tree),
+        "study": tree.attrs["study"],
         "rows": [
             {**json.loads(row.attrs["line"]), "seconds": float(row.attrs["seconds"])}
             for row in _groups(tree)
@@ -176,7 +195,7 @@ def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.D
 
 def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
     """Give rows the cases of a finished result that this run may add to, or refuse."""
-    tree = read_tree(output)
+    tree = read_result(output)
     if tree.attrs.get("kind") != "study":
         require_free(output)
     stored = {group.attrs["name"]: group for group in _groups(tree)}
@@ -305,8 +324,13 @@ def _cases_of(group: xr.Dataset) -> dict[int, Case]:
 
 def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
     """The rows of a result in their order."""
-    names = sorted(tree.children, key=lambda name: int(name.removeprefix("row_")))
-    return [tree[name].to_dataset() for name in names]
+    return [tree[name].to_dataset() for name in _names_of_rows(tree)]
+
+
+def _names_of_rows(tree: xr.DataTree) -> list[str]:
+    """Of those groups that are rows, in their order."""
+    numbers = (re.fullmatch(r"row_(\d+)", name) for name in tree.children)
+    return [found[0] for found in sorted(filter(None, numbers), key=lambda found: int(found[1]))]
 
 
 def draw_study(study: Study, tree: xr.DataTree, folder: Path) -> list[Path]:

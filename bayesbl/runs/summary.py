@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
-    Summary = FitSummary | ComparisonSummary | SweepSummary | DiagnosisSummary
+    Summary: TypeAlias = (
+        FitSummary | ComparisonSummary | SweepSummary | DiagnosisSummary | StudySummary
+    )
 
 _SUMMARISE = {
     "fit": ("bayesbl.measurement.summary", "summarise_fit"),
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
+    "study": ("bayesbl.runs.study", "summarise_study"),
 }
 """Kind to module and function, imported only where it is used."""
 
 
 def summarise(tree: xr.DataTree) -> Summary:
-    """The summary of a fit, of compared snapshots, of a sweep or of a diagnosis.
+    """The summary of a stored result.
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """

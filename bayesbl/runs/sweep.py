@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -13,12 +12,11 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.sweep import SweepConfig
-from bayesbl.curve.bench_draws import SweptDraws
-from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
-from bayesbl.curve.swept_curve import departures, swept_curve
-from bayesbl.errors import BenchError, ConfigError
-from bayesbl.measurement.stored_curve import GAP_CURVE, curve_group, curve_to_dataset
-from bayesbl.processes import processes
+from bayesbl.curve.sweep import SweepSettings
+from bayesbl.curve.swept_curve import swept_curve
+from bayesbl.errors import ConfigError
+from bayesbl.measurement.bench_sweep import SweepProblem
+from bayesbl.measurement.stored_curve import GAP_CURVE, curve_to_dataset, one_curve_group
 from bayesbl.recording.types import Recording
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
@@ -35,44 +33,21 @@ from bayesbl.runs.workflow import (
     Options,
     Plan,
     Progress,
-    Summary,
     require_affordable,
     require_output,
     run_into_folder,
 )
 
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
+
 CACHE = ".sweep-cache"
+
+CACHE_BYTES = 200_000_000
+"""What finished rows may take, some ten thousand of them; the oldest go first."""
 
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
 """What simulating and fitting takes, roughly: all recordings of a row are held at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Problem:
-    """What decides the numbers of every row, and where finished rows of all sweeps are kept."""
-
-    bench: Bench
-    model: DisturbanceModel
-    settings: SweepSettings
-    seed: int
-    work: WorkStore
-
-    def row(self, drawn: Bench | None, make: Callable[[], SweepRow]) -> SweepRow:
-        """The row of the bench, or of one drawn around it, if no earlier sweep has made it."""
-        benches = (self.bench.fingerprint(), None if drawn is None else drawn.fingerprint())
-        inputs = (*benches, self.model, self.settings, self.seed)
-        return self.work.get("sweep row", inputs, partial(_finite, make), SweepRow)
-
-
-def _finite(make: Callable[[], SweepRow]) -> SweepRow:
-    row = make()
-    if not np.all(np.isfinite(row.amplitude_rpm)):
-        raise BenchError(
-            "A simulated recording could not be fitted.",
-            found="an amplitude that is not a number",
-            expected="a bench whose gap shows in the motor speed",
-        )
-    return row
 
 
 def run(config: SweepConfig, options: Options) -> Summary:
@@ -117,21 +92,14 @@ def run_sweep(
     bench = load_bench(config.bench)
     require_drawable(config, bench)
     work = WorkStore(config.run.output.parent / CACHE, fresh)
-    problem = _Problem(bench, _model(config), _settings(config), config.run.seed, work)
+    problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, work)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
-    nominal = problem.row(
-        None,
-        lambda: sweep_nominal(
-            bench,
-            problem.model,
-            problem.settings,
-            np.random.default_rng(nominal_seed),
-            config.run.workers,
-        ),
-    )
-    swept = _sweep_draws(config, problem, nominal, draw_seed, progress)
+    work.keep_latest(CACHE_BYTES)
+    workers = config.run.workers
+    nominal = problem.nominal(nominal_seed, workers)
+    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, progress)
     recording = _sampled(config, bench)
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(
@@ -149,7 +117,7 @@ def run_sweep(
             "sweep": sweep_group(nominal, problem.model),
             "degrees": degree_group(nominal),
             "examples": example_group(bench, problem.settings),
-            "curve": curve_group(curve, config.interval.level, band_seed),
+            "curve": one_curve_group(curve, config.interval.level, band_seed),
             GAP_CURVE.name: curve_to_dataset(curve),
         }
     )
@@ -219,44 +187,3 @@ def _sampled(config: SweepConfig, bench: Bench) -> Recording:
     return bench.simulate(
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
-
-
-def _sweep_draws(
-    config: SweepConfig,
-    problem: _Problem,
-    nominal: SweepRow,
-    seed: np.random.SeedSequence,
-    progress: Progress | None,
-) -> SweptDraws | None:
-    """Sweeps of benches drawn within the tolerances, over processes."""
-    count, tolerances = config.sweep.bench_draws, problem.bench.tolerances
-    if count == 0:
-        return None
-    benches = [problem.bench.draw(np.random.default_rng(s)) for s in seed.spawn(count)]
-    names = tuple(tolerances)
-    shifts = np.array(
-        [[(b.value(n) - problem.bench.value(n)) / tolerances[n] for n in names] for b in benches]
-    )
-    jobs = [(problem, nominal, b) for b in benches]
-    rows = []
-    for row in _mapped(_drawn_row, jobs, config.run.workers):
-        rows.append(departures(row, nominal, problem.model))
-        if progress is not None:
-            progress("bench draws", len(rows), count)
-    return SweptDraws(names, shifts, np.array(rows))
-
-
-def _drawn_row(job: tuple[_Problem, SweepRow, Bench]) -> SweepRow:
-    problem, nominal, drawn = job
-    return problem.row(drawn, lambda: sweep_like(drawn, nominal, problem.model, problem.settings))
-
-
-def _mapped(
-    function: Callable[[Any], SweepRow], jobs: list[Any], workers: int
-) -> Iterator[SweepRow]:
-    """In order, over processes where that pays."""
-    if workers == 1 or len(jobs) < 2 * workers:
-        yield from map(function, jobs)
-        return
-    with processes(workers) as pool:
-        yield from pool.map(function, jobs)

@@ -21,6 +21,7 @@ from bayesbl.results.folder import (
     is_finished,
     new_result,
     require_free,
+    require_no_file,
 )
 from bayesbl.results.work import WorkStore, problem_of
 
@@ -28,14 +29,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.config.sections import RunConfig
+    from bayesbl.runs.summary import Summary
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is worked on, steps made, steps allowed)."""
 
 Draw = Callable[["xr.DataTree", Path], object]
 """Draws the figures of a result into a folder; passed in, as figures are made from results."""
-
-Summary = Mapping[str, Any]
 
 LONGEST_S = 7 * 24 * 3600.0
 USUAL_MEMORY_BYTES = 8e9
@@ -64,9 +64,11 @@ class Options:
 class Plan:
     """What a configuration would do, in pairs of label and text, and what speaks against it.
 
-    ``withheld``: why an answer would be withheld, where that is known beforehand.
+    ``withheld``: why an answer would be withheld, where that is known beforehand. ``file`` is named
+    by problems that name no other.
     """
 
+    file: str | Path | None = None
     lines: list[tuple[str, str]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     withheld: list[str] = field(default_factory=list)
@@ -77,6 +79,8 @@ class Plan:
         try:
             line = text()
         except UserError as problem:
+            if self.file is not None:
+                problem.name_file(self.file)
             self.problems.append(problem)
         else:
             if line is not None:
@@ -163,7 +167,8 @@ def require_writable(folder: Path) -> None:
     ResultError
         If not.
     """
-    existing = next(place for place in (folder, *folder.parents) if place.is_dir())
+    require_no_file(folder)
+    existing = next(place for place in (folder, *folder.parents) if os.path.isdir(place))
     try:
         # Asked by doing: permissions do not tell of a file system that is full or of another kind.
         os.rmdir(tempfile.mkdtemp(prefix=".bayesbl-", dir=existing))
@@ -211,7 +216,7 @@ def settings_of(config: RunConfig) -> dict[str, Any]:
 
 def write_result(
     tree: xr.DataTree,
-    summary: Mapping[str, Any],
+    summary: Summary,
     config: RunConfig,
     options: Options,
     texts: Mapping[str, str],

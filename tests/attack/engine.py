@@ -132,6 +132,12 @@ class Enough(BaseException):
     """A step has run as long as it was asked to."""
 
 
+def _forget_alarms(ignored: Any) -> None:
+    """In place of ``sys.unraisablehook``: an alarm in a callback is lost, and rings again."""
+    if not isinstance(ignored.exc_value, (Hang, Enough)):
+        sys.__unraisablehook__(ignored)
+
+
 @dataclass(frozen=True)
 class Attack:
     """All groups, and how their cases are numbered."""
@@ -312,6 +318,7 @@ def _guarded(step: Step, enough_s: float | None) -> tuple[int, object, list[Find
 
     begin, start = time.process_time(), time.monotonic()
     signal.signal(signal.SIGALRM, on_alarm)
+    sys.unraisablehook = _forget_alarms
     signal.setitimer(signal.ITIMER_REAL, 0.5, 0.5)
     try:
         if not callable(step):

@@ -327,6 +327,12 @@ gap_rad = 8e-4
     refused(["run", config, "--out", tmp_path / "b"], capsys, "forward.csv", "--force")
 
 
+def test_an_option_that_a_simulation_does_not_use_is_refused(tmp_path, capsys):
+    (tmp_path / "a.toml").write_text('kind = "simulate"')
+    given = ["run", tmp_path / "a.toml", "--before", "2027-01-01"]
+    refused(given, capsys, "a.toml", "--before", "simulation")
+
+
 # The process
 
 
@@ -375,6 +381,18 @@ def test_ctrl_c_ends_with_1_and_leaves_no_output(tmp_path):
     # What is finished so far stays for the next run, hidden.
     left = os.listdir(results) if results.exists() else []
     assert [name for name in left if not name.startswith(".")] == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes of another kind")
+def test_no_standard_output_costs_no_answer(tmp_path):
+    config = tmp_path / "simulate.toml"
+    config.write_text(
+        f'schema = 1\nkind = "simulate"\nbench = "{CONFIGS / "bench.toml"}"\n'
+        '[[recordings]]\nname = "a"\nfile = "a.csv"\ngap_rad = 8e-4\nrotations = 2.2\n'
+    )
+    run = [sys.executable, "-m", "bayesbl", "run", str(config)]
+    assert subprocess.run(["sh", "-c", '"$@" >&- 2>&-', "sh", *run]).returncode == 0
+    assert (tmp_path / "a.csv").read_text().startswith("time_s,")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of another kind")

@@ -13,8 +13,9 @@ from places import CONFIGS
 import bayesbl.bench
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import REFERENCE_BENCH, dump_bench, load_bench, reference_bench
-from bayesbl.errors import ConfigError, ResultError
+from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.noise.process import NoiseModel
+from bayesbl.runs.run import check
 from bayesbl.runs.simulate import run_simulate
 
 SHIPPED = CONFIGS / "bench.toml"
@@ -191,6 +192,24 @@ def test_simulate_writes_beside_its_file_and_never_over_another(folder: Path) ->
     assert written[0].read_bytes() == before
     run_simulate(folder / "simulate.toml", seed=9, force=True)
     assert written[0].read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("rotations = 0.5", "rotations = 1e-9", "two samples"),
+        ('"forward.csv"', '"simulate.toml/a.csv"', "file where"),
+        ('"forward.csv"', '"deep"', "no file"),
+    ],
+)
+def test_a_check_refuses_what_the_simulation_refuses(folder: Path, old, new, told) -> None:
+    (folder / "deep").mkdir()
+    path = folder / "simulate.toml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    assert [told in str(problem) for problem in check(path).problems] == [True]
+    with pytest.raises(UserError, match=told):
+        run_simulate(path, force=True)
 
 
 @pytest.mark.parametrize(

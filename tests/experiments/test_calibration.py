@@ -9,22 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from places import ROOT
-from scipy.stats import binom, norm
-
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.spoiling import drifting, with_samples_lost
-from bayesbl.config.loading import load_config
-from bayesbl.errors import ConfigError
-from bayesbl.presentation.calibration import main
-from bayesbl.presentation.figures.calibration import draw_calibration
-from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.study import prepare, stored_rows
-from bayesbl.runs.study import run as run_study
-from bayesbl.runs.sweep import run_sweep
-from bayesbl.runs.workflow import Options
-from bayesbl.sampling.calibration import (
+from calibration_figure import draw_calibration
+from calibration_statistics import (
     LEVELS,
     coverage,
     coverage_band,
@@ -34,7 +20,20 @@ from bayesbl.sampling.calibration import (
     rank,
     uniformity,
 )
-from bayesbl.sampling.calibration_table import calibration_line
+from calibration_table import calibration_line, main
+from made_recordings import drifting, with_samples_lost
+from places import ROOT
+from scipy.stats import binom, norm
+
+from bayesbl.bench.bench import Bench
+from bayesbl.config.loading import load_config
+from bayesbl.errors import ConfigError
+from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.results.store import read_tree, write_tree
+from bayesbl.runs.study import prepare, stored_rows
+from bayesbl.runs.study import run as run_study
+from bayesbl.runs.sweep import run_sweep
+from bayesbl.runs.workflow import Options
 
 
 def ranks_of(count: int, *, claimed: float = 1.0, bias: float = 0.0, seed: int = 1) -> np.ndarray:

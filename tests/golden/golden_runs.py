@@ -271,8 +271,9 @@ def _put_snapshot(found: Numbers, part: Mapping[str, Any], name: str) -> None:
     for key in ("delta_rad", "amplitude_rpm", "parameters", "optimum", "noise", "cramer_rao_sd"):
         if key in part:
             _put(found, f"{name}.{key}", part[key])
-    if "amplitude_route" in part:
-        _put(found, f"{name}.amplitude_route.delta_rad", part["amplitude_route"]["delta_rad"])
+    if part["route"] == "direct":
+        by_amplitude = part["routes"]["amplitude"]["delta_rad"]
+        _put(found, f"{name}.amplitude_route.delta_rad", by_amplitude)
     for key in ("budget", "diagnostics", "probability_above_limit", "predictive_check"):
         if key in part:
             _put_in_chain(found, f"{name}.{key}", part[key])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_recordings import synthetic_recording
 from quick import two_ensembles, without_figures
 from recording_files import write_csv
 from synthetic_ringing import NOISE, STRONG
@@ -13,7 +14,6 @@ from synthetic_ringing import NOISE, STRONG
 from bayesbl import cli
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.symbols import AMPLITUDE
-from bayesbl.ringing.synthetic import synthetic_recording
 
 
 def test_a_model_without_baseline_is_measured_and_stored(tmp_path: Path) -> None:

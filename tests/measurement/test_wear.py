@@ -447,7 +447,7 @@ def compared(
 
 def told(found, count):
     console = Console(file=io.StringIO(), width=80, highlight=False, markup=False)
-    print_blocks(blocks({"wear": found, "snapshots": [None] * count}), console)
+    print_blocks(blocks({"snapshots": [None] * count}, found), console)
     return " ".join(console.file.getvalue().split())
 
 

@@ -11,6 +11,8 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from calibration_figure import draw_calibration
+from calibration_table import calibration_line
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
@@ -18,10 +20,8 @@ from paper_results import FROM_TABLES, GOLDEN, SAMPLED, described, make
 from places import EXPERIMENTS, ROOT
 
 from bayesbl.bench.effects import EFFECTS
-from bayesbl.presentation.figures.calibration import draw_calibration
 from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import publication_style
-from bayesbl.sampling.calibration_table import calibration_line
 
 SCRIPTS = ROOT / "paper_figures"
 TABLES = EXPERIMENTS / "results"

@@ -38,6 +38,13 @@ def test_a_link_to_an_input_is_not_deleted_with_a_folder(recording, tmp_path):
         require_apart([tmp_path / "old"], [tmp_path / "old" / "a.csv"])
 
 
+def test_a_name_that_differs_by_case_is_another_where_the_system_says_so(recording):
+    other = recording.with_name("A.csv")
+    if other.exists():
+        pytest.skip("this file system ignores case")
+    require_apart([other], [recording])
+
+
 @pytest.mark.parametrize("other", ["b.csv", "./b.csv", "B.CSV", "data/../b.csv"])
 def test_two_outputs_are_two_files_on_every_system(recording, tmp_path, other):
     with pytest.raises(ResultError, match="same file"):

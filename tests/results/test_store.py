@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -118,11 +119,56 @@ def test_force_deletes_nothing_that_a_user_put_beside_a_result(tmp_path: Path) -
     assert names(path) == ["notes.txt", "summary.json"]
 
 
+def test_force_deletes_nothing_that_a_user_put_among_the_figures(tmp_path: Path) -> None:
+    path = tmp_path / "wear"
+    finish(path, "first")
+    (path / "figures").mkdir()
+    for name in ("gap.pdf", "gap.png"):
+        (path / "figures" / name).touch()
+    finish(path, "second", force=True)
+    (path / "figures").mkdir()
+    for name in ("photograph.png", "notes.txt", "more"):
+        place = path / "figures" / name
+        place.mkdir() if name == "more" else place.touch()
+        with pytest.raises(ResultError, match=f"figures/{name}"):
+            finish(path, "third", force=True)
+        place.rename(tmp_path / name)
+    assert mark_of(path) == "second"
+
+
+def test_a_new_folder_that_another_writer_clears_away_is_made_again(tmp_path, monkeypatch) -> None:
+    made = tempfile.mkdtemp
+    cleared = []
+
+    def made_and_cleared(**options: object) -> str:
+        folder = made(**options)
+        if not cleared:
+            cleared.append(folder)
+            os.rmdir(folder)
+        return folder
+
+    monkeypatch.setattr(tempfile, "mkdtemp", made_and_cleared)
+    finish(tmp_path / "wear", "here")
+    assert cleared
+    assert mark_of(tmp_path / "wear") == "here"
+
+
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "wear").touch()
     for path in (tmp_path / "wear", tmp_path / "wear" / "inside"):
         with pytest.raises(ResultError, match="There is a file where"):
             finish(path, "here", force=True)
+
+
+def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "device").symlink_to("/dev/null")
+    for name in ("fifo", "folder", "loop", "device"):
+        with pytest.raises(ResultError, match="no file"):
+            write_text("text", tmp_path / name)
+    assert names(tmp_path) == ["device", "fifo", "folder", "loop"]
 
 
 def test_leftovers_of_dead_runs_are_cleared_and_those_of_living_runs_kept(tmp_path: Path) -> None:
@@ -323,6 +369,14 @@ def test_a_result_without_checksum_is_refused_with_what_to_do(tmp_path: Path) ->
     with netCDF4.Dataset(tmp_path / "result.nc", "a") as file:
         file.delncattr("content_sha256")
     with pytest.raises(ResultError, match=r"no checksum.*bayesbl run config\.toml"):
+        read_tree(tmp_path)
+
+
+def test_a_checksum_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    write_tree(tree(), tmp_path / "result.nc")
+    with netCDF4.Dataset(tmp_path / "result.nc", "a") as file:
+        file.setncattr("content_sha256", np.arange(4.0))
+    with pytest.raises(ResultError, match="does not match"):
         read_tree(tmp_path)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -128,6 +129,18 @@ def test_fresh_work_replaces_what_is_kept(tmp_path):
     fresh = store(tmp_path / "kept", fresh=True)
     assert fresh.get("work", 1, lambda: other, Work) == other
     assert store(tmp_path / "kept").recall("work", 1, Work) == other
+
+
+def test_the_oldest_work_goes_first_where_there_is_too_much(tmp_path):
+    store = WorkStore(tmp_path)
+    for number in range(4):
+        store.keep("work", number, np.full(100, number))
+        for file in tmp_path.iterdir():
+            os.utime(file, ns=(t := file.stat().st_mtime_ns - 10**9, t))
+    size = next(tmp_path.iterdir()).stat().st_size
+    store.keep_latest(2 * size + 1)
+    kept = [store.recall("work", number, np.ndarray) is not None for number in range(4)]
+    assert kept == [False, False, True, True]
 
 
 def test_two_runs_into_one_folder_do_not_mix(tmp_path):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_recordings import synthetic_recording
 from synthetic_ringing import NOISE, STRONG, ambiguous, clean
 
 from bayesbl import cli
@@ -22,7 +23,6 @@ from bayesbl.ringing.symbols import (
     FREQUENCY,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.sampling.chains import SamplerSettings
 
 SHORT = SamplerSettings(ensembles=2, max_steps=500)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from made_recordings import synthetic_recording
 from places import BEFORE, CONFIGS, RECORDINGS
 from quick import two_ensembles
 from synthetic_ringing import TRUTH
@@ -35,7 +36,6 @@ from bayesbl.ringing.symbols import (
     START,
     DisturbanceModel,
 )
-from bayesbl.ringing.synthetic import synthetic_recording
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.runs.run import check, run
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import os
 import socket
+import subprocess
 import sys
+import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-from places import CONFIGS
+from places import CONFIGS, ROOT
 
 from bayesbl import cli
 from bayesbl.config.loading import load_config
@@ -135,16 +140,39 @@ def test_a_case_that_kills_every_worker_ends_the_study_in_words_and_the_others_a
     assert finished(folder) > 0
 
 
-def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folder, monkeypatch):
-    distributed = pytest.importorskip("distributed")
+@pytest.fixture
+def processes(tmp_path, monkeypatch):
+    """A scheduler and a worker as they are started by hand, and the address."""
+    pytest.importorskip("distributed")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    with distributed.LocalCluster(
-        n_workers=1, processes=False, protocol="tcp", dashboard_address=":0"
-    ) as cluster:
-        address = cluster.scheduler_address
-        config = configure(folder, "kept", f'scheduler = "{address}"', "sleep = 0.2")
-        with pytest.raises(ClusterError, match="scheduler was lost"):
-            run_study(load_config(config), Options(say=list, progress=lambda *_: cluster.close()))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT), prepend=os.pathsep)
+    at = tmp_path / "scheduler.json"
+    here = ("--scheduler-file", str(at))
+    commands = [
+        ["dask_scheduler", *here, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"],
+        ["dask_worker", *here, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+    ]
+    with ExitStack() as stack:
+        started = []
+        for module, *options in commands:
+            command = [sys.executable, "-m", f"distributed.cli.{module}", *options]
+            process = stack.enter_context(
+                subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL)
+            )
+            stack.callback(process.kill)
+            started.append(process)
+        while not at.exists() or not at.read_text():
+            assert started[0].poll() is None
+            time.sleep(0.05)
+        yield json.loads(at.read_text())["address"], *started
+
+
+@pytest.mark.parametrize("ends", [subprocess.Popen.kill, subprocess.Popen.terminate])
+def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folder, processes, ends):
+    address, scheduler, _ = processes
+    config = configure(folder, "kept", f'scheduler = "{address}"', "sleep = 0.2")
+    with pytest.raises(ClusterError, match="scheduler was lost"):
+        run_study(load_config(config), Options(say=list, progress=lambda *_: ends(scheduler)))
     before = finished(folder)
     assert 0 < before < 12
     run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))

@@ -20,10 +20,11 @@ from bayesbl.presentation import answer, words
 from bayesbl.presentation.citations import all_bibtex, citations
 from bayesbl.presentation.figures.answer_picture import answer_picture
 from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
-from bayesbl.presentation.subjects import blocks, subject_of, summary_of
+from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
 from bayesbl.runs.declared_groups import read_result
+from bayesbl.runs.summary import summarise
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import SnapshotSummary
@@ -92,15 +93,16 @@ def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
 
 
 def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
-    summary = summary_of(tree)
-    subject = subject_of(summary)
-    gaps = [(name, part) for name, part in answer.snapshots(summary) if "budget" in part]
+    summary = summarise(tree)
+    subject = SUBJECTS[summary["kind"]]
+    measured = summary if answer.is_measured(summary) else None
+    gaps = answer.snapshots(measured) if measured else []
     return {
         "title": subject.title,
         "headline": subject.headline(summary),
         "advice": subject.advice(summary),
         "cards": list(subject.cards(summary)),
-        "explained": answer.explained(summary) if gaps else "",
+        "explained": answer.explained(measured) if measured else "",
         "answer": _answer_picture(gaps) if gaps else next(iter(pictures), None),
         "pictures": [picture for picture in pictures if not picture.special],
         "special": [picture for picture in pictures if picture.special],

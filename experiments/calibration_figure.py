@@ -6,11 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
-from bayesbl.presentation.figures import layout, style
-from bayesbl.sampling.calibration import (
+from calibration_statistics import (
     FALSE_ALARM,
     LEVELS,
     POINTS,
@@ -19,7 +15,11 @@ from bayesbl.sampling.calibration import (
     ecdf_band,
     uniformity,
 )
-from bayesbl.sampling.calibration_table import WORDS
+from calibration_table import WORDS
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayesbl.presentation.figures import layout, style
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,7 +37,7 @@ def draw_calibration(
     Parameters
     ----------
     table
-        The study's lines, each as :func:`bayesbl.sampling.calibration_table.calibration_line`
+        The study's lines, each as :func:`calibration_table.calibration_line`
         makes it.
     cases
         By row; ``NAME_rank`` of each truth.

@@ -1,0 +1,215 @@
+"""Is a change of the joint that is not wear called wear?
+
+    bayesbl sweep configs/sweep.toml
+    bayesbl run configs/false_wear.toml
+
+A case is a pair of recordings of one joint with the same gap, made by the simulator of
+``independent_bench.py``; before the second something else changes: gains, payload, stiffness. Each
+pair is answered three times: directly with the current, directly by the speed alone, and by the
+amplitude through a swept curve, whose check is that of the direct match with the current. An
+increase is *called* if its probability is at least ``CALLED_AT`` and the answer is not withheld.
+A row that changes nothing counts how many sound pairs are withheld.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
+from scipy.signal import lfilter
+
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+from independent_bench import Plant, plant, simulate
+
+from bayesbl.bench.bench import Bench
+from bayesbl.config.bench import load_bench
+from bayesbl.curve.branch import likeliest_branch
+from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.matching.signals import observed
+from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
+from bayesbl.measurement.model_check import check_of_comparison, undecided_change
+from bayesbl.measurement.stored_curve import read_curve
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.sampling.chains import SamplerSettings
+
+CALLED_AT = 0.95
+"""Probability of an increase from which on it is called wear."""
+
+LEVEL = 0.9
+GAP_RANGE_RAD = (1e-4, 1e-2)
+FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
+SNAPSHOTS = ("before", "after")
+ANSWERS = ("direct", "speed", "amplitude")
+
+
+class Row(BaseModel):
+    """A row: what changes in the joint before its second recording.
+
+    ``multiplied``: bench parameters by a factor. ``added``: parameters of effects, as
+    ``effect.parameter``. ``recorder_lag_s``: time constant of a filter in what records the speed,
+    outside the loop.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    bench: Path
+    curve: Path
+    multiplied: dict[str, float] = Field(default_factory=dict)
+    added: dict[str, float] = Field(default_factory=dict)
+    recorder_lag_s: NonNegativeFloat = 0.0
+    gap_rad: float = Field(gt=0.0)
+    pairs: PositiveInt
+
+
+COLUMNS = {
+    f"{answer}_{name}": (unit, f"{meaning}, {answer}")
+    for answer in ANSWERS
+    for name, unit, meaning in (
+        ("probability_increase", "1", "posterior probability that the gap grew"),
+        ("change_median_rad", "rad", "posterior median of the change"),
+        ("withheld", "1", "1 where the change is withheld"),
+        ("listed", "1", "1 where what changed is named or among the blind spots"),
+    )
+}
+
+
+def count(row: Row) -> int:
+    """Number of pairs."""
+    return row.pairs
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One pair, answered in all three ways."""
+    truth_seed, fit_seed = seed.spawn(2)
+    generator = np.random.default_rng(truth_seed)
+    recordings = [_recorded(row, name, generator) for name in SNAPSHOTS]
+    bench = _bench(row.bench)
+    full = _matched(bench, recordings, fit_seed)
+    silent = [
+        replace(r, channels={k: v for k, v in r.channels.items() if k != MOTOR_CURRENT})
+        for r in recordings
+    ]
+    alone = _matched(bench, silent, fit_seed)
+    amplitude, extreme = _by_amplitude(row.curve, recordings, fit_seed)
+    changed = {*row.multiplied, *row.added}
+    return {
+        **_columns("direct", full.change_rad, _withheld(full), _listed(full, changed)),
+        **_columns("speed", alone.change_rad, _withheld(alone), _listed(alone, changed)),
+        **_columns(
+            "amplitude",
+            amplitude,
+            extreme or not full.joint.agrees,
+            _listed(full, changed),
+        ),
+    }
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Share called wear, share withheld, and whether what was called had been warned of."""
+    line: dict[str, float | str] = {
+        "pairs": float(cases.sizes["case"]),
+        "nominal": 1.0 - CALLED_AT,
+        # What a nominal rate leaves in at most 1 of 200 such rows.
+        "nominal_at_most": coverage_band(cases.sizes["case"], 1.0 - CALLED_AT)[1],
+    }
+    for answer in ANSWERS:
+        sure = cases[f"{answer}_probability_increase"].values >= CALLED_AT
+        withheld = cases[f"{answer}_withheld"].values > 0.0
+        called = sure & ~withheld
+        listed = cases[f"{answer}_listed"].values > 0.0
+        line |= {
+            f"{answer}_called": float(called.mean()),
+            f"{answer}_called_unwarned": float((called & ~listed).mean()),
+            f"{answer}_withheld": float(withheld.mean()),
+            f"{answer}_change_mrad": 1e3
+            * float(np.median(cases[f"{answer}_change_median_rad"].values)),
+        }
+    return line
+
+
+def _columns(answer: str, change_rad: FloatArray, withheld: bool, listed: bool) -> dict[str, float]:
+    return {
+        f"{answer}_probability_increase": float(np.mean(change_rad > 0.0)),
+        f"{answer}_change_median_rad": float(np.median(change_rad)),
+        f"{answer}_withheld": float(withheld),
+        f"{answer}_listed": float(listed),
+    }
+
+
+def _recorded(row: Row, snapshot: str, generator: np.random.Generator) -> Recording:
+    """A recording from a random start; the second one of the changed joint."""
+    bench = _bench(row.bench)
+    values = {n: p.value for n, p in bench.parameters.items() if n in Plant._fields}
+    later = snapshot == SNAPSHOTS[1]
+    if later:
+        values |= {name: factor * values[name] for name, factor in row.multiplied.items()}
+        values |= row.added
+    start, motor = generator.uniform(-math.pi, math.pi, 2)
+    truth = plant(values, gap_rad=row.gap_rad, start_angle_rad=start, motor_start_angle_rad=motor)
+    recording = simulate(truth, generator, name=snapshot).recording
+    if later and row.recorder_lag_s > 0.0:
+        keep = math.exp(-recording.sampling_period_s / row.recorder_lag_s)
+        speed = recording.channels[MOTOR_SPEED]
+        slow, _ = lfilter([1.0 - keep], [1.0, -keep], speed, zi=[keep * speed[0]])
+        recording = replace(recording, channels={**recording.channels, MOTOR_SPEED: slow})
+    return recording
+
+
+def _matched(
+    bench: Bench, recordings: Sequence[Recording], seed: np.random.SeedSequence
+) -> DirectMatch:
+    seen = [observed(recording, bench) for recording in recordings]
+    return fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+
+
+def _withheld(found: DirectMatch) -> bool:
+    verdicts = [direct_verdict(found, index, level=LEVEL) for index in range(len(SNAPSHOTS))]
+    undecided = undecided_change(found.joint, found.change_rad, LEVEL)
+    return undecided is not None or any(v.outcome == "withheld" for v in verdicts)
+
+
+def _listed(found: DirectMatch, changed: set[str]) -> bool:
+    """Whether something that changed is named, or listed as what would pass unseen."""
+    named = {c.name for c in found.joint.changed}
+    spots = check_of_comparison(found.joint, found.change_rad, LEVEL).blind_spots
+    return bool(changed & named) or any(name in s.change for name in changed for s in spots)
+
+
+def _by_amplitude(
+    curve_file: Path, recordings: Sequence[Recording], seed: np.random.SeedSequence
+) -> tuple[FloatArray, bool]:
+    """Draws of the change by the curve, rad, and whether a gap lies outside what it can tell."""
+    curve, estimator = _curve(curve_file), Estimator()
+    *own, draw_seed, gap_seed = seed.spawn(len(recordings) + 2)
+    generator = np.random.default_rng(draw_seed)
+    ringing = []
+    for recording, search_seed in zip(recordings, own, strict=True):
+        point = likeliest_branch(curve, estimator, estimator.estimate(recording, search_seed))
+        centre, covariance = point.ringing
+        draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
+        ringing.append(MeasuredRinging(draws, centre, covariance))
+    before, after = gaps([curve, curve], ringing, gap_seed)
+    outside = before.reason is not None or after.reason is not None
+    return after.delta_rad - before.delta_rad, outside
+
+
+@cache
+def _curve(path: Path) -> GapCurve:
+    return read_curve(path)
+
+
+@cache
+def _bench(path: Path) -> Bench:
+    return load_bench(path)
