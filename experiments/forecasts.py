@@ -191,7 +191,7 @@ def _law(law: str, generator: np.random.Generator) -> Growth:
         exponent = generator.choice([1.5, 3.0])
         return lambda t: t**exponent
     if law == "exponential":
-        growth = np.log(2.0) * generator.uniform(1.0, 6.0)  # doublings of the rate in a life
+        growth = np.log(2.0) * generator.uniform(1.0, 5.0)  # doublings of the rate in a life
         return lambda t: np.expm1(growth * t) / np.expm1(growth)
     if law == "logistic":  # levels off; the limit is at 70 to 95 % of its rise
         width, at = generator.uniform(0.08, 0.2), generator.uniform(0.7, 0.95)

@@ -44,7 +44,7 @@ FALSE_ALARM = 0.01
 LONGEST_YEARS = 1000.0
 """Times to the limit are cut here: a rate near 0 makes them as long as one likes."""
 
-SCATTER = (0.001, 1.0)
+SCATTER = (0.001, 0.8)
 """Range of the log-uniform prior of σ, in multiples of the growth over the span."""
 
 PARTICLES = 2048

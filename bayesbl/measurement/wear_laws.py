@@ -40,16 +40,30 @@ _LARGEST_EXPONENT = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class Law:
-    """One law: its prior probability, the ranges of its shapes, and its growth.
+class Shape:
+    """The prior of a shape parameter: log-uniform for times and shares, uniform for exponents."""
 
-    ``ranges`` are those of log-uniform priors. ``grown`` takes the time in spans and the shapes,
-    all of one shape, and need not be 1 at the end of the span.
+    low: float
+    high: float
+    is_exponent: bool = False
+
+    def at(self, share: FloatArray) -> FloatArray:
+        """Its value below which this share of the prior lies."""
+        if self.is_exponent:
+            return self.low + (self.high - self.low) * share
+        return np.asarray(self.low * (self.high / self.low) ** share)
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """One law: its prior probability, its shapes, and its growth.
+
+    ``grown`` takes the time in spans and the shapes, and need not be 1 at the end of the span.
     """
 
     name: str
     probability: float
-    ranges: tuple[tuple[float, float], ...]
+    shapes: tuple[Shape, ...]
     grown: Callable[..., FloatArray]
 
 
@@ -81,11 +95,11 @@ def _s_shaped(
 
 
 LAWS = (
-    Law("linear", 0.20, (), _linear),
-    Law("running_in", 0.08, ((0.3, 1.0), (0.05, 2.0)), _running_in),
-    Law("power", 0.28, ((1.2, 3.5), (0.03, 3.0)), _power),
-    Law("exponential", 0.28, ((0.3, 4.0),), _exponential),
-    Law("s_shaped", 0.16, ((0.1, 0.5), (0.3, 3.0), (0.1, 1.0)), _s_shaped),
+    Law("linear", 0.17, (), _linear),
+    Law("running_in", 0.06, (Shape(0.4, 1.0), Shape(0.05, 2.0)), _running_in),
+    Law("power", 0.26, (Shape(1.2, 3.5, is_exponent=True), Shape(0.03, 3.0)), _power),
+    Law("exponential", 0.31, (Shape(0.3, 4.5, is_exponent=True),), _exponential),
+    Law("s_shaped", 0.20, (Shape(0.08, 0.5), Shape(0.3, 3.0), Shape(0.1, 1.0)), _s_shaped),
 )
 
 
@@ -98,8 +112,8 @@ def shapes(law: NDArray[np.int_], normal: FloatArray, age: float | None = None) 
     share = ndtr(normal)
     for number, each in enumerate(LAWS):
         of = law == number
-        for row, (low, high) in enumerate(each.ranges):
-            found[row, of] = low * (high / low) ** share[row, of]
+        for row, prior_of in enumerate(each.shapes):
+            found[row, of] = prior_of.at(share[row, of])
         if each.name == "power" and age is not None:
             found[1, of] = max(age, 1e-3)  # a law of age 0 is that of this one
     return found
@@ -110,7 +124,7 @@ def grown(law: NDArray[np.int_], shape: FloatArray, elapsed: FloatArray) -> Floa
     found = np.empty(elapsed.shape)
     for number, each in enumerate(LAWS):
         of = np.flatnonzero(law == number)
-        own = shape[: len(each.ranges), of]
+        own = shape[: len(each.shapes), of]
         found[..., of] = each.grown(elapsed[..., of], *own) / each.grown(np.ones(of.shape), *own)
     return found
 
