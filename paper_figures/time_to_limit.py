@@ -17,7 +17,7 @@ def data(stored: Stored) -> xr.DataTree:
     """Draws of δ by date, of the wear's line and of the time to the limit."""
     tree = stored.tree("wear_dates")
     found = with_rate(summarise_comparison(tree))
-    assert found is not None, "the snapshots are dated, and show a rate"
+    assert found is not None, "the snapshots are dated, and the gap grows"
     kept = picked(tree, posterior=(GAP,), wear=None, diagnostics=())
     kept.attrs["answer"] = " ".join(sentences(found))
     return kept

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from added_module import added_module
 from matplotlib.figure import Figure
+from synthetic_ringing import QUICK
 
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
@@ -85,7 +86,7 @@ bench_draws = 6
 def write_recording(path, amplitude_rpm, samples, seed):
     """A low-rate recording of the disturbance model, with rotations of 1.4 s."""
     time = np.arange(samples) / 250.0
-    train = pulse_train(time, 0.3, 19.0, 70.0, 0.204, 0.7, 1.4, 1.0 / 250.0)
+    train = pulse_train(time, QUICK, 1.0 / 250.0)
     noise_rpm = np.random.default_rng(seed).standard_normal(samples)
     speed = 2000.0 + amplitude_rpm * train + noise_rpm
     columns = "time_s,motor_speed_rpm"
