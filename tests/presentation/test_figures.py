@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from added_module import added_module
+from matplotlib.figure import Figure
 from synthetic_ringing import QUICK
 
 from bayesbl.config.bench import dump_bench, reference_bench
@@ -277,6 +278,13 @@ def test_every_figure_is_there_as_pdf_and_png(drawn):
     names |= {f"{kind}_{snapshot}" for kind in ("corner", "trace") for snapshot in ("old", "new")}
     assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
     assert all(path.stat().st_size < 500_000 for path in drawn.values())
+
+
+def test_half_a_figure_is_not_left(tmp_path):
+    (tmp_path / "half.png").mkdir()  # nothing can be written under this name
+    with publication_style(), pytest.raises(OSError, match=r"half\.png"):
+        save(Figure(), tmp_path, "half")
+    assert not (tmp_path / "half.pdf").exists()
 
 
 A_FIGURE = """
