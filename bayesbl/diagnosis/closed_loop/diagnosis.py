@@ -37,9 +37,9 @@ from bayesbl.naming.explanation import Explanation, with_noise
 from bayesbl.naming.search import (
     NamedCandidate,
     Naming,
-    Progress,
     name_missing,
 )
+from bayesbl.sampling.chains import Progress
 
 
 @dataclass(frozen=True, slots=True)
