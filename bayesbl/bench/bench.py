@@ -187,10 +187,6 @@ class Bench:
         """The same bench with these effects instead of its own."""
         return dataclasses.replace(self, effects=tuple(effects))
 
-    def with_measurement(self, measurement: Measurement) -> Bench:
-        """The same bench, measured differently."""
-        return dataclasses.replace(self, measurement=measurement)
-
     def draw(self, rng: np.random.Generator) -> Bench:
         """A bench drawn uniformly within the tolerances, known exactly.
 
