@@ -49,7 +49,7 @@ def impact(
     window_length_s: float,
     sampling_period_s: float,
 ) -> FloatArray:
-    """One pulse of unit amplitude as docs/design.md has it, written a second time."""
+    """One pulse of unit amplitude by docs/design.md, "The disturbance model", edges and all."""
     u = np.maximum(since_start_s, 0.0)
     ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
     ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
