@@ -17,6 +17,7 @@ from bayesbl.config.fields import (
     Section,
     as_tuple,
     refuse,
+    require_different,
 )
 from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
 
@@ -226,12 +227,7 @@ class SnapshotConfig(RecordedConfig):
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
         names = [recording.name for recording in recordings]
-        if len(set(names)) < len(names):
-            refuse(
-                "Two recordings have the same name.",
-                found=", ".join(f'"{name}"' for name in names),
-                expected="a different name for each",
-            )
+        require_different(names, "Two recordings have the same name.")
         return recordings
 
     @field_validator("posterior")

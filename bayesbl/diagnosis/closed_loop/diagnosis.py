@@ -37,10 +37,10 @@ from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, with_noise
 from bayesbl.naming.search import (
     Naming,
-    Progress,
     name_missing,
 )
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.chains import Progress
 
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
