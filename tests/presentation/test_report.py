@@ -59,6 +59,8 @@ def check(*sentences, blind_spots=()):
 def part(low=6.85e-4, high=7.31e-4, reasons=()):
     """A snapshot's part of a summary; with reasons it is withheld."""
     return {
+        "route": "amplitude",
+        "routes": {"amplitude": {"delta_rad": None if reasons else between(low, high)}},
         "delta_rad": None if reasons else between(low, high),
         "amplitude_rpm": between(30.8, 32.3),
         "rotations": 5.0,
@@ -104,7 +106,11 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "change_rad": change,
         "changes": steps,
         "probability_increase": given_probability,
+        "ringing_change": between(0.20, 0.28),
+        "probability_ringing_grew": given_probability,
         "same_joint": check(),
+        "reason": " ".join(reasons) or None,
+        "curve": "results/sweep/result.nc",
         "wear": None,
     }
 
