@@ -67,6 +67,8 @@ file = "wear_before.csv"
 [[recordings]]
 name = "new"
 file = "wear_after.csv"
+[curve]
+source = "published"
 [posterior]
 ensembles = 2
 """

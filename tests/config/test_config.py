@@ -66,7 +66,7 @@ def test_the_shipped_configurations_load(name: str) -> None:
 
 def test_the_shipped_fit_writes_out_exactly_the_defaults(folder: Path) -> None:
     written = load_config(CONFIGS / "fit_example.toml")
-    bare = config_from_options("fit", [BEFORE])
+    bare = config_from_options("fit", [BEFORE], bench=CONFIGS / "bench.toml")
     assert isinstance(written, FitConfig)
     assert isinstance(bare, FitConfig)
     for section in ("estimator", "posterior", "interval", "curve"):

@@ -348,6 +348,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
     change = interval(1e-4, 3e-4)
     return {
         "kind": "compare",
+        "outcome": "converged",
         "snapshots": snapshots,
         "change_rad": change,
         "probability_increase": 0.999,
