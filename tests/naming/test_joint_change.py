@@ -1,0 +1,132 @@
+"""What changed in a joint between two recordings, on data of the independent simulator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.signals import GAP, observed
+from bayesbl.measurement.direct_route import direct_unknowns
+from bayesbl.naming.joint_change import find_changes
+
+BENCH = reference_bench()
+BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
+GAP_RAD = 8e-4
+GAP_RANGE_RAD = (1e-4, 1e-2)
+SURE = 4.0
+"""Standard deviations: one estimate in 16,000 is farther off."""
+
+
+def nominal_fit(
+    independent, second, seed, gaps_rad=(GAP_RAD, GAP_RAD), speed_alone=False, first=None
+):
+    """Both recordings fitted together with the bench as believed."""
+    rng = np.random.default_rng(seed)
+    seen = []
+    for name, gap, changed in zip(
+        ("before", "after"), gaps_rad, (first or {}, second), strict=True
+    ):
+        start, motor = rng.uniform(-math.pi, math.pi, 2)
+        truth = independent.plant(
+            {**BELIEVED, **changed},
+            gap_rad=gap,
+            start_angle_rad=start,
+            motor_start_angle_rad=motor,
+        )
+        made = observed(independent.simulate(truth, rng, name=name).recording, BENCH)
+        seen.append(replace(made, signals=made.signals[:1]) if speed_alone else made)
+    return fit_aligned(BENCH, seen, direct_unknowns(BENCH, ["before", "after"], GAP_RANGE_RAD))
+
+
+def change(fit):
+    """Change of δ and its standard deviation, rad."""
+    toward = np.zeros(fit.point.size)
+    toward[fit.model.index(GAP, "after")] = fit.value(GAP, "after")
+    toward[fit.model.index(GAP, "before")] = -fit.value(GAP, "before")
+    sd = math.sqrt(toward @ fit.covariance @ toward)
+    return fit.value(GAP, "after") - fit.value(GAP, "before"), sd
+
+
+def times(factor, name):
+    return {name: factor * BELIEVED[name]}
+
+
+CHANGES = {
+    "speed_gain_nm_s_per_rad": times(0.9, "speed_gain_nm_s_per_rad"),
+    "shaft_stiffness_nm_per_rad": times(0.9, "shaft_stiffness_nm_per_rad"),
+    "payload": times(2.0, "gravity_torque_nm") | times(1.5, "load_inertia_kg_m2"),
+    "torque_constant_nm_per_a": times(0.95, "torque_constant_nm_per_a"),
+    "load_coulomb_friction": {"load_coulomb_friction.torque_nm": 15.0},
+    "gear_transmission_error": {"gear_transmission_error.angle_rad": 1e-4},
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_that_is_not_wear_is_named_and_leaves_the_gap_alone(independent, name):
+    fit, found = find_changes(nominal_fit(independent, CHANGES[name], seed=1))
+    assert found.explained
+    assert found.could_be[0] == name
+    assert {c.recording for c in found.changed} == {"after"}
+    moved, sd = change(fit)
+    assert abs(moved) < SURE * sd
+
+
+def test_the_change_found_has_the_size_that_it_has(independent):
+    truth = times(0.9, "speed_gain_nm_s_per_rad")
+    _, found = find_changes(nominal_fit(independent, truth, seed=2))
+    (changed,) = found.changed
+    assert abs(changed.found - truth[changed.name]) < SURE * changed.sd
+    assert changed.believed == BELIEVED[changed.name]
+    assert changed.unit == "N m s/rad"
+
+
+def test_wear_is_not_taken_for_a_change_of_the_joint(independent):
+    """False alarms are at most 1 % of runs, so one seed of four fails by chance in 4 %."""
+    for seed in range(4):
+        fit, found = find_changes(nominal_fit(independent, {}, seed, gaps_rad=(GAP_RAD, 1.1e-3)))
+        assert found.agrees
+        moved, sd = change(fit)
+        assert abs(moved - (1.1e-3 - GAP_RAD)) < SURE * sd
+
+
+def test_a_bench_that_is_wrong_for_both_is_no_change_between_them(independent):
+    wrong = times(0.9, "shaft_stiffness_nm_per_rad")
+    _, found = find_changes(nominal_fit(independent, wrong, seed=3, first=wrong))
+    assert [c.recording for c in found.changed] == [None]
+    assert found.changed[0].name == "shaft_stiffness_nm_per_rad"
+
+
+def test_without_the_current_two_explanations_of_one_change_are_rivals(independent):
+    """K_p and friction that grows with speed ring alike, and give another gap each."""
+    truth = CHANGES["speed_gain_nm_s_per_rad"]
+    fit, found = find_changes(nominal_fit(independent, truth, seed=5, speed_alone=True))
+    assert "speed_gain_nm_s_per_rad" in found.could_be
+    assert found.rivals
+    chosen, sd = change(fit)
+    assert max(abs(r.gaps_rad[1] - r.gaps_rad[0] - chosen) for r in found.rivals) > sd
+
+
+def test_a_change_as_large_as_its_blind_spot_moves_the_gap_as_told(independent):
+    """The linear forecast against a full fit of recordings with that very change."""
+    fit, found = find_changes(nominal_fit(independent, {}, seed=4))
+    spot = next(s for s in found.blind_spots if s.name == "shaft_damping_nm_s_per_rad")
+    changed = {spot.name: BELIEVED[spot.name] + spot.size}
+    moved, _ = change(nominal_fit(independent, changed, seed=4))
+    unmoved, sd = change(fit)
+    assert abs(abs(moved - unmoved) - spot.error_rad) < 0.3 * spot.error_rad + 0.1 * sd
+
+
+def test_blind_spots_grow_where_the_current_is_missing(independent):
+    errors = {}
+    for alone in (False, True):
+        _, found = find_changes(nominal_fit(independent, {}, seed=6, speed_alone=alone))
+        errors[alone] = {s.name: s.error_rad for s in found.blind_spots}
+    gain = "speed_gain_nm_s_per_rad"
+    assert errors[True][gain] > 5.0 * errors[False][gain]
+    assert found.blind_spots == tuple(sorted(found.blind_spots, key=lambda s: -s.error_rad))
