@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from places import RECORDINGS
+from places import CONFIGS, RECORDINGS
 from quick import without_figures
 
 from bayesbl import cli
@@ -80,6 +80,7 @@ def compared(tmp_path_factory) -> Path:
     recordings = [str(RECORDINGS / f"wear_{name}.csv") for name in ("before", "after")]
     with without_figures():
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
+        out += ["--bench", str(CONFIGS / "bench.toml"), "--route", "amplitude"]
         assert cli.status(["compare", *recordings, *out]) == 0
     return folder / "out"
 
