@@ -149,10 +149,10 @@ class Estimator(Section):
                 expected='bench = "bench.toml" (--bench bench.toml)',
                 at=("route",),
             )
-        if self.route == "direct" and self.search.start_from is not None:
+        if self.route != "amplitude" and self.search.start_from is not None:
             refuse(
                 "The direct route starts from its bench and cannot start from an earlier result.",
-                found=f'start_from = "{self.search.start_from}" with route = "direct"',
+                found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )
         if self.search.method == "paper" and self.model.baseline_harmonics != 0:
@@ -176,6 +176,7 @@ class Curve(Section):
     """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
 
     Without a source the curves are those of the estimator's bench; without a bench there is no δ.
+    A source goes before the bench; the direct route has no use for one.
     """
 
     source: CurveSource | None = None
@@ -194,25 +195,6 @@ class SnapshotConfig(RecordedConfig):
     posterior: Posterior = Field(default_factory=Posterior)
     interval: Interval = Field(default_factory=Interval)
     curve: Curve = Field(default_factory=Curve)
-
-    @model_validator(mode="after")
-    def _one_curve(self) -> Self:
-        estimator, source = self.estimator, self.curve.source
-        if source is None or estimator.bench is None or estimator.route == "auto":
-            return self
-        if estimator.route == "direct":
-            refuse(
-                "The direct route needs no curve.",
-                found=f'source = "{source}" with route = "direct"',
-                expected='no source, or route = "auto" for the amplitude beside it',
-                at=("curve", "source"),
-            )
-        refuse(
-            "There are two curves: that of the bench and another one.",
-            found=f'source = "{source}" and bench = "{estimator.bench}"',
-            expected="one of them",
-            at=("curve", "source"),
-        )
 
     @field_validator("recordings")
     @classmethod
@@ -234,11 +216,11 @@ class SnapshotConfig(RecordedConfig):
     @classmethod
     def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:
         estimator = info.data.get("estimator")  # absent if it was refused itself
-        if estimator is not None and estimator.route == "direct" and posterior.check_sampler:
+        if estimator is not None and estimator.route != "amplitude" and posterior.check_sampler:
             refuse(
                 "The second sampler samples the amplitude route's posterior only; by the direct "
                 "route, full simulations check the draws.",
-                found='check_sampler = true with route = "direct"',
+                found=f'check_sampler = true with route = "{estimator.route}"',
                 expected='route = "amplitude", or no check_sampler',
                 at=("check_sampler",),
             )
