@@ -134,7 +134,6 @@ def generalised_amplitude(point: PointEstimate) -> float:
     coefficients = np.concatenate([[1.0], -np.asarray(point.noise.coefficients)])
     objective, start = point.objective, point.optimum.symbols
     time, dt = objective.time_s, objective.period_s
-    length = start[WINDOW_END] - start[WINDOW_START]
 
     def white(columns: FloatArray) -> FloatArray:
         return np.apply_along_axis(np.convolve, 0, columns, coefficients, "valid")
@@ -143,10 +142,9 @@ def generalised_amplitude(point: PointEstimate) -> float:
     scale = np.array([start[name] for name in _SEARCHED])
 
     def solved(factor: FloatArray) -> tuple[FloatArray, FloatArray]:
-        first, decay, frequency, apart, period = factor * scale
-        first += start[WINDOW_START]
-        train = pulse_train(time, first, decay, frequency, length, apart, period, dt)
-        baseline = baseline_columns(time, period, objective.model.baseline_harmonics)
+        symbols = start | dict(zip(_SEARCHED, factor * scale, strict=True))
+        train = pulse_train(time, symbols, dt)
+        baseline = baseline_columns(time, symbols[ROTATION], objective.model.baseline_harmonics)
         columns = white(np.column_stack([train, baseline]))
         linear = np.asarray(np.linalg.lstsq(columns, speed, rcond=None)[0], dtype=np.float64)
         return speed - columns @ linear, linear

@@ -10,14 +10,14 @@ from common import PaperFigure, Stored, main, picked
 from bayesbl.measurement.summary import summarise_comparison
 from bayesbl.presentation.figures.snapshots import GAP
 from bayesbl.presentation.figures.wear import wear
-from bayesbl.presentation.wear import sentences
+from bayesbl.presentation.wear import sentences, with_rate
 
 
 def data(stored: Stored) -> xr.DataTree:
     """Draws of δ by date, of the wear's line and of the time to the limit."""
     tree = stored.tree("wear_dates")
-    found = summarise_comparison(tree)["wear"]
-    assert found is not None, "the snapshots are dated"
+    found = with_rate(summarise_comparison(tree))
+    assert found is not None, "the snapshots are dated, and the gap grows"
     kept = picked(tree, posterior=(GAP,), wear=None, diagnostics=())
     kept.attrs["answer"] = " ".join(sentences(found))
     return kept

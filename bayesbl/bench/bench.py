@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
@@ -31,10 +30,14 @@ from bayesbl.bench.simulation import (
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.errors import BenchError
 from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
-from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
+from bayesbl.recording.types import (
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    FloatArray,
+    Recording,
+)
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-FloatArray = NDArray[np.float64]
 
 GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]

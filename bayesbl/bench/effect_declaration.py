@@ -13,14 +13,11 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.bench.kernel import MOTOR_SIGN_WIDTH, Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from bayesbl.recording.types import ComplexArray, FloatArray
 
 Enters = Literal["motor", "load", "shaft", "loop", "measurement"]
 Dependence = Literal[

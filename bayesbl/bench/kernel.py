@@ -20,11 +20,8 @@ from enum import IntEnum, auto
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 
 class Slot(IntEnum):

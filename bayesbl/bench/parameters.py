@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.kernel import SLOTS, Slot
 from bayesbl.errors import BenchError
-
-FloatArray = NDArray[np.float64]
+from bayesbl.recording.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

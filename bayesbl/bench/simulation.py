@@ -13,8 +13,7 @@ from bayesbl.bench.kernel import STATES, Slot
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import BenchError
-
-FloatArray = NDArray[np.float64]
+from bayesbl.recording.types import FloatArray
 
 DEFAULT_ACCURACY_RPM = 0.01
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from bayesbl.bench.kernel import RPM, Slot
 from bayesbl.bench.parameters import rotation_period_s
 from bayesbl.errors import BenchError
-
-FloatArray = NDArray[np.float64]
+from bayesbl.recording.types import FloatArray
 
 # The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start
 # is off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this

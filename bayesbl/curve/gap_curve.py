@@ -243,9 +243,11 @@ def published_curve(draws: int = 4000, seed: int = 20260301) -> GapCurve:
         sources={"rounding": np.log((rounded @ powers) / (centre @ powers))},
         start_angle_sd_rpm=np.zeros(KNOTS),
         warnings=(
-            "The published curve (the paper's eq. 4) belongs to the paper's test bench. On another "
-            "joint δ can be off by several percent or more, which the interval does not include; "
-            "sweep a bench of your joint for a curve of its own.",
+            "The published curve (the paper's eq. 4) belongs to the paper's test bench, at 2000 "
+            "rpm: a speed that is assumed, as the paper does not state it. On another joint δ can "
+            "be off by a factor of two or more, which the interval does not include, so there is "
+            "no probability of a limit, no rate and no date. A bench of your joint (--bench) gives "
+            "a curve of its own.",
         ),
         reference_speed_rpm=PUBLISHED_REFERENCE_RPM,
     )

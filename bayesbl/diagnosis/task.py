@@ -81,7 +81,7 @@ def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
     if excluded is not None and excluded.mean() > MOST_EXCLUDED:
         raise RecordingError(
             "Too little remains to compare beside lost and stray samples.",
-            file=recording.source.file if recording.source else recording.name,
+            file=recording.place,
             where=channel,
             found=f"{100.0 * excluded.mean():.3g} % of the samples left out, with all that "
             "the filter of the motion carries them to",

@@ -16,6 +16,7 @@ from bayesbl.measurement.compatibility import unsuited
 from bayesbl.measurement.curves import curve_source
 from bayesbl.measurement.earlier import read_earlier
 from bayesbl.measurement.fits import FitJob, earlier_of, gaps_of_fits, run_fits
+from bayesbl.measurement.joint_check import NOTHING_COMPARED
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.same_joint import change_reason, same_joint
 from bayesbl.measurement.task import Task, estimator_of
@@ -76,7 +77,9 @@ class AmplitudeMeasurer:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         found = [None] * len(fits) if curves is None else gaps_of_fits(task, curves, fits)
         of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
-        check = same_joint(task, fits, self.source)
+        check = NOTHING_COMPARED
+        if not self.source.is_of_bench:
+            check = same_joint(fits, [entry.repaired for entry in task.config.recordings])
         return Measurement(
             "amplitude",
             [

@@ -68,7 +68,7 @@ class Gap:
 
 
 def gaps(
-    curves: Sequence[GapCurve],
+    curves: GapCurve | Sequence[GapCurve],
     snapshots: Sequence[MeasuredRinging],
     seed: np.random.SeedSequence,
     *,
@@ -88,10 +88,12 @@ def gaps(
     Parameters
     ----------
     curves
-        The curve of each snapshot; one and the same, or several of one bench.
+        One for all snapshots, or each one's own of one bench.
     level
         Of the one-sided bound that a withheld answer gives.
     """
+    if isinstance(curves, GapCurve):
+        curves = [curves] * len(snapshots)
     shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
     chains, count = snapshots[0].amplitude_rpm.shape
     narrows = all(curve.ringing is not None and "bench" in curve.sources for curve in curves)

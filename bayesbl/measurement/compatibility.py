@@ -118,7 +118,7 @@ def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
             raise RecordingError(
                 "The snapshots were recorded at different speeds, and the same gap rings "
                 "differently at another speed: that would pass for wear.",
-                file=other.source.file if other.source else other.name,
+                file=other.place,
                 where="motor_speed_rpm",
                 found=f"{speeds[1]:.5g} rpm on average, but {speeds[0]:.5g} rpm in {first.name}",
                 expected=f"speeds within {100.0 * SNAPSHOTS_APART:g} %, in one unit; record at the "

@@ -1,13 +1,221 @@
-"""placeholder"""
+"""Whether nothing but the gap changed between snapshots, where there is no bench to ask.
 
-from typing import Any
+Compared is what the gap moves little or not at all: the controller's gains, the mean current, the
+first two load orders of current and speed, the ringing's frequency and decay. How far a changed gap
+may move each of them is taken off the difference before it is held against its standard error.
+"""
 
-from bayesbl.measurement.joint_check import *
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
+from bayesbl.measurement.joint_features import (
+    INTEGRAL,
+    MEAN_CURRENT,
+    PROPORTIONAL,
+    Feature,
+    features_of,
+    harmonic_name,
+)
+from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.ringing.estimator import Fit, nominal_speed_rpm
+from bayesbl.units import number
+
+FALSE_ALARM = 0.01
+"""Of one comparison, over all its quantities and snapshots."""
+
+FREQUENCY, DECAY = "ringing frequency", "ringing decay"
+
+BY_AMPLITUDE = {FREQUENCY: 0.1, DECAY: 0.5}
+"""Largest ∂ln quantity/∂ln A along the gap, over benches within a factor of 1.6 of the reference
+and gaps of 0.3 to 3 mrad (0.09 and 0.47, ``experiments/joint_features.py``)."""
+
+BY_GAP = {"current": 0.0025, "speed": 0.005}
+"""What 2.7 mrad more gap adds to a load order, or to the mean, as a share of the first order: the
+load jumps by twice the gap at each flip of flanks, the second order by 8/(3π) of that angle
+(0.23 and 0.46 %, same command)."""
+
+BY_SPEED = 2.0
+"""Powers of the speed that a quantity goes with at most; snapshots may differ by 2 % in it."""
+
+START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
+"""Scatter of ln quantity with the start angle on the reference bench (same command)."""
+
+COULD_BE = {
+    PROPORTIONAL: ("speed_gain_nm_s_per_rad", "torque_constant_nm_per_a"),
+    INTEGRAL: ("integral_gain_nm_per_rad", "torque_constant_nm_per_a"),
+    MEAN_CURRENT: ("motor_coulomb_friction", "motor_viscous_friction", "load_coulomb_friction"),
+    harmonic_name("current", 1): ("gravity_torque_nm", "torque_constant_nm_per_a"),
+    harmonic_name("current", 2): ("gear_mesh_friction", "load_torque_offset"),
+    harmonic_name("speed", 1): ("gravity_torque_nm", "integral_gain_nm_per_rad"),
+    harmonic_name("speed", 2): ("integral_gain_nm_per_rad",),
+    FREQUENCY: ("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad"),
+    DECAY: ("shaft_damping_nm_s_per_rad", "speed_gain_nm_s_per_rad"),
+}
+"""What of the joint would move each quantity."""
+
+IN_WORDS = {
+    PROPORTIONAL: "the speed controller's gains or the torque constant",
+    INTEGRAL: "the speed controller's gains or the torque constant",
+    MEAN_CURRENT: "friction, or a constant torque",
+    harmonic_name("current", 1): "the payload or the torque constant",
+    harmonic_name("current", 2): "friction that depends on the load",
+    harmonic_name("speed", 1): "the payload or the controller's integral gain",
+    harmonic_name("speed", 2): "the controller's integral gain",
+    FREQUENCY: "payload or stiffness",
+    DECAY: "damping or the controller's gains",
+}
+
+SHOWN_BEST = (PROPORTIONAL, INTEGRAL, harmonic_name("current", 1), FREQUENCY, DECAY)
+"""Of which it is told how much may change unseen."""
+
+WITHOUT_CURRENT = (
+    BlindSpot(
+        "the speed controller's gains, the torque constant and friction",
+        "there is no motor current in the recordings",
+    ),
+)
 
 
-def same_joint(task: Any, fits: Any, source: Any) -> JointCheck:
-    return NOTHING_COMPARED
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What is compared of one snapshot."""
+
+    name: str
+    features: dict[str, Feature]
+    log_amplitude: float
+    log_speed: float
+    direction: float
+
+
+def same_joint(fits: Sequence[Fit], repaired: Sequence[bool]) -> JointCheck:
+    """Every snapshot against the first one since the last repair.
+
+    Parameters
+    ----------
+    repaired
+        Whether each snapshot is the first one after a repair.
+    """
+    if len(fits) < 2:
+        return NOTHING_COMPARED
+    seen = [_seen(fit) for fit in fits]
+    pairs, first = [], seen[0]
+    for snapshot, anew in zip(seen[1:], repaired[1:], strict=True):
+        if anew:
+            first = snapshot
+        else:
+            pairs.append((first, snapshot))
+    found = [(other, item) for first, other in pairs for item in _compared(first, other)]
+    if not found:
+        return NOTHING_COMPARED
+    bound = float(norm.isf(0.5 * FALSE_ALARM / len(found)))
+    blind = [*_too_small(pairs, bound)]
+    if not all(MOTOR_CURRENT in fit.point.recording.channels for fit in fits):
+        blind = [*WITHOUT_CURRENT, *blind]
+    apart = [(other, item) for other, item in found if abs(item.z) > bound]
+    several = len(pairs) > 1
+    return JointCheck(
+        not apart,
+        [item for _, item in found],
+        tuple(dict.fromkeys(cause for _, item in apart for cause in COULD_BE[item.quantity])),
+        [_sentence(item, other.name if several else "") for other, item in apart],
+        blind,
+    )
 
 
 def change_reason(check: JointCheck) -> str | None:
-    return None
+    """Why the change of a gap that a curve gave is withheld; ``None`` where it is not."""
+    if check.agrees:
+        return None
+    return (
+        "Something other than the gap changed between the snapshots, which moves the ringing too, "
+        f"so their change is withheld. {' '.join(check.sentences)}"
+    )
+
+
+def _seen(fit: Fit) -> _Seen:
+    centre, covariance = fit.point.ringing
+    found = {feature.name: feature for feature in features_of(fit.point)}
+    for name, unit, place, scale in (
+        (FREQUENCY, "Hz", 1, 2.0 * math.pi),
+        (DECAY, "1/s", 2, 1.0),
+    ):
+        sd = math.sqrt(covariance[place, place])
+        if sd > 0.0:  # a fixed one is no measurement
+            value = math.exp(centre[place]) / scale
+            sd = math.hypot(sd, START_ANGLE_SD[name])
+            found[name] = Feature(name, unit, value, value * sd)
+    recording = fit.point.recording
+    return _Seen(
+        recording.name,
+        found,
+        math.log(centre[0]),
+        math.log(nominal_speed_rpm(recording)),
+        float(np.sign(recording.motor_speed_rpm.mean())),
+    )
+
+
+def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
+    items = []
+    for name, before in first.features.items():
+        after = other.features.get(name)
+        # In the other direction a constant torque changes sides.
+        if after is None or (name == MEAN_CURRENT and first.direction != other.direction):
+            continue
+        difference = after.value - before.value
+        explained = _explained(name, first, other)
+        beyond = math.copysign(max(abs(difference) - explained, 0.0), difference)
+        z = beyond / _sd(name, first, other)
+        items.append(CheckItem(name, after.value, before.value, before.unit, z))
+    return items
+
+
+def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[BlindSpot]:
+    """How much of each quantity could change unseen, by the pair that shows it worst."""
+    for name in SHOWN_BEST:
+        shares = [
+            (bound * _sd(name, first, other) + _explained(name, first, other))
+            / first.features[name].value
+            for first, other in pairs
+            if name in first.features and name in other.features
+        ]
+        if shares:
+            yield BlindSpot(
+                f"a change of the {name} by less than {100.0 * max(shares):.2g} %",
+                "too small for these recordings to show",
+            )
+
+
+def _sd(name: str, first: _Seen, other: _Seen) -> float:
+    return math.hypot(first.features[name].standard_error, other.features[name].standard_error)
+
+
+def _explained(name: str, first: _Seen, other: _Seen) -> float:
+    """How far gap and speed may have moved a quantity."""
+    value = first.features[name].value
+    by_speed = BY_SPEED * abs(value * (other.log_speed - first.log_speed))
+    if name in BY_AMPLITUDE:
+        return by_speed + abs(
+            value * BY_AMPLITUDE[name] * (other.log_amplitude - first.log_amplitude)
+        )
+    if name in (PROPORTIONAL, INTEGRAL):
+        return 0.0  # what the controller makes of a speed error does not depend on either
+    channel = "speed" if name.startswith("speed") else "current"
+    return by_speed + BY_GAP[channel] * first.features[harmonic_name(channel, 1)].value
+
+
+def _sentence(item: CheckItem, snapshot: str) -> str:
+    direction = "rose" if item.measured > item.expected else "fell"
+    places = max(0, 2 - math.floor(math.log10(max(abs(item.measured - item.expected), 1e-9))))
+    before, after = number(item.expected, places), number(item.measured, places)
+    where = f" in {snapshot}" if snapshot else ""
+    return (
+        f"The {item.quantity} {direction} from {before} to {after} {item.unit}{where}: "
+        f"{IN_WORDS[item.quantity]}, not wear."
+    )

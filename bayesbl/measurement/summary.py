@@ -32,6 +32,8 @@ def summarise_fit(tree: xr.DataTree) -> FitSummary:
         **head(tree),
         "curve": stored.curve or None,
         **_snapshot(tree, stored),
+        # Why there is no δ for want of a curve is a reason of the whole result.
+        "reason": stored.reason or head(tree)["reason"],
     }
 
 

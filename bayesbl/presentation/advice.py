@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, wear
+from bayesbl.presentation import answer, diagnosis, ringing, wear
 from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
@@ -61,6 +61,8 @@ def of_study(summary: StudySummary) -> Advice:
 def of_snapshots(summary: MeasuredSummary) -> Advice:
     """Whether and when to repair, by the last snapshot."""
     last = answer.snapshots(summary)[-1][1]
+    if ringing.is_alone(summary):
+        return _of_ringing(summary)
     if last["delta_rad"] is None:
         return Advice(
             "withheld",
@@ -74,10 +76,10 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
     compared = summary if summary["kind"] == "compare" else None
     rated = wear.with_rate(compared) if compared else None
     head = (_by_forecast(rated, last) if rated else None) or _by_limit(summary, last)
-    if head is None:
+    if answer.is_by_other_machine(summary):
+        head = Advice("note", "Do not act on these gaps: they are of another machine's curve.", ())
+    elif head is None:
         head = _without_limit(compared, rated)
-    elif answer.is_by_other_machine(summary):
-        head = _by_other_machine(head)
     if answer.has_shrunk(summary) and head.tone != "act":
         title = "Are the files in order, or was the joint repaired?"
         head = Advice("watch", title, head.sentences)
@@ -114,11 +116,19 @@ def of_diagnosis(summary: DiagnosisSummary) -> Advice:
             )
 
 
-def _by_other_machine(head: Advice) -> Advice:
-    """An order that rests on a limit and another machine's curve never gives the all-clear."""
-    order = head.title.removesuffix(".")
-    title = f"{order}, if this joint behaves like the paper's test bench."
-    return Advice("watch" if head.tone == "fine" else head.tone, title, head.sentences)
+def _of_ringing(summary: MeasuredSummary) -> Advice:
+    """What to do about a ringing that no curve leads from to a gap."""
+    if summary["kind"] == "compare" and not summary["same_joint"]["agrees"]:
+        return Advice(
+            "watch",
+            "Find out what changed besides the gap.",
+            (*summary["same_joint"]["sentences"], summary["reason"] or ""),
+        )
+    grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
+    title = "The ringing grew: describe the joint in a bench file to learn by how much gap."
+    if not grew:
+        title = "Describe the joint in a bench file to learn the gap."
+    return Advice("watch" if grew else "note", title, (summary["reason"] or "",))
 
 
 def _by_forecast(found: WearSummary, last: SnapshotSummary) -> Advice | None:
@@ -174,8 +184,9 @@ def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
         yield answer.SHRANK
     if answer.is_by_other_machine(summary):
         yield (
-            "These gaps rest on the curve of another machine, the paper's test bench: make a "
-            "curve for your joint (bayesbl sweep) before you act on them."
+            "These gaps rest on the curve of another machine, the paper's test bench, at a speed "
+            "that is assumed: describe your joint in a bench file (--bench) before you act on "
+            "them. No probability of a limit, no rate and no date are given."
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import direct_route, joint_check, wear, words
+from bayesbl.presentation import direct_route, joint_check, ringing, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from bayesbl.runs.summary import Summary
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
+
+OTHER_MACHINE = "If this joint were the paper's test bench, at an assumed 2000 rpm"
 
 SHRANK = (
     "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
@@ -52,14 +54,17 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
             yield Sentence(sampler_check(part["sampler_check"]), "aside", name)
     if summary["kind"] == "compare" and summary["wear"] is not None:
         yield from wear.blocks(summary, summary["wear"])
-    yield Sentence(GAP_EXPLAINED, "aside")
+    yield Sentence(ringing.EXPLAINED if ringing.is_alone(summary) else GAP_EXPLAINED, "aside")
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
-    for name, part in snapshots(summary):
-        for sentence in direct_route.other_routes(name, part):
-            yield Sentence(sentence, "aside")
+    for sentence in direct_route.other_route(summary):
+        yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
+    if ringing.is_alone(summary):
+        yield Sentence(summary["reason"] or "", "warning", "No gap")
+    elif change_is_withheld(summary):
+        yield Sentence(summary["reason"] or "", "warning", "Withheld")
     yield from joint_check.blocks(summary)
 
 
@@ -74,12 +79,15 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
 
 def headline(summary: MeasuredSummary) -> str:
     """The gap, or the change of compared ones."""
+    if ringing.is_alone(summary):
+        return ringing.headline(summary)
+    by = f"{OTHER_MACHINE}: " if is_by_other_machine(summary) else ""
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
-            return f"{change_in_words(change)}; {grew(growth)}."
+            return f"{by}{change_in_words(change)}; {grew(growth)}."
     elif summary["delta_rad"] is not None:
-        return f"The gap is {words.in_mrad(summary['delta_rad'])}."
+        return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     what = "change of the gap" if summary["kind"] == "compare" else "gap"
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
 
@@ -116,6 +124,13 @@ def steps(summary: MeasuredSummary) -> Iterator[str]:
         yield f"From {step['from']} to {step['to']}: {found}."
 
 
+def change_is_withheld(summary: MeasuredSummary) -> bool:
+    """Whether the gaps of a comparison are given, and their change is not."""
+    if summary["kind"] != "compare" or summary["change_rad"] is not None:
+        return False
+    return all(part["delta_rad"] is not None for _, part in snapshots(summary))
+
+
 def is_by_other_machine(summary: MeasuredSummary) -> bool:
     """Whether the answer rests on the gap curve of the paper's test bench."""
     from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
@@ -137,7 +152,7 @@ def explained(summary: MeasuredSummary) -> str:
 def above_limit(summary: MeasuredSummary) -> str | None:
     """The probability of each snapshot above the limit; ``None`` without a limit."""
     limited = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
-    if not limited:
+    if not limited or ringing.is_alone(summary) or is_by_other_machine(summary):
         return None
     each = ", ".join(
         _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in limited
@@ -214,25 +229,36 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
     # There may be an answer where the ringing gives no amplitude.
     kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
+    alone = ringing.is_alone(summary)
+    beside = direct_route.beside(first)
     columns = (
         *([text("Snapshot")] if compared else []),
-        numbers("Gap δ\n(mrad)"),
-        numbers(f"{kind}\n(mrad)"),
+        *([] if alone else [numbers("Gap δ\n(mrad)"), numbers(f"{kind}\n(mrad)")]),
+        *([numbers(f"By {beside}\n(mrad)")] if beside else []),
         numbers("Ringing A\n(rpm)"),
+        *([numbers(f"{kind}\n(rpm)")] if alone else []),
         numbers("Load\nrotations"),
         numbers("Noise sd\n(rpm)"),
         text("Outcome"),
     )
-    return table(columns, [_row(name if compared else None, part, places) for name, part in parts])
+    rows = [
+        [*([name] if compared else []), *_cells(part, places, beside, alone)]
+        for name, part in parts
+    ]
+    return table(columns, rows)
 
 
-def _row(name: str | None, part: SnapshotSummary, places: int) -> Iterator[str]:
-    if name is not None:
-        yield name
-    delta = part["delta_rad"]
-    yield "withheld" if delta is None else number(1e3 * delta["median"], places)
-    yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
-    yield words.median_of(part["amplitude_rpm"], 1)
+def _cells(part: SnapshotSummary, places: int, beside: str | None, alone: bool) -> Iterator[str]:
+    delta, amplitude = part["delta_rad"], part["amplitude_rpm"]
+    if not alone:
+        yield "withheld" if delta is None else number(1e3 * delta["median"], places)
+        yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+    if beside:
+        other = part["routes"][beside]["delta_rad"]
+        yield "withheld" if other is None else words.bounds(other, 1e3)
+    yield words.median_of(amplitude, 1)
+    if alone:
+        yield "–" if amplitude is None else words.bounds(amplitude, places=1)
     yield f"{part['rotations']:.1f}"
     yield f"{part['noise']['sd_rpm']:.2f}"
     yield part["diagnostics"]["outcome"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route
+from bayesbl.presentation import answer, direct_route, ringing
 from bayesbl.presentation.words import interval_kind
 
 if TYPE_CHECKING:
@@ -40,12 +40,16 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
     yield "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
     if direct_route.is_direct(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
+    elif ringing.is_alone(summary):
+        yield "More ringing may be more gap, or another load, stiffness, damping or controller."
     elif answer.is_by_other_machine(summary):
         yield "The joint rings like the paper's test bench (curve published, eq. 4)."
+        yield "The paper's test bench turned at 2000 rpm, which the paper does not state."
     else:
         yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
     yield "Noise is what does not repeat from one rotation to the next, and is steady."
-    yield "Before the recording every gap is equally likely in ln δ."
+    if not ringing.is_alone(summary):
+        yield "Before the recording every gap is equally likely in ln δ."
     if summary["kind"] == "compare":
         yield "Nothing but the gap changed between the snapshots: same joint, controller and load."
     found = last["delta_rad"] or last["amplitude_rpm"]

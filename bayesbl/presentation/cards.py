@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, diagnosis, wear, words
+from bayesbl.presentation import answer, diagnosis, ringing, wear, words
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[Card]:
     if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
         yield from _of_wear(summary, rated)
         return
+    if ringing.is_alone(summary):
+        yield from _of_ringing(summary)
+        return
     labelled = [
         (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"])
         for name, part in answer.snapshots(summary)
@@ -44,6 +47,21 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[Card]:
     places = words.common_decimals(found for _, found in labelled)
     for label, found in labelled:
         yield _of_interval(label, found, places)
+
+
+def _of_ringing(summary: MeasuredSummary) -> Iterator[Card]:
+    """Every amplitude, and its change from first to last."""
+    for name, part in answer.snapshots(summary):
+        found = part["amplitude_rpm"]
+        label = f"Ringing A, {name}" if name else "Ringing A"
+        if found is not None:
+            value = number(found["median"], words.decimals(found))
+            yield Card(label, value, "rpm", _note(found, words.bounds(found)))
+    if summary["kind"] == "compare" and summary["ringing_change"] is not None:
+        change = summary["ringing_change"]
+        sign = "+" if change["median"] > 0.0 else ""
+        value = sign + number(100.0 * change["median"], words.decimals(change, 100.0))
+        yield Card("Change", value, "%", _note(change, words.bounds(change, 100.0)))
 
 
 def of_diagnosis(summary: DiagnosisSummary) -> Iterator[Card]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
@@ -64,25 +65,39 @@ def corrected(part: SnapshotSummary) -> str:
     )
 
 
-def other_routes(name: str, part: SnapshotSummary) -> Iterator[str]:
-    """What the route that was run beside the answering one says."""
-    whose = f" of {name}" if name else ""
-    for route, found in part["routes"].items():
-        if route == part["route"]:
-            continue
-        source = f"For comparison{whose}, {_by(route, found)}"
+def beside(part: SnapshotSummary) -> str | None:
+    """The route that was run beside the one that answers; ``None`` without one."""
+    return next((route for route in part["routes"] if route != part["route"]), None)
+
+
+def other_route(summary: MeasuredSummary) -> Iterator[str]:
+    """What the column of the other route rests on, and why it has no answer where it has none."""
+    from bayesbl.presentation.answer import snapshots
+
+    parts = snapshots(summary)
+    route = beside(parts[0][1])
+    if route is None:
+        return
+    yield f"For comparison {_by(route, parts[0][1]['routes'][route])}."
+    reasons: dict[str, list[str]] = {}
+    for name, part in parts:
+        found = part["routes"][route]
         if found["delta_rad"] is None:
-            yield f"{source}: no answer. {found['reason'] or ''}".rstrip()
-        else:
-            yield f"{source}: {words.in_mrad(found['delta_rad'])}."
+            reasons.setdefault(found["reason"] or "", []).append(name)
+    for reason, names in reasons.items():
+        yield f"No answer by {route}{_of(names)}: {reason}"
+
+
+def _of(names: Sequence[str]) -> str:
+    return f" of {', '.join(names)}" if any(names) else ""
 
 
 def _by(route: str, found: RouteSummary) -> str:
     if route == "direct":
-        return "by simulations of the bench"
+        return "by direct simulations of the bench"
     curve = found.get("curve", "")
     belongs = " (that curve belongs to the paper's bench)" if curve == "published" else ""
-    return f"by the ringing's amplitude and the curve of {curve}{belongs}"
+    return f"by the ringing's amplitude and the curve of {Path(curve).name}{belongs}"
 
 
 def _parameter_table(part: SnapshotSummary) -> Table:

@@ -23,7 +23,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     else:
         checks = [("", summary["model_check"])]
     for name, check in checks:
-        for sentence in check["sentences"]:
+        # What the change is withheld for has been said.
+        for sentence in (s for s in check["sentences"] if s not in (summary["reason"] or "")):
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
     for reason in dict.fromkeys(spot["reason"] for spot in spots):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from bayesbl.presentation.words import significant
 from bayesbl.recording.types import CHANNELS
-from bayesbl.units import number, unit_of
+from bayesbl.units import unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -64,12 +64,8 @@ def _what(entry: RemainingSummary) -> str:
 
 
 def quantity(value: float, unit: str) -> str:
-    """Two significant figures with a true minus and the unit: ``−0.25 A``."""
-    if value == 0.0:
-        return f"0 {unit}"
-    rounded = float(f"{value:.1e}")
-    digits = 1 - math.floor(math.log10(abs(rounded)))
-    return f"{number(rounded, max(0, digits))} {unit}"
+    """Two significant figures and the unit: ``−0.25 A``."""
+    return f"{significant(value)} {unit}"
 
 
 def channel_name(channel: str) -> str:

@@ -85,9 +85,10 @@ def median_of(interval: Interval | None, places: int) -> str:
 
 def significant(value: float, digits: int = 2) -> str:
     """``0.15``, ``32``, ``0.0007``: so many significant digits, never in powers of ten."""
-    if value == 0.0:
+    rounded = float(f"{value:.{digits - 1}e}")
+    if rounded == 0.0:
         return "0"
-    return number(value, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
+    return number(value, max(0, digits - 1 - math.floor(math.log10(abs(rounded)))))
 
 
 def percent(value: float) -> str:

@@ -56,6 +56,9 @@ LARGEST_DRIFT = 0.01
 DRIFT_OVER_SCATTER = 3.0
 """Of :func:`require_no_drift`; what the load angle does to the speed is smaller in both."""
 
+UNIT_AGREEMENT = 0.02
+"""Relative difference that another unit must leave to be the likely one."""
+
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
 
@@ -92,31 +95,31 @@ def require_channels(recording: Recording, channels: Sequence[str]) -> None:
         if channel not in recording.channels:
             unused = recording.source.unused_columns if recording.source else ()
             present = [*recording.channels, *unused]
-            raise _error(
-                recording,
+            raise RecordingError(
                 f"There is no column for {CHANNELS.get(channel, channel)}."
                 + did_you_mean(channel, present),
+                file=recording.place,
                 where="header",
                 found="time_s, " + ", ".join(present),
                 expected=f'a column "{channel}", or another name for it under [columns]',
             )
 
 
-def require_sampling_rate(recording: Recording, minimum_hz: float = MINIMUM_SAMPLING_HZ) -> None:
-    """The mean sampling rate is at least ``minimum_hz``."""
+def require_sampling_rate(recording: Recording) -> None:
+    """The mean sampling rate is at least :data:`MINIMUM_SAMPLING_HZ`."""
     rate = 1.0 / recording.sampling_period_s
     # Rounded time stamps put 100 Hz a hair below itself.
-    if not rate >= minimum_hz * (1.0 - 1e-3):
-        raise _error(
-            recording,
+    if not rate >= MINIMUM_SAMPLING_HZ * (1.0 - 1e-3):
+        raise RecordingError(
             "The sampling rate is too low to see the impacts." + _time_in_ms(recording),
+            file=recording.place,
             where="time_s",
             found=f"{rate:.4g} Hz",
-            expected=f"at least {minimum_hz:.4g} Hz; is time in seconds?",
+            expected=f"at least {MINIMUM_SAMPLING_HZ:g} Hz; is time in seconds?",
         )
 
 
-def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLERANCE) -> None:
+def require_uniform_sampling(recording: Recording) -> None:
     """Every time stamp is nearest to its own point of an even grid.
 
     The tolerance, 0.45 of a sampling period, lets time stamps pass that were rounded to up to
@@ -126,19 +129,19 @@ def require_uniform_sampling(recording: Recording, tolerance: float = GRID_TOLER
         recording.time_s, np.arange(recording.samples, dtype=np.float64)
     )
     worst = int(np.argmax(np.abs(deviation)))
-    if abs(deviation[worst]) <= tolerance:
+    if abs(deviation[worst]) <= GRID_TOLERANCE:
         return
     steps = np.diff(recording.time_s)
     longest = int(np.argmax(steps))
     period = recording.sampling_period_s
-    raise _error(
-        recording,
+    raise RecordingError(
         "The samples are not evenly spaced in time.",
+        file=recording.place,
         where=f"time_s near {recording.time_s[worst]:.6g} s",
         found=f"a time stamp {abs(deviation[worst]) * period:.3g} s off the even grid of "
         f"{period:.6g} s; the longest step, {steps[longest]:.3g} s, follows "
         f"{recording.time_s[longest]:.6g} s",
-        expected=f"at most {tolerance * period:.3g} s off, and no lost sample",
+        expected=f"at most {GRID_TOLERANCE * period:.3g} s off, and no lost sample",
     )
 
 
@@ -153,18 +156,16 @@ def rotations_of(recording: Recording, gear_ratio: float) -> float:
     return turns / gear_ratio
 
 
-def require_rotations(
-    recording: Recording, rotations: float, minimum: float = MINIMUM_ROTATIONS
-) -> None:
+def require_rotations(recording: Recording, rotations: float) -> None:
     """The recording spans two rotations of the load; 1.95 pass."""
-    if rotations >= minimum:
+    if rotations >= MINIMUM_ROTATIONS:
         return
     needed = (
         f" (at this speed {2.0 * recording.duration_s / rotations:.1f} s)" if rotations > 0 else ""
     )
-    raise _error(
-        recording,
+    raise RecordingError(
         "The recording holds too few rotations of the load.",
+        file=recording.place,
         found=f"{rotations:.2f} rotations in {recording.duration_s:.4g} s",
         expected=f"at least 2{needed}; speed in rpm, and the right gear ratio if one is given",
     )
@@ -174,9 +175,9 @@ def require_varying(recording: Recording, channel: str) -> None:
     """The signal is not constant: it varies by more than a millionth of its size."""
     values = recording.channels[channel]
     if is_constant(values):
-        raise _error(
-            recording,
+        raise RecordingError(
             f"The {CHANNELS.get(channel, channel)} is constant.",
+            file=recording.place,
             where=channel,
             found=_all_alike(recording, channel),
             expected="a signal in which the load's impacts can be seen",
@@ -187,10 +188,10 @@ def require_alive(recording: Recording, channels: Sequence[str]) -> None:
     """Of these channels, those that the recording holds change at all."""
     for channel in channels:
         if channel in recording.channels and is_constant(recording.channels[channel]):
-            raise _error(
-                recording,
+            raise RecordingError(
                 f"The {CHANNELS.get(channel, channel)} never changes: a dead sensor, or a value "
                 "that was filled in.",
+                file=recording.place,
                 where=f"[columns] {channel}",
                 found=_all_alike(recording, channel),
                 expected="a measured signal; remove its line from [columns] to do without it, or "
@@ -226,9 +227,9 @@ def require_turning(recording: Recording) -> None:
     fastest = float(np.abs(means).max())
     if fastest >= STANDSTILL_RPM:
         return
-    raise _error(
-        recording,
+    raise RecordingError(
         "The motor does not turn.",
+        file=recording.place,
         where=MOTOR_SPEED,
         found=f"at most {fastest:.2g} rpm in means over {BLOCK_S:g} s",
         expected="a motor that turns at one speed; is the speed in rpm?",
@@ -270,9 +271,9 @@ def require_one_speed(recording: Recording) -> None:
     else:
         return
     _require_a_speed(recording, means)
-    raise _error(
-        recording,
+    raise RecordingError(
         "The speed changes: a fit needs one constant speed.",
+        file=recording.place,
         where=f"{MOTOR_SPEED} {where} s",
         found=found,
         expected="one speed; split the file there into one recording per speed, each of two "
@@ -296,9 +297,9 @@ def _require_a_speed(recording: Recording, means: FloatArray) -> None:
         how = "it never stays at one value, as a current or a torque does"
     else:
         return
-    raise _error(
-        recording,
+    raise RecordingError(
         f"This does not look like a speed: {how}.",
+        file=recording.place,
         where=MOTOR_SPEED,
         found=f"{means.min():.5g} to {means.max():.5g} in means over {BLOCK_S:g} s",
         expected="the motor's speed; are columns exchanged, or is the wrong one named under "
@@ -321,9 +322,9 @@ def require_no_drift(recording: Recording) -> None:
     begin, end = sorted((int(np.argmin(drift)), int(np.argmax(drift))))
     # The last block is named by its end, which is the recording's.
     times = edges_s[begin], edges_s[end if end + 1 < means.size else -1]
-    raise _error(
-        recording,
+    raise RecordingError(
         "The speed drifts too far to find the load's rotations in it.",
+        file=recording.place,
         where=f"{MOTOR_SPEED} from {times[0]:.4g} to {times[1]:.4g} s",
         found=f"a drift from {drift[begin]:.5g} to {drift[end]:.5g} rpm "
         f"({100.0 * size / usual:.2g} %)",
@@ -352,11 +353,11 @@ def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: FloatArray) -> s
     return ", ".join(parts[:MOST_STRETCHES]) + (f" and {more} more" if more > 0 else "")
 
 
-def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) -> None:
+def require_plausible_speed_unit(recording: Recording) -> None:
     """Mean speed agrees with the motor's position and with the reference speed, if they are there.
 
     Directions may differ in sign. A mean speed below 1 rpm is too slow to compare. If another
-    unit of any column makes them agree within ``tolerance``, the message says so.
+    unit of any column makes them agree within 2 %, the message says so.
     """
     if MOTOR_SPEED not in recording.channels:
         return
@@ -365,18 +366,18 @@ def require_plausible_speed_unit(recording: Recording, tolerance: float = 0.02) 
     if position is not None:
         span = float(recording.time_s[-1] - recording.time_s[0])
         moved = abs(float(position[-1] - position[0])) / span * RPM_PER_RAD_PER_S
-        _require_same_speed(recording, speed, moved, MOTOR_POSITION, "that moves at", tolerance)
+        _require_same_speed(recording, speed, moved, MOTOR_POSITION, "that moves at")
     reference = recording.channels.get(REFERENCE_SPEED)
     if reference is not None:
         asked = abs(float(reference.mean()))
-        _require_same_speed(recording, speed, asked, REFERENCE_SPEED, "of", tolerance)
+        _require_same_speed(recording, speed, asked, REFERENCE_SPEED, "of")
 
 
 def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
     """Mean speed agrees with the speed that was asked for, of either sign, within 5 %."""
     require_channels(recording, [MOTOR_SPEED])
     speed = abs(float(recording.motor_speed_rpm.mean()))
-    _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of", 0.02)
+    _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of")
 
 
 def require_plausible_current(recording: Recording, limit_a: float) -> None:
@@ -384,9 +385,9 @@ def require_plausible_current(recording: Recording, limit_a: float) -> None:
     size = float(np.quantile(np.abs(recording.channels[MOTOR_CURRENT]), 0.99))
     if size <= LARGEST_CURRENT * limit_a:
         return
-    raise _error(
-        recording,
+    raise RecordingError(
         "The motor current is far beyond the limit of the bench's drive.",
+        file=recording.place,
         where=MOTOR_CURRENT,
         found=f"{size:.4g} A, where current_limit_a = {limit_a:g}",
         expected="a current in A; state another unit under [columns], or correct the bench file",
@@ -410,21 +411,20 @@ def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> s
 
 
 def _require_same_speed(
-    recording: Recording, speed: float, other: float, channel: str, verb: str, tolerance: float
+    recording: Recording, speed: float, other: float, channel: str, verb: str
 ) -> None:
     if min(other, speed) < 1.0 or abs(speed / other - 1.0) <= 0.05:
         return
-    raise _error(
-        recording,
-        f"Motor speed and {CHANNELS[channel]} do not agree."
-        + _other_unit(speed / other, channel, tolerance),
+    raise RecordingError(
+        f"Motor speed and {CHANNELS[channel]} do not agree." + _other_unit(speed / other, channel),
+        file=recording.place,
         where=f"{MOTOR_SPEED}, {channel}",
         found=f"a mean speed of {speed:.6g} rpm, but a {CHANNELS[channel]} {verb} {other:.6g} rpm",
         expected="the same within 5 %; state the units under [columns]",
     )
 
 
-def _other_unit(ratio: float, channel: str, tolerance: float) -> str:
+def _other_unit(ratio: float, channel: str) -> str:
     """The unit that would explain a ratio of speed to another channel, as a sentence."""
     suspects = [(MOTOR_SPEED, 1), (channel, -1)]
     if channel == MOTOR_POSITION:
@@ -433,7 +433,7 @@ def _other_unit(ratio: float, channel: str, tolerance: float) -> str:
         own, *others = accepted_units(suspect)
         for unit in others:
             factor = conversion_factor(suspect, unit)
-            if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= tolerance:
+            if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= UNIT_AGREEMENT:
                 return f" The column for {suspect} looks like {unit}, not {own}."
     return ""
 
@@ -448,19 +448,10 @@ def in_file(recording: Recording, error: RecordingError) -> RecordingError:
     """An error of a step that saw only the samples, with the recording's file added."""
     if error.file is not None:
         return error
-    return _error(
-        recording, error.problem, where=error.where, found=error.found, expected=error.expected
-    )
-
-
-def _error(
-    recording: Recording,
-    problem: str,
-    *,
-    where: str | None = None,
-    found: str | None = None,
-    expected: str | None = None,
-) -> RecordingError:
     return RecordingError(
-        problem, file=recording.place, where=where, found=found, expected=expected
+        error.problem,
+        file=recording.place,
+        where=error.where,
+        found=error.found,
+        expected=error.expected,
     )

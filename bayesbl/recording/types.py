@@ -30,6 +30,7 @@ __all__ = [
     "REFERENCE_SPEED",
     "TIME",
     "BoolArray",
+    "ComplexArray",
     "FloatArray",
     "Recording",
     "Source",
@@ -37,6 +38,7 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)

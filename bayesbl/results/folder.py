@@ -45,7 +45,7 @@ def require_free(path: str | Path, *, force: bool = False, also: Collection[str]
     path = _absolute(path)
     _undo_half_replacement(path)
     require_no_file(path)
-    if not path.exists():
+    if not os.path.exists(path):  # Path.exists raises for a name that is too long
         return
     names = {entry.name for entry in path.iterdir()}
     if is_finished(path) and not force:
@@ -155,6 +155,6 @@ def _aside(path: Path) -> Path:
 
 def _undo_half_replacement(path: Path) -> None:
     """Put the earlier result back if a run was killed between the two renames."""
-    if not os.path.lexists(path) and _aside(path).is_dir():
+    if not os.path.lexists(path) and os.path.isdir(_aside(path)):
         with suppress(OSError):
             _aside(path).rename(path)

@@ -183,7 +183,7 @@ def _require_unchanged(tree: xr.DataTree, file: Path) -> None:
             found=f"no attribute {CONTENT}; version 0.1 wrote none",
             expected="the result made again: bayesbl run config.toml --force, in its folder",
         )
-    if stored != content_sha256(tree):
+    if not isinstance(stored, str) or stored != content_sha256(tree):
         raise ResultError(
             "The result is damaged, or was changed after it was written.",
             file=file,

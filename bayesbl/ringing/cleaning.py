@@ -36,7 +36,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_END,
     WINDOW_START,
 )
-from bayesbl.ringing.waveform import impact_times
+from bayesbl.ringing.waveform import impacts
 
 FALSE_ALARM = 1e-5
 """Of each finder, per recording."""
@@ -232,22 +232,10 @@ def _unevenness(delay_s: FloatArray, spread: FloatArray, steady: FloatArray) -> 
 
 def _impacts(optimum: Optimum, recording: Recording) -> tuple[FloatArray, FloatArray]:
     """Start and sign of every impact in the recording, shapes (i,)."""
-    symbols, time_s = optimum.symbols, recording.time_s
-    first = symbols[START] + symbols[WINDOW_START]
-    window = symbols[WINDOW_END] - symbols[WINDOW_START]
-    by_sign = [
-        impact_times(
-            origin,
-            symbols[ROTATION],
-            window,
-            recording.sampling_period_s,
-            float(time_s[0]),
-            float(time_s[-1]),
-        )
-        for origin in (first, first - symbols[SEPARATION])
-    ]
-    signs = np.repeat([1.0, -1.0], [starts.size for starts in by_sign])
-    return np.concatenate(by_sign), signs
+    begin_s, end_s = float(recording.time_s[0]), float(recording.time_s[-1])
+    found = impacts(optimum.symbols, begin_s, end_s, recording.sampling_period_s)
+    starts_and_signs = np.array([(start, sign) for sign, start, _ in found])
+    return starts_and_signs[:, 0], starts_and_signs[:, 1]
 
 
 def _impacts_follow(

@@ -19,7 +19,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.waveform import baseline_columns, impact_times
+from bayesbl.ringing.waveform import baseline_columns, impacts
 
 
 def jacobian(
@@ -47,41 +47,37 @@ def jacobian(
     """
     period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     amplitude, decay, frequency = symbols[AMPLITUDE], symbols[DECAY], symbols[FREQUENCY]
-    rotation = symbols[ROTATION]
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
-    first = symbols[START] + symbols[WINDOW_START]
     reach = window + period_s
 
     by: dict[str, FloatArray] = {
         name: np.zeros_like(time_s)
         for name in (AMPLITUDE, START, DECAY, FREQUENCY, SEPARATION, ROTATION, WINDOW_END)
     }
-    for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
-        for start in impact_times(origin, rotation, window, period_s, time_s[0], time_s[-1]):
-            inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
-            u = time_s[inside] - start
-            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
-            envelope = sign * ramp * np.exp(-decay * u)
-            sine, cosine = np.sin(frequency * u), np.cos(frequency * u)
-            near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
-            corner = sign * period_s * near**3 / 6.0
-            later = -amplitude * (
-                envelope * (frequency * cosine - decay * sine)
-                - 0.5 * sign * frequency * np.copysign(near**2, u)
-            )  # ∂/∂start
-            by[AMPLITUDE][inside] += envelope * sine + frequency * corner
-            by[DECAY][inside] -= amplitude * envelope * sine * u
-            by[FREQUENCY][inside] += amplitude * (envelope * cosine * u + corner)
-            by[START][inside] += later
-            by[ROTATION][inside] += later * np.round((start - origin) / rotation)
-            if sign < 0.0:
-                by[SEPARATION][inside] -= later
-            on_ramp = (ramp > 0.0) & (ramp < 1.0)
-            by[WINDOW_END][inside] += (
-                on_ramp * sign * amplitude * np.exp(-decay * u) * sine / period_s
-            )
+    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], period_s):
+        inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
+        u = time_s[inside] - start
+        ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+        envelope = sign * ramp * np.exp(-decay * u)
+        sine, cosine = np.sin(frequency * u), np.cos(frequency * u)
+        near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
+        corner = sign * period_s * near**3 / 6.0
+        later = -amplitude * (
+            envelope * (frequency * cosine - decay * sine)
+            - 0.5 * sign * frequency * np.copysign(near**2, u)
+        )  # ∂/∂start
+        by[AMPLITUDE][inside] += envelope * sine + frequency * corner
+        by[DECAY][inside] -= amplitude * envelope * sine * u
+        by[FREQUENCY][inside] += amplitude * (envelope * cosine * u + corner)
+        by[START][inside] += later
+        by[ROTATION][inside] += later * number
+        if sign < 0.0:
+            by[SEPARATION][inside] -= later
+        on_ramp = (ramp > 0.0) & (ramp < 1.0)
+        by[WINDOW_END][inside] += on_ramp * sign * amplitude * np.exp(-decay * u) * sine / period_s
     by[WINDOW_START] = by[START] - by[WINDOW_END]
 
+    rotation = symbols[ROTATION]
     columns = baseline_columns(time_s, rotation, model.baseline_harmonics)
     middle = 0.5 * (time_s[0] + time_s[-1])
     for k in range(1, model.baseline_harmonics + 1):
@@ -118,31 +114,28 @@ def misfit_curvature(
     """
     period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     exponent = complex(-symbols[DECAY], symbols[FREQUENCY])
-    rotation = symbols[ROTATION]
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
-    first = symbols[START] + symbols[WINDOW_START]
     reach = window + period_s
     names = (DECAY, FREQUENCY, START, SEPARATION, ROTATION)
     total = np.zeros((5, 5))
-    for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
-        for start in impact_times(origin, rotation, window, period_s, time_s[0], time_s[-1]):
-            inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
-            u = time_s[inside] - start
-            ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
-            weight = sign * symbols[AMPLITUDE] * residual_rpm[inside]
-            near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
-            bend = symbols[FREQUENCY] / period_s * (weight @ near)
-            turn = 0.5 * (weight @ np.copysign(near**2, u))
-            wave = weight * ramp * np.exp(exponent * u)
-            # d/dτ is −u, d/dω is iu, d/d(start) is −λ acting on e^{λu}; λ itself moves with both.
-            mixed = wave @ (1.0 + exponent * u)
-            shape = np.array([[1.0, -1.0j], [-1.0j, -1.0]]) * (wave @ u**2)
-            moves = np.array([1.0, -1.0 if sign < 0.0 else 0.0, round((start - origin) / rotation)])
-            total[:2, :2] += shape.imag
-            cross = np.outer([mixed.imag, turn - mixed.real], moves)
-            total[:2, 2:] += cross
-            total[2:, :2] += cross.T
-            total[2:, 2:] += np.outer(moves, moves) * ((exponent**2 * wave.sum()).imag + bend)
+    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], period_s):
+        inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
+        u = time_s[inside] - start
+        ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+        weight = sign * symbols[AMPLITUDE] * residual_rpm[inside]
+        near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
+        bend = symbols[FREQUENCY] / period_s * (weight @ near)
+        turn = 0.5 * (weight @ np.copysign(near**2, u))
+        wave = weight * ramp * np.exp(exponent * u)
+        # d/dτ is −u, d/dω is iu, d/d(start) is −λ acting on e^{λu}; λ itself moves with both.
+        mixed = wave @ (1.0 + exponent * u)
+        shape = np.array([[1.0, -1.0j], [-1.0j, -1.0]]) * (wave @ u**2)
+        moves = np.array([1.0, -1.0 if sign < 0.0 else 0.0, number])
+        total[:2, :2] += shape.imag
+        cross = np.outer([mixed.imag, turn - mixed.real], moves)
+        total[:2, 2:] += cross
+        total[2:, :2] += cross.T
+        total[2:, 2:] += np.outer(moves, moves) * ((exponent**2 * wave.sum()).imag + bend)
     columns = jacobian_columns(model)
     curvature = np.zeros((len(columns), len(columns)))
     for i, a in enumerate(names):

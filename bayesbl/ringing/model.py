@@ -9,14 +9,8 @@ import numpy as np
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
-    DECAY,
-    FREQUENCY,
     MEAN,
     ROTATION,
-    SEPARATION,
-    START,
-    WINDOW_END,
-    WINDOW_START,
 )
 from bayesbl.ringing.waveform import baseline_columns, pulse_train
 
@@ -34,15 +28,7 @@ def model_speed(
         cos and sin of each load-angle harmonic, shape (2k,).
     """
     harmonics = baseline_columns(time_s, symbols[ROTATION], len(baseline_rpm) // 2)[:, 1:]
-    pulses = pulse_train(
-        time_s,
-        symbols[START] + symbols[WINDOW_START],
-        symbols[DECAY],
-        symbols[FREQUENCY],
-        symbols[WINDOW_END] - symbols[WINDOW_START],
-        symbols[SEPARATION],
-        symbols[ROTATION],
-        float(time_s[-1] - time_s[0]) / (time_s.size - 1),
-    )
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    pulses = pulse_train(time_s, symbols, period_s)
     waveform = symbols[AMPLITUDE] * pulses + harmonics @ np.asarray(baseline_rpm, dtype=float)
     return np.asarray(symbols[MEAN] + waveform)

@@ -193,16 +193,7 @@ class Objective:
         return np.column_stack(
             [
                 baseline_columns(self.time_s, symbols[ROTATION], self.model.baseline_harmonics),
-                pulse_train(
-                    self.time_s,
-                    symbols[START] + symbols[WINDOW_START],
-                    symbols[DECAY],
-                    symbols[FREQUENCY],
-                    symbols[WINDOW_END] - symbols[WINDOW_START],
-                    symbols[SEPARATION],
-                    symbols[ROTATION],
-                    self.period_s,
-                ),
+                pulse_train(self.time_s, symbols, self.period_s),
             ]
         )
 

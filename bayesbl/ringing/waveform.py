@@ -1,7 +1,6 @@
 """The disturbance model as the paper writes it: eq. 3, 5 and 6 over an array of times.
 
-This is the reference that the fast kernel is tested against, and the path for recordings whose
-samples are not evenly spaced.
+The fast kernel is held against it, and recordings whose samples are not evenly spaced go by it.
 
 Two things differ from eq. 3, in three samples per pulse: its edges are resolved to the sampling.
 
@@ -16,65 +15,58 @@ Two things differ from eq. 3, in three samples per pulse: its edges are resolved
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import (
+    DECAY,
+    FREQUENCY,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+)
 
 
-def impact(
-    since_start_s: FloatArray,
-    decay_rate_per_s: float,
-    angular_frequency_rad_per_s: float,
-    window_length_s: float,
-    sampling_period_s: float,
-) -> FloatArray:
-    """Ringing after one impact of unit amplitude, eq. 3: e^{−τu} sin(ωu) within the window.
+@compiled()
+def _add_impact(train, time_s, start, sign, decay, frequency, window, period_s):  # type: ignore[no-untyped-def]
+    """Add the ringing after one impact of unit amplitude, eq. 3: e^{−τu} sin(ωu) in the window."""
+    reach = max(window + 0.5 * period_s, period_s)
+    i = np.searchsorted(time_s, start - period_s)
+    while i < time_s.size and time_s[i] < start + reach:
+        u = time_s[i] - start
+        if u > 0.0:
+            ramp = max(0.0, min(1.0, (window - u) / period_s + 0.5))
+            train[i] += sign * ramp * math.exp(-decay * u) * math.sin(frequency * u)
+        near = max(0.0, 1.0 - abs(u) / period_s)
+        train[i] += sign * frequency * period_s * near**3 / 6.0
+        i += 1
 
-    Parameters
-    ----------
-    since_start_s
-        Time u = t − t1 since the impact, any shape, s.
-    window_length_s
-        t2 − t1 in s.
-    sampling_period_s
-        Δt in s, which the edges are resolved to.
 
-    Returns
-    -------
-    Same shape as ``since_start_s``, dimensionless.
+def impacts(
+    symbols: Mapping[str, float], begin_s: float, end_s: float, sampling_period_s: float
+) -> Iterator[tuple[float, float, int]]:
+    """(sign, start in s, rotation counted from the first one) of every impact with samples there.
+
+    Positive pulses start at t0 + t1 + i·T_w, negative ones T earlier, i any integer.
     """
-    u = np.maximum(since_start_s, 0.0)
-    ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
-    ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
-    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
-    corner = angular_frequency_rad_per_s * sampling_period_s * near**3 / 6.0
-    return np.asarray(ramp * ringing + corner)
-
-
-def impact_times(
-    first_s: float,
-    rotation_period_s: float,
-    window_length_s: float,
-    sampling_period_s: float,
-    begin_s: float,
-    end_s: float,
-) -> FloatArray:
-    """Starts first_s + i·T_w, i any integer, of all pulses with samples in [begin_s, end_s]."""
-    edge = sampling_period_s
-    low = np.ceil((begin_s - window_length_s - edge - first_s) / rotation_period_s)
-    high = np.floor((end_s + edge - first_s) / rotation_period_s)
-    return np.asarray(first_s + rotation_period_s * np.arange(low, high + 1.0))
+    rotation, edge = symbols[ROTATION], sampling_period_s
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    first = symbols[START] + symbols[WINDOW_START]
+    for sign, origin in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
+        lowest = math.ceil((begin_s - window - edge - origin) / rotation)
+        highest = math.floor((end_s + edge - origin) / rotation)
+        for i in range(lowest, highest + 1):
+            yield sign, origin + rotation * i, i
 
 
 def pulse_train(
-    time_s: FloatArray,
-    first_impact_s: float,
-    decay_rate_per_s: float,
-    angular_frequency_rad_per_s: float,
-    window_length_s: float,
-    pulse_separation_s: float,
-    rotation_period_s: float,
-    sampling_period_s: float,
+    time_s: FloatArray, symbols: Mapping[str, float], sampling_period_s: float
 ) -> FloatArray:
     """Σ_i f(t − i·T_w) of eq. 6 with A = 1 and f(t) = g(t) − g(t + T).
 
@@ -84,27 +76,27 @@ def pulse_train(
     Parameters
     ----------
     time_s
-        Shape (n,), s.
-    first_impact_s
-        t0 + t1: start of one positive pulse, s.
+        Shape (n,), s, increasing.
+    symbols
+        By name; A and v_t are not asked for.
 
     Returns
     -------
     Shape (n,), dimensionless.
     """
     train = np.zeros_like(time_s)
-    ends = time_s[0], time_s[-1]
-    for sign, first in ((1.0, first_impact_s), (-1.0, first_impact_s - pulse_separation_s)):
-        for start in impact_times(
-            first, rotation_period_s, window_length_s, sampling_period_s, *ends
-        ):
-            train += sign * impact(
-                time_s - start,
-                decay_rate_per_s,
-                angular_frequency_rad_per_s,
-                window_length_s,
-                sampling_period_s,
-            )
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], sampling_period_s):
+        _add_impact(
+            train,
+            time_s,
+            start,
+            sign,
+            symbols[DECAY],
+            symbols[FREQUENCY],
+            window,
+            sampling_period_s,
+        )
     return train
 
 

@@ -168,7 +168,7 @@ def require_writable(folder: Path) -> None:
         If not.
     """
     require_no_file(folder)
-    existing = next(place for place in (folder, *folder.parents) if place.is_dir())
+    existing = next(place for place in (folder, *folder.parents) if os.path.isdir(place))
     try:
         # Asked by doing: permissions do not tell of a file system that is full or of another kind.
         os.rmdir(tempfile.mkdtemp(prefix=".bayesbl-", dir=existing))

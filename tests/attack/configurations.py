@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from attack.damage import BYTES, Damage
-from attack.engine import DONE, OTHER, WRONG, Ended, Finding, Group, Prepare, Trial
+from attack.engine import DONE, OTHER, WITHHELD, WRONG, Ended, Finding, Group, Prepare, Trial
 from attack.workshop import CONFIGURATIONS, put_configuration
 
 KINDS = tuple(CONFIGURATIONS)
@@ -308,6 +308,9 @@ def configured(
         if ended[0].answer == (DONE, WRONG):
             refusal = next((x for x in ended[0].err.splitlines() if x.startswith("Error")), "")
             yield OTHER, f"check accepts what run refuses: {refusal[:300]}"
+        answer = ended[0].answer
+        if isinstance(answer, tuple) and not set(answer) <= {DONE, WRONG, WITHHELD}:
+            yield OTHER, f"statuses {answer}: {ended[0].err.strip()[:300]}"
 
     return Trial(
         [run_if_accepted],
@@ -321,7 +324,7 @@ def configured(
 def _named(kind: str) -> tuple[str, ...]:
     """Its files, and what its output would be or replace."""
     inputs = ("before.csv", "after.csv", "bench.toml", "axis.csv", "study.py")
-    return (f"{kind}.toml", *inputs, "result/", "/dev/")
+    return (f"{kind}.toml", *inputs, "result/", "/dev/", "x" * 100)
 
 
 def _own(tables: Any, name: str) -> Any:

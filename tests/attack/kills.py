@@ -31,7 +31,6 @@ from attack.unfinished import forgotten, numbers  # noqa: E402
 from attack.workshop import REPOSITORY, put_configuration  # noqa: E402
 
 KINDS = ("fit", "compare", "direct", "sweep", "diagnose", "simulate", "study")
-WRITTEN = ("result", "made.csv", "truth.json", "study_file_was_run", "__pycache__")
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ def start(place: Path, kind: str) -> subprocess.Popen[bytes]:
 def outcome(place: Path, kind: str) -> Any:
     """What a run leaves that must be the same each time."""
     if kind == "simulate":
-        return [(place / name).read_bytes() for name in ("made.csv", "truth.json")]
+        return [(place / "result" / name).read_bytes() for name in ("made.csv", "truth.json")]
     return numbers(place / "result")
 
 

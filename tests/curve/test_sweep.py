@@ -402,7 +402,7 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
         made.append("row")
         return sweep_nominal(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("bayesbl.runs.sweep.sweep_nominal", counted)
+    monkeypatch.setattr("bayesbl.measurement.bench_sweep.sweep_nominal", counted)
     run_sweep(config)
     assert not made
     with monkeypatch.context() as edited:

@@ -197,7 +197,13 @@ def test_markup_in_a_users_text_stays_text(tree):
 def test_a_study_with_a_hostile_row_is_shown(tmp_path):
     line = {"name": HOSTILE, "cases": 2, "failed": 1, "cover": 0.5, "commit": "abc"}
     row = xr.Dataset(
-        {"failed": ("case", [0.0, 1.0]), "seconds": ("case", [1.0, 1.0])},
+        {
+            "failed": ("case", [0.0, 1.0]),
+            "message": ("case", ["", HOSTILE]),
+            "seconds": ("case", [1.0, 1.0]),
+            "commit": ("case", ["abc", "abc"]),
+        },
+        {"case": [0, 1]},
         attrs={"name": HOSTILE, "line": json.dumps(line), "commit": "abc", "seconds": 2.0},
     )
     tree = xr.DataTree.from_dict({"row_1": row})

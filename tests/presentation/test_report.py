@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
+from synthetic_ringing import QUICK
 
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import BENCH_PARAMETERS
@@ -305,7 +306,7 @@ def stored(tmp_path_factory):
     """A small fit as a tree."""
     folder = tmp_path_factory.mktemp("fit")
     time = np.arange(1000) / 250.0
-    train = pulse_train(time, 0.3, 19.0, 70.0, 0.204, 0.7, 1.4, 1.0 / 250.0)
+    train = pulse_train(time, QUICK, 1.0 / 250.0)
     speed = 2000.0 + 30.0 * train + np.random.default_rng(1).standard_normal(time.size)
     table = np.c_[time, speed]
     header = "time_s,motor_speed_rpm"

@@ -372,6 +372,14 @@ def test_a_result_without_checksum_is_refused_with_what_to_do(tmp_path: Path) ->
         read_tree(tmp_path)
 
 
+def test_a_checksum_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    write_tree(tree(), tmp_path / "result.nc")
+    with netCDF4.Dataset(tmp_path / "result.nc", "a") as file:
+        file.setncattr("content_sha256", np.arange(4.0))
+    with pytest.raises(ResultError, match="does not match"):
+        read_tree(tmp_path)
+
+
 def test_a_result_that_was_read_can_be_written_again(tmp_path: Path) -> None:
     write_tree(tree(), tmp_path / "first.nc")
     read = read_tree(tmp_path / "first.nc")

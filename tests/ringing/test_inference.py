@@ -547,9 +547,8 @@ def test_linear_symbols_are_integrated_out_as_a_grid_over_all_symbols_does() -> 
     amplitude, mean = np.meshgrid(axes[AMPLITUDE], axes[MEAN], indexing="ij")
     for i, decay in enumerate(axes[DECAY]):
         for j, frequency in enumerate(axes[FREQUENCY]):
-            q = pulse_train(
-                measured.time_s, 1.3, decay, frequency, 0.204, 1.7, 3.6, measured.sampling_period_s
-            )
+            symbols = TRUTH | {DECAY: decay, FREQUENCY: frequency}
+            q = pulse_train(measured.time_s, symbols, measured.sampling_period_s)
             log_likelihood[i, j] = (
                 2.0 * (amplitude * (q @ y) + mean * y.sum() - amplitude * mean * q.sum())
                 - amplitude**2 * (q @ q)

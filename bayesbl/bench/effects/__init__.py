@@ -13,10 +13,11 @@ from importlib import import_module
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import ORDER, Effect, FloatArray
+from bayesbl.bench.effect_declaration import ORDER, Effect
 from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
+from bayesbl.recording.types import FloatArray
 
 
 def _collected() -> tuple[Effect, ...]:

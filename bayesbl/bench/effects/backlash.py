@@ -11,12 +11,12 @@ import numpy as np
 from bayesbl.bench.effect_declaration import (
     Amplitude,
     Effect,
-    FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
 )
+from bayesbl.recording.types import FloatArray
 
 
 def position_rad(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:

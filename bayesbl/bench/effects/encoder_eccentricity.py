@@ -13,13 +13,13 @@ from bayesbl.bench.effect_declaration import (
     PHASE,
     Amplitude,
     Effect,
-    FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
     phase,
 )
+from bayesbl.recording.types import FloatArray
 
 
 def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:

@@ -12,13 +12,13 @@ import numpy as np
 from bayesbl.bench.effect_declaration import (
     Amplitude,
     Effect,
-    FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
     direction,
 )
+from bayesbl.recording.types import FloatArray
 
 
 def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:

@@ -13,7 +13,6 @@ from bayesbl.bench.effect_declaration import (
     ARMSTRONG,
     Amplitude,
     Effect,
-    FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
@@ -21,6 +20,7 @@ from bayesbl.bench.effect_declaration import (
     Shape,
     direction,
 )
+from bayesbl.recording.types import FloatArray
 
 
 def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:

@@ -12,13 +12,13 @@ import numpy as np
 from bayesbl.bench.effect_declaration import (
     Amplitude,
     Effect,
-    FloatArray,
     Parameters,
     RigidBench,
     RigidLaw,
     RigidMotion,
     Shape,
 )
+from bayesbl.recording.types import FloatArray
 
 
 def position_rad(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:

@@ -20,11 +20,10 @@ from bayesbl.recording.types import FloatArray
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
 PAYLOAD = 1.3
 ANGLE_STEP = 1e-4
+ROTATIONS = 5.0
 
 
-def suggested_recording(
-    final: Explanation, named: Sequence[NamedCandidate], rotations: float = 5.0
-) -> Suggestion | None:
+def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> Suggestion | None:
     """Of some simple recordings the one in which rivals differ most; ``None`` without rivals.
 
     Every explanation is simulated with what it was fitted to; what a start angle or an offset of
@@ -47,7 +46,7 @@ def suggested_recording(
         for other, _ in signals[1:]:
             difference = noise.whiten(other).ravel() - turn
             difference -= shift * float(difference @ shift) / float(shift @ shift)
-            least = min(least, float(np.linalg.norm(difference)) * math.sqrt(rotations))
+            least = min(least, float(np.linalg.norm(difference)) * math.sqrt(ROTATIONS))
         if best is None or least > best.distance:
             best = Suggestion(speed, payload, least, separates)
     return best

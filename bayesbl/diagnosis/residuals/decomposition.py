@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from bayesbl.diagnosis.residuals.line_search import (
@@ -19,9 +18,7 @@ from bayesbl.diagnosis.residuals.line_search import (
 )
 from bayesbl.diagnosis.residuals.skew import Skew, time_skew
 from bayesbl.diagnosis.residuals.spectrum import NoiseFloor, comb, noise_floor, repeating_part
-from bayesbl.recording.types import FloatArray
-
-ComplexArray = NDArray[np.complex128]
+from bayesbl.recording.types import ComplexArray, FloatArray
 
 BANDS = (8, 32, 128, 512)
 """Highest load order of each band that is tested as a whole: slow or fast, weak but everywhere."""

@@ -96,7 +96,7 @@ class InverseComparison:
     def _at_edge(self, name: str, values: Mapping[str, float]) -> bool:
         """Whether the scan of an effect's shape ended where the scan ends."""
         term, scanned = self.terms[name], self._scanned(name)
-        grid = SKEW_GRID_S if name == SKEW else term.grid
+        grid = SKEW_GRID_S if name == SKEW else term.law.grid
         if not scanned or not grid:
             return False
         near = 1e-2 * (grid[1] - grid[0])
@@ -115,7 +115,7 @@ class InverseComparison:
         term = self.terms[name]
         if name == SKEW:
             return [term.candidate.amplitude]
-        return [term.shape] if term.shape else []
+        return [term.law.scanned] if term.law.scanned else []
 
     def _scan(
         self, name: str, effects: tuple[str, ...], shapes: Values, start: EffectsFit | None
@@ -133,7 +133,7 @@ class InverseComparison:
         elif name == SKEW:
             grid = SKEW_GRID_S
         else:
-            grid = term.grid
+            grid = term.law.grid
             trials = 3.0
 
         def cost(value: float) -> float:
@@ -194,8 +194,8 @@ class InverseComparison:
             base = motion.angle / self.bench.value("gear_ratio")
             for name in effects:
                 term = self.terms[name]
-                if term.shape == term.candidate.amplitude:
-                    base = base + term.signal(
+                if term.law.scanned == term.candidate.amplitude:
+                    base = base + term.law.signal(
                         motion, self.bench, _catalogue_parameters(term, values)
                     )
             return base
@@ -229,18 +229,20 @@ class InverseComparison:
         for name in effects:
             term = self.terms[name]
             amplitude = term.candidate.amplitude
-            if name == SKEW or term.shape == amplitude:
+            if name == SKEW or term.law.scanned == amplitude:
                 continue
-            shape = {term.shape: shapes[f"{name}.{term.shape}"]} if term.shape else {}
-            off = dict.fromkeys((amplitude, *term.linear), 0.0)
+            shape = (
+                {term.law.scanned: shapes[f"{name}.{term.law.scanned}"]} if term.law.scanned else {}
+            )
+            off = dict.fromkeys((amplitude, *term.law.linear), 0.0)
             if term.periodic:
                 for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi)):
                     given = {amplitude: 1.0, PHASE: phase, **shape}
-                    column = term.signal(motion, self.bench, given)
+                    column = term.law.signal(motion, self.bench, given)
                     yield f"{name}.{label}{where}", column / self.unit
                 continue
             for parameter in off:
-                column = term.signal(motion, self.bench, {**off, parameter: 1.0, **shape})
+                column = term.law.signal(motion, self.bench, {**off, parameter: 1.0, **shape})
                 yield f"{name}.{parameter}", column / self.unit
 
     def _solve(self, effects: tuple[str, ...], shapes: Values) -> tuple[Values, Values]:
@@ -276,9 +278,9 @@ class InverseComparison:
             prediction += values.get(name, 0.0) * column
         for name in effects:
             term = self.terms[name]
-            if name != SKEW and term.shape != term.candidate.amplitude:
+            if name != SKEW and term.law.scanned != term.candidate.amplitude:
                 given = _catalogue_parameters(term, values, f"@{self.pieces[i].name}")
-                prediction += term.signal(motion, self.bench, given) / self.unit
+                prediction += term.law.signal(motion, self.bench, given) / self.unit
         return prediction
 
     def _predictions(
@@ -338,7 +340,7 @@ class InverseComparison:
             return 1e-3
         if effect == SKEW:
             return 1e-4
-        if parameter and self.terms[effect].shape == parameter:
+        if parameter and self.terms[effect].law.scanned == parameter:
             return 1e-5 * value if parameter == ORDER else 1e-2 * value
         return max(abs(value), 1e-6)
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 from scipy.signal import butter, filtfilt
@@ -23,12 +22,11 @@ from bayesbl.recording.types import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     BoolArray,
+    ComplexArray,
     FloatArray,
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-ComplexArray = NDArray[np.complex128]
 
 FILTER_ORDER = 4
 END_PERIODS = 2.0
@@ -122,9 +120,9 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     """
     period = recording.sampling_period_s
     if not cutoff_hz < 0.45 / period:
-        raise _error(
-            recording,
+        raise RecordingError(
             "The cut-off of the derivatives' filter lies beyond what the sampling shows.",
+            file=recording.place,
             found=f"{cutoff_hz:g} Hz at {1.0 / period:.4g} samples per second",
             expected=f"below {0.45 / period:.4g} Hz",
         )
@@ -137,9 +135,9 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
         return Motion(recording.time_s, angle, speed, acceleration, sway, "position")
     measured = recording.channels.get(MOTOR_SPEED)
     if measured is None:
-        raise _error(
-            recording,
+        raise RecordingError(
             "There is neither position nor speed of the motor, so no motion to start from.",
+            file=recording.place,
             found=", ".join(recording.channels),
             expected=f"{MOTOR_POSITION} or {MOTOR_SPEED}",
         )
@@ -165,10 +163,3 @@ def settled(recording: Recording, cutoff_hz: float) -> slice:
 def reach(recording: Recording, cutoff_hz: float) -> int:
     """Samples over which the filter carries what is wrong with one."""
     return math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
-
-
-def _error(
-    recording: Recording, problem: str, *, found: str | None = None, expected: str | None = None
-) -> RecordingError:
-    file = recording.source.file if recording.source else recording.name
-    return RecordingError(problem, file=file, found=found, expected=expected)

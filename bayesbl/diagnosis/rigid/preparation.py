@@ -31,7 +31,7 @@ def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> s
         first = task.recordings[0]
         raise RecordingError(
             without_any,
-            file=first.source.file if first.source else first.name,
+            file=first.place,
             found=", ".join(first.channels),
             expected="one of " + ", ".join(possible),
         )

@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import Effect, Law, RigidLaw
+from bayesbl.bench.effect_declaration import Effect, RigidLaw
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.diagnosis.comparison import TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
@@ -28,29 +28,19 @@ SKEW = "channel_time_skew"
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """An effect in an inverse comparison; its signal is linear in the candidate's amplitude.
+    """An effect in an inverse comparison.
 
     Attributes
     ----------
-    signal
-        Shape (n,), N m at the motor or rad at the load, of the catalogue's parameters in SI.
-    linear
-        Parameters beside the amplitude that the signal is linear in.
-    shape
-        A parameter to scan, and ``None`` or the values to try; orders get their own grid.
+    law
+        Its signal, shape (n,), is in N m at the motor or rad at the load.
     periodic
         The signal goes as sin(n θ_m + φ): amplitude and phase are solved as one.
-    bench_parameters
-        What the bench file must give for the signal to be known.
     """
 
     candidate: TestedEffect
-    signal: Law
-    linear: tuple[str, ...] = ()
-    shape: str | None = None
-    grid: tuple[float, ...] = ()
-    periodic: bool = False
-    bench_parameters: tuple[str, ...] = ()
+    law: RigidLaw
+    periodic: bool
 
 
 def _term(effect: Effect, law: RigidLaw) -> Term:
@@ -63,15 +53,7 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
         not_negative=law.not_negative
         or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
     )
-    return Term(
-        candidate,
-        law.signal,
-        law.linear,
-        law.scanned,
-        law.grid,
-        effect.is_periodic,
-        law.bench_parameters,
-    )
+    return Term(candidate, law, effect.is_periodic)
 
 
 TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(
@@ -99,7 +81,7 @@ def uncomputable(terms: Mapping[str, Term], bench: Bench, load_angle_known: bool
     return sorted(
         name
         for name, term in terms.items()
-        if bench.assumed & set(term.bench_parameters)
+        if bench.assumed & set(term.law.bench_parameters)
         or (gravity_unknown and "transmitted_torque" in effect_named(name).depends_on)
     )
 

@@ -14,6 +14,7 @@ from bayesbl.presentation.figures.scales import Scale, scale_of
 from bayesbl.presentation.figures.snapshots import Snapshot
 from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import AMPLITUDE
 
 _BINS = 32
 _LEVELS = (0.9, 0.5)
@@ -128,13 +129,13 @@ def _inner_ticks(low: float, high: float) -> list[float]:
 
 def _explain(figure: Figure, snapshot: Snapshot) -> None:
     """Name, what the lines mean, and what has no row, in the empty upper corner."""
-    count = snapshot.values("posterior", "delta_rad").size
+    count = snapshot.values("posterior", AMPLITUDE).size
     terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
     lines = [
         f"{count} draws; contours hold 50 % and 90 % of them,",
         "dashed lines are the median and the 5 % and 95 % quantiles",
         f"not shown: {terms} baseline terms, sampled with the others" if terms else "",
-        *textwrap.wrap(f"δ withheld: {snapshot.reason}" if snapshot.withheld else "", 62),
+        *textwrap.wrap(f"δ withheld: {snapshot.reason}" if snapshot.reason else "", 62),
     ]
     figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
     text = figure.text(0.98, 0.94, "\n".join(line for line in lines if line), ha="right", va="top")

@@ -33,7 +33,7 @@ def direct_gap(tree: xr.DataTree) -> Figure:
     """A panel per snapshot: draws of δ, a normal curve as wide as the Cramér-Rao bound."""
     parts = snapshots(tree)
     figure, axes = layout.one_panel_each(len(parts), shared=False)
-    curve = curve_name(tree["curve"].attrs["name"])
+    curve = curve_name(tree["curve"].attrs["name"]) if "curve" in tree.children else ""
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw(panel, tree, snapshot, gap_colour(snapshot, index), curve)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
@@ -65,6 +65,8 @@ def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, colour: str, curve
 
 def _draw_other(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, curve: str) -> None:
     """The amplitude route's interval as a bar; most of it is usually beyond the panel."""
+    if "amplitude_route" not in snapshot.groups:
+        return
     draws = 1e3 * snapshot.values("amplitude_route", GAP).ravel()
     if not draws.size:
         return

@@ -23,13 +23,14 @@ from bayesbl.presentation.figures.snapshots import (
     snapshots,
 )
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
+from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
 
 
 @stored_figure(
     "Each gap on the curve it was read from, and the distribution of the change.",
     20,
-    holding("posterior/amplitude_rpm", "curve/delta_rad"),
+    holding("posterior/amplitude_rpm", "posterior/delta_rad", "curve/delta_rad"),
 )
 def gap(tree: xr.DataTree) -> Figure:
     """δ against A with the posteriors of both along the axes; for snapshots also the change."""
@@ -84,6 +85,14 @@ def _draw_joint(
 
 def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
     curve = tree["curve"].to_dataset()
+    if STACKED not in curve.dims:
+        _draw_one_curve(main, curve, "")
+        return
+    for name in curve[STACKED].values:
+        _draw_one_curve(main, curve.sel({STACKED: name}), f" of {name}")
+
+
+def _draw_one_curve(main: Axes, curve: xr.Dataset, whose: str) -> None:
     amplitude = curve["amplitude"].values
     name = curve_name(curve.attrs["name"])
     main.fill_between(
@@ -92,7 +101,7 @@ def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
     )  # fmt: skip
     main.plot(
         amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
-        label=f"gap curve ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
+        label=f"gap curve{whose} ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
     )  # fmt: skip
 
 

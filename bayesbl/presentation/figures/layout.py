@@ -27,7 +27,6 @@ def grid(
     top: float = 0.3,
     bottom: float = 0.42,
     between: tuple[float, float] = (0.5, 0.55),
-    heights: Sequence[float] | None = None,
     widths: Sequence[float] | None = None,
 ) -> GridSpec:
     """A grid with margins and gaps (vertical, horizontal) in inches."""
@@ -44,7 +43,6 @@ def grid(
         bottom=bottom / height,
         hspace=between[0] / row,
         wspace=between[1] / column,
-        height_ratios=heights,
         width_ratios=widths,
     )
 

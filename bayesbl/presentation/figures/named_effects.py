@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,7 @@ from bayesbl.presentation.figures.panels import density
 from bayesbl.presentation.figures.snapshots import GAP, credible_interval, interval_name
 from bayesbl.presentation.figures.stored_figure import stored_figure
 from bayesbl.presentation.figures.style import MODEL, NEUTRAL, head_panels
+from bayesbl.presentation.words import significant
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
@@ -100,9 +100,11 @@ def _draw(
     panel.set_yticks([])
     panel.locator_params(axis="x", nbins=5)
     ending = "" if unit == "1" else f" {unit}"
-    values = f"{_digits(found['median'])}{ending}"
-    values += f" ({_digits(found['low'])} to {_digits(found['high'])})"
-    return values if believed is None else f"{values}, before {_digits(factor * believed)}{ending}"
+    low, middle, high = (significant(found[end], 4) for end in ("low", "median", "high"))
+    values = f"{middle}{ending} ({low} to {high})"
+    if believed is None:
+        return values
+    return f"{values}, before {significant(factor * believed, 4)}{ending}"
 
 
 def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
@@ -124,9 +126,3 @@ def _quantity(name: str) -> str:
         return "Gap δ"
     words = ": ".join(map(in_words, name.split("__")))
     return words[0].upper() + words[1:]
-
-
-def _digits(value: float) -> str:
-    """Four significant digits at least, never in powers of ten."""
-    places = 0 if value == 0.0 else max(0, 3 - math.floor(math.log10(abs(value))))
-    return f"{value:.{places}f}".replace("-", "−")

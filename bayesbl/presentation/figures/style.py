@@ -125,9 +125,17 @@ def _letters(index: int) -> str:
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write ``name.pdf`` and ``name.png``; the same figure gives the same bytes at any time."""
+    """Write ``name.pdf`` and ``name.png``; the same figure gives the same bytes at any time.
+
+    Where one of them cannot be written, neither is left.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
-    figure.savefig(pdf, metadata={"CreationDate": None, "Title": name})
-    figure.savefig(png, metadata={"Title": name})
+    try:
+        figure.savefig(pdf, metadata={"CreationDate": None, "Title": name})
+        figure.savefig(png, metadata={"Title": name})
+    except BaseException:
+        for path in filter(Path.is_file, (pdf, png)):
+            path.unlink()  # half a figure would pass for a file of the user's
+        raise
     return [pdf, png]
