@@ -243,20 +243,26 @@ def _sample_stats(fit: Fit, gap: Gap | None) -> xr.Dataset:
 
 
 def _predictive(fit: Fit, level: float) -> xr.Dataset:
-    """Optimum, and the band in which a new recording of the same joint would lie."""
+    """Optimum, and the band in which a new recording of the same joint would lie.
+
+    What repeats every rotation and the model lacks repeats there too: the band is around both.
+    """
     from scipy.stats import norm
 
     point = fit.point
-    model = point.optimum.predict(point.objective.time_s)
-    spread = np.sqrt(_prediction_variance(fit) + point.noise.sd_rpm**2)
+    time_s = point.objective.time_s
+    model = point.optimum.predict(time_s)
+    repeating, error = point.misfit.at(time_s - time_s[0], point.optimum.symbols[ROTATION])
+    expected = model + repeating
+    spread = np.sqrt(_prediction_variance(fit) + error**2 + point.noise.sd_rpm**2)
     half = float(norm.ppf(0.5 + 0.5 * level)) * spread
     return dataset(
         PREDICTIVE,
         {
             "model_rpm": model,
             "residual_rpm": point.residual_rpm,
-            "low_rpm": model - half,
-            "high_rpm": model + half,
+            "low_rpm": expected - half,
+            "high_rpm": expected + half,
         },
     )
 
