@@ -39,7 +39,7 @@ def summarise_amplitude(stored: StoredSnapshot) -> SnapshotSummary:
         result["start"] = start
     if "box_search" in stored.groups:
         box = stored.groups["box_search"]
-        result["box_search"] = {name: float(box[name]) for name in box.data_vars}
+        result["box_search"] = {str(name): float(box[name]) for name in box.data_vars}
     if "sampler_check" in stored.groups:
         result["sampler_check"] = _sampler_check(stored.groups["sampler_check"])
     return result

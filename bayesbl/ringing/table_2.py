@@ -68,7 +68,7 @@ def search_as_printed(
     order = list(SYMBOLS)
 
     def sum_of_squares(points: FloatArray) -> FloatArray:
-        return squares_as_printed(points, time_s, speed_rpm)
+        return np.asarray(squares_as_printed(points, time_s, speed_rpm))
 
     low, high = np.array([box[name] for name in order]).T
     end, history = search_box(sum_of_squares, low, high, generator, speed_rpm.size)
