@@ -88,10 +88,24 @@ class Joint(Section):
 
 
 class Search(Section):
-    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first."""
+    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first.
 
-    method: Literal["guess", "paper"] = "guess"
+    ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed, ``table_2_box``
+    the pulse train of the estimator's model.
+    """
+
+    method: Literal["guess", "paper", "table_2_box"] = "guess"
     start_from: ResultFile | None = None
+
+    @model_validator(mode="after")
+    def _one_start(self) -> Self:
+        if self.method != "guess" and self.start_from is not None:
+            refuse(
+                "A search of all of Table 2's ranges does not start from an earlier result.",
+                found=f'method = "{self.method}" with start_from = "{self.start_from}"',
+                expected='method = "guess", or no start_from',
+            )
+        return self
 
 
 class Noise(Section):
@@ -155,10 +169,11 @@ class Estimator(Section):
                 found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )
-        if self.search.method == "paper" and self.model.baseline_harmonics != 0:
+        if self.search.method != "guess" and self.model.baseline_harmonics != 0:
             refuse(
                 "The paper's search has no baseline.",
-                found=f'method = "paper" with {self.model.baseline_harmonics} harmonics',
+                found=f'method = "{self.search.method}" with '
+                f"{self.model.baseline_harmonics} harmonics",
                 expected="baseline_harmonics = 0 in [estimator.model]",
             )
         return self

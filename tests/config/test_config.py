@@ -250,6 +250,11 @@ WRONG = {
         "baseline_harmonics = 0",
         "[estimator]",
     ),
+    "paper from an earlier result": (
+        '[estimator.search]\nmethod = "paper"\nstart_from = "before.csv"\n',
+        "does not start from an earlier result",
+        "[estimator.search]",
+    ),
     "missing curve": ('[curve]\nsource = "none.nc"\n', "no such file", "[curve] source"),
     "unknown channel": ('[columns]\nmotor_sped_rpm = "a"\n', '"motor_speed_rpm"', "[columns]"),
     "unknown unit": (
