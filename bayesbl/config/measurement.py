@@ -198,6 +198,18 @@ class Curve(Section):
     allow_extrapolation: bool = False
 
 
+class WearOverDates(Section):
+    """``[wear]``: what is known of wear beside the recordings.
+
+    ``relative_sd_per_date`` is what temperature, grease or the torque constant may move each
+    date's gap by, whatever the wear. ``in_service_since`` is when the joint, or what its last
+    repair replaced, began to work.
+    """
+
+    relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)
+    in_service_since: Date | None = None
+
+
 class SnapshotConfig(RecordedConfig):
     """A run over measured recordings of one joint."""
 
@@ -271,6 +283,7 @@ class CompareConfig(SnapshotConfig):
     least_recordings = 2
 
     kind: Literal["compare"]
+    wear: WearOverDates = Field(default_factory=WearOverDates)
 
     @property
     def dates(self) -> tuple[Date, ...] | None:
@@ -303,6 +316,28 @@ class CompareConfig(SnapshotConfig):
             return recordings
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
+
+    @model_validator(mode="after")
+    def _wears_over_dates(self) -> Self:
+        if self.wear.model_fields_set and self.dates is None:
+            refuse(
+                "[wear] needs dated recordings.",
+                found="a recording without a date",
+                expected="date = 2026-03-01 in every [[recordings]], or no [wear]",
+                at=("wear",),
+            )
+        start = self.wear.in_service_since
+        if start is not None and self.dates is not None:
+            repairs = [d for d, r in zip(self.dates, self.recordings, strict=True) if r.repaired]
+            first = repairs[-1] if repairs else self.dates[0]
+            if start > first:
+                refuse(
+                    "The joint cannot have begun to work after its first recording.",
+                    found=f"in_service_since = {start}, first recording {first}",
+                    expected="an earlier date, or none where it is not known",
+                    at=("wear", "in_service_since"),
+                )
+        return self
 
     @model_validator(mode="after")
     def _decides_on_the_future(self) -> Self:
