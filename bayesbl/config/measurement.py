@@ -17,6 +17,7 @@ from bayesbl.config.fields import (
     Section,
     as_tuple,
     refuse,
+    require_different,
 )
 from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
 
@@ -87,10 +88,24 @@ class Joint(Section):
 
 
 class Search(Section):
-    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first."""
+    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first.
 
-    method: Literal["guess", "paper"] = "guess"
+    ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed, ``table_2_box``
+    the pulse train of the estimator's model.
+    """
+
+    method: Literal["guess", "paper", "table_2_box"] = "guess"
     start_from: ResultFile | None = None
+
+    @model_validator(mode="after")
+    def _one_start(self) -> Self:
+        if self.method != "guess" and self.start_from is not None:
+            refuse(
+                "A search of all of Table 2's ranges does not start from an earlier result.",
+                found=f'method = "{self.method}" with start_from = "{self.start_from}"',
+                expected='method = "guess", or no start_from',
+            )
+        return self
 
 
 class Noise(Section):
@@ -148,16 +163,17 @@ class Estimator(Section):
                 expected='bench = "bench.toml" (--bench bench.toml)',
                 at=("route",),
             )
-        if self.route == "direct" and self.search.start_from is not None:
+        if self.route != "amplitude" and self.search.start_from is not None:
             refuse(
                 "The direct route starts from its bench and cannot start from an earlier result.",
-                found=f'start_from = "{self.search.start_from}" with route = "direct"',
+                found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )
-        if self.search.method == "paper" and self.model.baseline_harmonics != 0:
+        if self.search.method != "guess" and self.model.baseline_harmonics != 0:
             refuse(
                 "The paper's search has no baseline.",
-                found=f'method = "paper" with {self.model.baseline_harmonics} harmonics',
+                found=f'method = "{self.search.method}" with '
+                f"{self.model.baseline_harmonics} harmonics",
                 expected="baseline_harmonics = 0 in [estimator.model]",
             )
         return self
@@ -175,6 +191,7 @@ class Curve(Section):
     """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
 
     Without a source the curves are those of the estimator's bench; without a bench there is no δ.
+    A source goes before the bench; the direct route has no use for one.
     """
 
     source: CurveSource | None = None
@@ -206,25 +223,6 @@ class SnapshotConfig(RecordedConfig):
     interval: Interval = Field(default_factory=Interval)
     curve: Curve = Field(default_factory=Curve)
 
-    @model_validator(mode="after")
-    def _one_curve(self) -> Self:
-        estimator, source = self.estimator, self.curve.source
-        if source is None or estimator.bench is None or estimator.route == "auto":
-            return self
-        if estimator.route == "direct":
-            refuse(
-                "The direct route needs no curve.",
-                found=f'source = "{source}" with route = "direct"',
-                expected='no source, or route = "auto" for the amplitude beside it',
-                at=("curve", "source"),
-            )
-        refuse(
-            "There are two curves: that of the bench and another one.",
-            found=f'source = "{source}" and bench = "{estimator.bench}"',
-            expected="one of them",
-            at=("curve", "source"),
-        )
-
     @field_validator("recordings")
     @classmethod
     def _right_number(
@@ -238,23 +236,18 @@ class SnapshotConfig(RecordedConfig):
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
         names = [recording.name for recording in recordings]
-        if len(set(names)) < len(names):
-            refuse(
-                "Two recordings have the same name.",
-                found=", ".join(f'"{name}"' for name in names),
-                expected="a different name for each",
-            )
+        require_different(names, "Two recordings have the same name.")
         return recordings
 
     @field_validator("posterior")
     @classmethod
     def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:
         estimator = info.data.get("estimator")  # absent if it was refused itself
-        if estimator is not None and estimator.route == "direct" and posterior.check_sampler:
+        if estimator is not None and estimator.route != "amplitude" and posterior.check_sampler:
             refuse(
                 "The second sampler samples the amplitude route's posterior only; by the direct "
                 "route, full simulations check the draws.",
-                found='check_sampler = true with route = "direct"',
+                found=f'check_sampler = true with route = "{estimator.route}"',
                 expected='route = "amplitude", or no check_sampler',
                 at=("check_sampler",),
             )

@@ -105,6 +105,7 @@ class _FromRinging(TypedDict, total=False):
 
     misfit_rms_rpm: float
     start: str
+    box_search: dict[str, float]
     sampler_check: SamplerCheckSummary
 
 

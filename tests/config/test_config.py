@@ -66,7 +66,7 @@ def test_the_shipped_configurations_load(name: str) -> None:
 
 def test_the_shipped_fit_writes_out_exactly_the_defaults(folder: Path) -> None:
     written = load_config(CONFIGS / "fit_example.toml")
-    bare = config_from_options("fit", [BEFORE])
+    bare = config_from_options("fit", [BEFORE], bench=CONFIGS / "bench.toml")
     assert isinstance(written, FitConfig)
     assert isinstance(bare, FitConfig)
     for section in ("estimator", "posterior", "interval", "curve"):
@@ -81,8 +81,16 @@ def test_defaults_are_the_papers_model_with_a_baseline(folder: Path) -> None:
     assert config.estimator.model.baseline_harmonics == 1
     assert config.estimator.noise.kind == "auto"
     assert config.interval.level == 0.9
-    assert config.curve.source == "published"
+    assert config.curve.source is None  # no gap without a bench or a curve that was named
+    assert config.estimator.route == "amplitude"
     assert [recording.name for recording in config.recordings] == ["before", "after"]
+
+
+def test_with_a_bench_both_routes_are_run_unless_one_is_named(folder: Path) -> None:
+    bench = '[estimator]\nbench = "before.csv"\n'
+    assert load(folder, bench).estimator.route == "auto"
+    for route in ("amplitude", "direct", "auto"):
+        assert load(folder, f'{bench}route = "{route}"\n').estimator.route == route
 
 
 def test_every_kind_of_noise_can_be_asked_for(folder: Path) -> None:
@@ -215,7 +223,7 @@ WRONG = {
     ),
     "order without ar": ("[estimator.noise]\norder = 2\n", 'kind = "ar"', "[estimator.noise]"),
     "direct without bench": ('[estimator]\nroute = "direct"\n', "needs a bench", "[estimator]"),
-    "bench without direct": ('[estimator]\nbench = "before.csv"\n', "not the route", "[estimator]"),
+    "auto without bench": ('[estimator]\nroute = "auto"\n', "needs a bench", "[estimator]"),
     "direct from an earlier result": (
         '[estimator]\nroute = "direct"\nbench = "before.csv"\n'
         '[estimator.search]\nstart_from = "after.csv"\n',
@@ -241,6 +249,11 @@ WRONG = {
         '[estimator.search]\nmethod = "paper"\n',
         "baseline_harmonics = 0",
         "[estimator]",
+    ),
+    "paper from an earlier result": (
+        '[estimator.search]\nmethod = "paper"\nstart_from = "before.csv"\n',
+        "does not start from an earlier result",
+        "[estimator.search]",
     ),
     "missing curve": ('[curve]\nsource = "none.nc"\n', "no such file", "[curve] source"),
     "unknown channel": ('[columns]\nmotor_sped_rpm = "a"\n', '"motor_speed_rpm"', "[columns]"),

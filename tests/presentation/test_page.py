@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from places import RECORDINGS
+from places import CONFIGS, RECORDINGS
 from quick import without_figures
 
 from bayesbl import cli
@@ -82,6 +82,7 @@ def compared(tmp_path_factory) -> Path:
     recordings = [str(RECORDINGS / f"wear_{name}.csv") for name in ("before", "after")]
     with without_figures():
         out = ["--out", str(folder / "out"), "--limit-rad", "1.2e-3", "--gear-ratio", "120"]
+        out += ["--bench", str(CONFIGS / "bench.toml"), "--route", "amplitude"]
         assert cli.status(["compare", *recordings, *out]) == 0
     return folder / "out"
 
@@ -235,7 +236,8 @@ def advice(summary):
 def fitted(delta=(6e-4, 8e-4), above=None, limit=None):
     interval = {"median": sum(delta) / 2, "low": delta[0], "high": delta[1], "level": 0.9,
                 "kind": "equal_tailed"} if delta else None  # fmt: skip
-    part = {"kind": "fit", "delta_rad": interval, "curve": "results/sweep/result.nc"}
+    part = {"kind": "fit", "outcome": "converged", "route": "amplitude", "routes": {}}
+    part |= {"delta_rad": interval, "curve": "results/sweep/result.nc"}
     reason = "The sampler did not converge."
     part |= {"diagnostics": {"reasons": [reason]}, "reason": None if delta else reason}
     return part | ({"limit_rad": limit, "probability_above_limit": above} if limit else {})
@@ -266,10 +268,10 @@ def test_no_all_clear_is_given_by_the_curve_of_another_machine():
     own = fitted(above=0.0, limit=1e-3)
     published = advice(own | {"curve": "published"})
     assert advice(own).tone == "fine"
-    assert published.tone == "watch"
-    assert "the paper's test bench" in published.title
-    beside = {"amplitude_route": {"curve": "published"}}
-    assert advice(own | {"curve": "published"} | beside).tone == "fine"
+    assert published.tone == "note"
+    assert "another machine" in published.title
+    beside = {"curve": "published", "route": "direct"}
+    assert advice(own | beside).tone == "fine"
 
 
 def compared_undated(change, above, limit=1.2e-3):
@@ -277,7 +279,8 @@ def compared_undated(change, above, limit=1.2e-3):
     middle = 0.5 * (low + high)
     part = fitted(above=above, limit=limit) | {"name": "new"}
     found = {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
-    return {"kind": "compare", "snapshots": [part], "change_rad": found, "curve": "sweep",
+    return {"kind": "compare", "outcome": "converged", "snapshots": [part], "change_rad": found,
+            "curve": "sweep",
             "wear": None}  # fmt: skip
 
 
@@ -356,6 +359,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
     change = interval(1e-4, 3e-4)
     return {
         "kind": "compare",
+        "outcome": "converged",
         "snapshots": snapshots,
         "change_rad": change,
         "probability_increase": 0.999,
