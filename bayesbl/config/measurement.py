@@ -17,6 +17,7 @@ from bayesbl.config.fields import (
     Section,
     as_tuple,
     refuse,
+    require_different,
 )
 from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
 
@@ -87,10 +88,24 @@ class Joint(Section):
 
 
 class Search(Section):
-    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first."""
+    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first.
 
-    method: Literal["guess", "paper"] = "guess"
+    ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed, ``table_2_box``
+    the pulse train of the estimator's model.
+    """
+
+    method: Literal["guess", "paper", "table_2_box"] = "guess"
     start_from: ResultFile | None = None
+
+    @model_validator(mode="after")
+    def _one_start(self) -> Self:
+        if self.method != "guess" and self.start_from is not None:
+            refuse(
+                "A search of all of Table 2's ranges does not start from an earlier result.",
+                found=f'method = "{self.method}" with start_from = "{self.start_from}"',
+                expected='method = "guess", or no start_from',
+            )
+        return self
 
 
 class Noise(Section):
@@ -154,10 +169,11 @@ class Estimator(Section):
                 found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )
-        if self.search.method == "paper" and self.model.baseline_harmonics != 0:
+        if self.search.method != "guess" and self.model.baseline_harmonics != 0:
             refuse(
                 "The paper's search has no baseline.",
-                found=f'method = "paper" with {self.model.baseline_harmonics} harmonics',
+                found=f'method = "{self.search.method}" with '
+                f"{self.model.baseline_harmonics} harmonics",
                 expected="baseline_harmonics = 0 in [estimator.model]",
             )
         return self
@@ -180,6 +196,18 @@ class Curve(Section):
 
     source: CurveSource | None = None
     allow_extrapolation: bool = False
+
+
+class WearOverDates(Section):
+    """``[wear]``: what is known of wear beside the recordings.
+
+    ``relative_sd_per_date`` is what temperature, grease or the torque constant may move each
+    date's gap by, whatever the wear. ``in_service_since`` is when the joint, or what its last
+    repair replaced, began to work.
+    """
+
+    relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)
+    in_service_since: Date | None = None
 
 
 class SnapshotConfig(RecordedConfig):
@@ -208,12 +236,7 @@ class SnapshotConfig(RecordedConfig):
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
         names = [recording.name for recording in recordings]
-        if len(set(names)) < len(names):
-            refuse(
-                "Two recordings have the same name.",
-                found=", ".join(f'"{name}"' for name in names),
-                expected="a different name for each",
-            )
+        require_different(names, "Two recordings have the same name.")
         return recordings
 
     @field_validator("posterior")
@@ -260,6 +283,7 @@ class CompareConfig(SnapshotConfig):
     least_recordings = 2
 
     kind: Literal["compare"]
+    wear: WearOverDates = Field(default_factory=WearOverDates)
 
     @property
     def dates(self) -> tuple[Date, ...] | None:
@@ -292,6 +316,28 @@ class CompareConfig(SnapshotConfig):
             return recordings
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
+
+    @model_validator(mode="after")
+    def _wears_over_dates(self) -> Self:
+        if self.wear.model_fields_set and self.dates is None:
+            refuse(
+                "[wear] needs dated recordings.",
+                found="a recording without a date",
+                expected="date = 2026-03-01 in every [[recordings]], or no [wear]",
+                at=("wear",),
+            )
+        start = self.wear.in_service_since
+        if start is not None and self.dates is not None:
+            repairs = [d for d, r in zip(self.dates, self.recordings, strict=True) if r.repaired]
+            first = repairs[-1] if repairs else self.dates[0]
+            if start > first:
+                refuse(
+                    "The joint cannot have begun to work after its first recording.",
+                    found=f"in_service_since = {start}, first recording {first}",
+                    expected="an earlier date, or none where it is not known",
+                    at=("wear", "in_service_since"),
+                )
+        return self
 
     @model_validator(mode="after")
     def _decides_on_the_future(self) -> Self:

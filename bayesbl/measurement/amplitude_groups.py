@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bayesbl.measurement.as_printed import gap_as_printed_rad, has_pulses_of_optimum
 from bayesbl.measurement.change import Gap
 from bayesbl.measurement.other_route import DIRECT_ROUTE
 from bayesbl.measurement.shared_groups import (
@@ -30,10 +31,11 @@ from bayesbl.measurement.shared_groups import (
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
-from bayesbl.ringing.estimator import Fit
+from bayesbl.ringing.estimator import Fit, PointEstimate
 from bayesbl.ringing.jacobian import jacobian_columns
 from bayesbl.ringing.second_sampler import SamplerCheck
 from bayesbl.ringing.symbols import ROTATION, SYMBOLS
+from bayesbl.ringing.table_2 import BoxSearch
 
 PREDICTIVE_DRAWS = 100
 
@@ -100,6 +102,17 @@ OPTIMUM = Group(
     named=_symbol(),
 )
 
+BOX_SEARCH = Group(
+    "box_search",
+    table("""
+        rmse_rpm | rpm | root mean square error where the search in Table 2's ranges ended
+        gap_as_printed_rad | rad | eq. 4 at the amplitude found there
+        has_pulses_of_optimum | 1 | 1 where its impacts are those of the optimum
+    """),
+    named=_symbol(),
+    optional=True,
+)
+
 SEARCH_HISTORY = Group(
     "search_history",
     table("""
@@ -158,6 +171,7 @@ GROUPS = (
     OBSERVED,
     PREDICTIVE,
     OPTIMUM,
+    BOX_SEARCH,
     SEARCH_HISTORY,
     NOISE,
     MISFIT,
@@ -171,8 +185,11 @@ GROUPS = (
 def amplitude_groups(fit: Fit, gap: Gap | None, level: float) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension; no ``gap`` without a curve."""
     checked = {} if fit.check is None else {"sampler_check": _sampler_check(fit.check)}
+    box = fit.point.optimum.box_search
+    searched = {} if box is None else {"box_search": _box_search(box, fit.point)}
     return {
         **checked,
+        **searched,
         "posterior": _posterior(fit, gap),
         "sample_stats": _sample_stats(fit, gap),
         "observed_data": observed_group(fit.point.recording),
@@ -226,20 +243,26 @@ def _sample_stats(fit: Fit, gap: Gap | None) -> xr.Dataset:
 
 
 def _predictive(fit: Fit, level: float) -> xr.Dataset:
-    """Optimum, and the band in which a new recording of the same joint would lie."""
+    """Optimum, and the band in which a new recording of the same joint would lie.
+
+    What repeats every rotation and the model lacks repeats there too: the band is around both.
+    """
     from scipy.stats import norm
 
     point = fit.point
-    model = point.optimum.predict(point.objective.time_s)
-    spread = np.sqrt(_prediction_variance(fit) + point.noise.sd_rpm**2)
+    time_s = point.objective.time_s
+    model = point.optimum.predict(time_s)
+    repeating, error = point.misfit.at(time_s - time_s[0], point.optimum.symbols[ROTATION])
+    expected = model + repeating
+    spread = np.sqrt(_prediction_variance(fit) + error**2 + point.noise.sd_rpm**2)
     half = float(norm.ppf(0.5 + 0.5 * level)) * spread
     return dataset(
         PREDICTIVE,
         {
             "model_rpm": model,
             "residual_rpm": point.residual_rpm,
-            "low_rpm": model - half,
-            "high_rpm": model + half,
+            "low_rpm": expected - half,
+            "high_rpm": expected + half,
         },
     )
 
@@ -281,6 +304,18 @@ def _optimum(fit: Fit) -> xr.Dataset:
         {"parameter": list(spread.names), "parameter_": list(spread.names)},
     )
     result.attrs["method"] = optimum.method
+    return result
+
+
+def _box_search(box: BoxSearch, point: PointEstimate) -> xr.Dataset:
+    values = {
+        **box.symbols,
+        "rmse_rpm": box.rmse_rpm,
+        "gap_as_printed_rad": gap_as_printed_rad(box),
+        "has_pulses_of_optimum": float(has_pulses_of_optimum(box, point)),
+    }
+    result = dataset(BOX_SEARCH, values)
+    result.attrs["searched"] = box.searched
     return result
 
 

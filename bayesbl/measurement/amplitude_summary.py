@@ -37,6 +37,9 @@ def summarise_amplitude(stored: StoredSnapshot) -> SnapshotSummary:
     start = str(optimum["start"].item()) if "start" in optimum else ""
     if start:
         result["start"] = start
+    if "box_search" in stored.groups:
+        box = stored.groups["box_search"]
+        result["box_search"] = {str(name): float(box[name]) for name in box.data_vars}
     if "sampler_check" in stored.groups:
         result["sampler_check"] = _sampler_check(stored.groups["sampler_check"])
     return result

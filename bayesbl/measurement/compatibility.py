@@ -9,6 +9,7 @@ from typing import Any
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import ConfigError, CurveError, RecordingError
+from bayesbl.measurement.as_printed import reasons_as_printed
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.ringing.symbols import ROTATION
@@ -164,11 +165,11 @@ def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> 
 def unsuited(
     recording: Recording, fit: Fit, curve: GapCurve | None, config: SnapshotConfig
 ) -> list[str]:
-    """Reasons why recording, curve and gear ratio do not belong together."""
+    """Reasons why recording, estimator, curve and gear ratio do not belong together."""
     reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
     if curve is not None and not config.curve.allow_extrapolation:
         reasons.append(other_speed(recording, curve))
-    return [reason for reason in reasons if reason]
+    return [*reasons_as_printed(fit, curve), *(reason for reason in reasons if reason)]
 
 
 def _entry(key: str, meaning: Mapping[str, Any]) -> str:

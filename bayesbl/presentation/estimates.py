@@ -50,6 +50,7 @@ def _of_amplitude(part: SnapshotSummary, rivals: str) -> Iterator[Block]:
     yield _parameter_table(part)
     lines = {
         **({"Search": part["start"]} if "start" in part else {}),
+        **({"Table 2's ranges": _box_search(part)} if "box_search" in part else {}),
         "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
         "Noise": noise(part),
@@ -58,6 +59,14 @@ def _of_amplitude(part: SnapshotSummary, rivals: str) -> Iterator[Block]:
     }
     for label, sentence in lines.items():
         yield Sentence(sentence, label=label)
+
+
+def _box_search(part: SnapshotSummary) -> str:
+    found = part["box_search"]
+    return (
+        f"the search ended at A = {found['amplitude_rpm']:.3g} rpm, RMSE {found['rmse_rpm']:.3g} "
+        f"rpm; eq. 4 there: {1e3 * found['gap_as_printed_rad']:.3g} mrad"
+    )
 
 
 def _parameter_table(part: SnapshotSummary) -> Table:

@@ -143,7 +143,7 @@ class Estimator:
     model
         Free and fixed symbols, ranges, baseline.
     search
-        ``guess`` or ``paper``.
+        As :func:`find_optimum` takes it.
     noise_kind, noise_order
         As :func:`estimate_noise` takes them.
     sampler

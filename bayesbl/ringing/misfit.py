@@ -35,6 +35,15 @@ class RepeatingMisfit:
         excess = float(np.mean(self.mean_rpm**2 - self.standard_error_rpm**2))
         return math.sqrt(max(excess, 0.0))
 
+    def at(
+        self, since_begin_s: FloatArray, rotation_period_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Average and standard error at times since the recording's start, shape (n,) each, rpm."""
+        phase = 2.0 * np.pi / rotation_period_s * since_begin_s
+        turn = 2.0 * np.pi
+        mean = np.interp(phase, self.phase_rad, self.mean_rpm, period=turn)
+        return mean, np.interp(phase, self.phase_rad, self.standard_error_rpm, period=turn)
+
 
 def repeating_misfit(
     time_s: FloatArray, residual_rpm: FloatArray, rotation_period_s: float

@@ -1,14 +1,14 @@
 """The RMSE optimum of the disturbance model by CMA-ES.
 
-Two methods. ``guess`` starts from what the recording itself suggests and solves A, v_t and the
-baseline exactly; ``paper`` searches all of Table 2's box from its middle, as printed.
+Its search starts from what the recording itself suggests and solves A, v_t and the baseline
+exactly. The methods ``paper`` and ``table_2_box`` search from the middle of Table 2's ranges as
+well (:mod:`bayesbl.ringing.table_2`); what that ended at stands beside the optimum.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.evolution import SearchHistory, minimise
 from bayesbl.ringing.guess import guesses, search_window
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
@@ -25,8 +26,6 @@ from bayesbl.ringing.symbols import (
     DECAY,
     DEFAULT_RANGES,
     FREQUENCY,
-    LINEAR,
-    MEAN,
     ROTATION,
     SEPARATION,
     START,
@@ -34,34 +33,14 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
+from bayesbl.ringing.table_2 import BoxSearch, search_as_printed, search_pulse_train
 
-SearchMethod = Literal["guess", "paper"]
-FoundBy = Literal["guess", "paper", "warm"]
+SearchMethod = Literal["guess", "paper", "table_2_box"]
+FoundBy = Literal["guess", "paper", "table_2_box", "warm"]
 """How an optimum was found: by one of the searches, or from an earlier optimum."""
 
 GUESSES_REFINED = 4
 POPULATION = 20
-PAPER_POPULATION = 3500
-PAPER_ITERATIONS = 100
-
-
-@dataclass(frozen=True, slots=True)
-class SearchHistory:
-    """Convergence of CMA-ES, one row per iteration.
-
-    Attributes
-    ----------
-    run
-        Which start the iteration belongs to, shape (i,).
-    evaluations
-        Evaluations so far in that run, shape (i,).
-    rmse_rpm
-        Best RMSE so far in that run, shape (i,), rpm.
-    """
-
-    run: FloatArray
-    evaluations: FloatArray
-    rmse_rpm: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +66,8 @@ class Optimum:
         rpm².
     rivals
         Other local optima, best first.
+    box_search
+        What the search from the middle of Table 2's ranges ended at, where it was asked for.
     """
 
     model: DisturbanceModel
@@ -100,6 +81,7 @@ class Optimum:
     evaluations: int
     seconds: float
     method: FoundBy
+    box_search: BoxSearch | None = None
 
     @property
     def rmse_rpm(self) -> float:
@@ -133,11 +115,16 @@ def find_optimum(
         samples than in a window.
     """
     began = time.perf_counter()
-    if method == "paper":
-        ends, history, evaluations = _paper_search(objective, generator)
-    else:
-        ends, history, evaluations = _guess_search(objective, generator)
-    return settled(objective, ends, history, evaluations, began, method)
+    ends, histories = _guess_search(objective, generator)
+    box_search = None
+    if method != "guess":
+        search = search_as_printed if method == "paper" else search_pulse_train
+        box_search, of_box = search(objective, generator)
+        histories.append(of_box)
+    history = SearchHistory.of_runs(histories)
+    evaluations = sum(int(h.evaluations[-1]) for h in histories)
+    found = settled(objective, ends, history, evaluations, began, method)
+    return replace(found, box_search=box_search)
 
 
 def settled(
@@ -223,11 +210,11 @@ def promoted(objective: Objective, optimum: Optimum, rival: Rival) -> Optimum:
 
 
 def local_search(
-    objective: Objective, start: FloatArray, generator: np.random.Generator, run: int = 0
+    objective: Objective, start: FloatArray, generator: np.random.Generator
 ) -> tuple[FloatArray, SearchHistory]:
     """CMA-ES from one point of the searched symbols, shape (d,); returns the end point."""
     low, high = bounds(objective)
-    return _minimise(
+    return minimise(
         objective.sum_of_squares,
         np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)),
         _local_scale(objective, start),
@@ -236,7 +223,6 @@ def local_search(
         population=POPULATION,
         iterations=400,
         samples=objective.samples_used,
-        run=run,
     )
 
 
@@ -257,130 +243,15 @@ def bounds(objective: Objective) -> tuple[FloatArray, FloatArray]:
     return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
 
-def table_2_box(objective: Objective) -> dict[str, tuple[float, float]]:
-    """Table 2's variability range of all nine symbols, with t1 and t2 read as swapped.
-
-    The period starts at one pulse window instead of the first time stamp: at T_w = 0 the model
-    has infinitely many pulses.
-    """
-    speed, time_s = objective.speed_rpm, objective.time_s
-    begin, end = float(time_s[0]), float(time_s[-1])
-    half = 0.5 * float(speed.max() - speed.min())
-    return {
-        AMPLITUDE: (-half, half),
-        START: (begin, end),
-        DECAY: (5.0, 30.0),
-        FREQUENCY: (2.0 * math.pi, 2.0 * math.pi * 40.0),
-        MEAN: (float(speed.min()), float(speed.max())),
-        WINDOW_START: (0.0, 0.102),
-        WINDOW_END: (0.0, 0.204),
-        SEPARATION: (begin, end),
-        ROTATION: (max(begin, 0.204), end),
-    }
-
-
-def search_box(
-    sum_of_squares: Callable[[FloatArray], FloatArray],
-    low: FloatArray,
-    high: FloatArray,
-    generator: np.random.Generator,
-    samples: int,
-) -> tuple[FloatArray, SearchHistory]:
-    """The paper's search: x0 mid-range, σ0 a quarter of it, 3500 individuals, 100 iterations."""
-    return _minimise(
-        sum_of_squares,
-        0.5 * (low + high),
-        0.25 * (high - low),
-        (low, high),
-        generator,
-        population=PAPER_POPULATION,
-        iterations=PAPER_ITERATIONS,
-        samples=samples,
-        run=0,
-    )
-
-
 def _guess_search(
     objective: Objective, generator: np.random.Generator
-) -> tuple[FloatArray, SearchHistory, int]:
+) -> tuple[FloatArray, list[SearchHistory]]:
     starts = guesses(objective, GUESSES_REFINED)
-    runs = [local_search(objective, start, generator, run) for run, start in enumerate(starts)]
-    history = SearchHistory(
-        *(
-            np.concatenate([getattr(h, name) for _, h in runs])
-            for name in ("run", "evaluations", "rmse_rpm")
-        )
-    )
-    evaluations = sum(int(h.evaluations[-1]) for _, h in runs)
+    runs = [local_search(objective, start, generator) for start in starts]
     ends = [end for end, _ in runs]
     best = ends[int(np.argmin(objective.sum_of_squares(np.array(ends))))]
     ends += [refine(objective, start) for start in exchanged(objective.model, best)]
-    return np.array(ends), history, evaluations
-
-
-def _paper_search(
-    objective: Objective, generator: np.random.Generator
-) -> tuple[FloatArray, SearchHistory, int]:
-    box = table_2_box(objective)
-    free_linear = [name for name in LINEAR if name in objective.model.free]
-    names = [*objective.searched, *free_linear]
-    d = len(objective.searched)
-
-    def sum_of_squares(x: FloatArray) -> FloatArray:
-        values = dict(zip(names, x.T, strict=True)) | {
-            n: np.full(len(x), v) for n, v in objective.model.fixed.items() if n in LINEAR
-        }
-        return objective.sum_of_squares_at(x[:, :d], values[AMPLITUDE], values[MEAN])
-
-    ranges = [objective.model.ranges.get(name, box[name]) for name in names]
-    low, high = np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])
-    end, history = search_box(sum_of_squares, low, high, generator, objective.samples_used)
-    return end[None, :d], history, int(history.evaluations[-1])
-
-
-def _minimise(
-    sum_of_squares: Callable[[FloatArray], FloatArray],
-    start: FloatArray,
-    scale: FloatArray,
-    box: tuple[FloatArray, FloatArray],
-    generator: np.random.Generator,
-    *,
-    population: int,
-    iterations: int,
-    samples: int,
-    run: int,
-) -> tuple[FloatArray, SearchHistory]:
-    """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``."""
-    import cma
-
-    low, high = box
-    options = {
-        "popsize": population,
-        "maxiter": iterations,
-        "bounds": [list((low - start) / scale), list((high - start) / scale)],
-        # Own generator: cma would otherwise seed and draw from NumPy's global state.
-        "randn": lambda rows, columns: generator.standard_normal((rows, columns)),
-        "seed": math.nan,
-        "verbose": -9,
-        "tolfun": 1e-10,
-        "tolfunhist": 1e-11,
-        "tolx": 1e-7,
-    }
-    strategy = cma.CMAEvolutionStrategy(np.zeros(start.size), 1.0, options)
-    rows: list[tuple[float, float]] = []
-    best, best_point = math.inf, start
-    while not strategy.stop():
-        asked = strategy.ask()
-        points = start + scale * np.asarray(asked)
-        values = sum_of_squares(points)
-        values = np.where(np.isfinite(values), values, 1e300)
-        strategy.tell(asked, 0.5 * np.log(values / samples + 1e-300))
-        least = int(np.argmin(values))
-        if values[least] < best:
-            best, best_point = float(values[least]), points[least]
-        rows.append((float(strategy.countevals), math.sqrt(best / samples)))
-    evaluations, rmse = np.array(rows).T
-    return best_point, SearchHistory(np.full(len(rows), float(run)), evaluations, rmse)
+    return np.array(ends), [history for _, history in runs]
 
 
 def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:

@@ -250,6 +250,11 @@ WRONG = {
         "baseline_harmonics = 0",
         "[estimator]",
     ),
+    "paper from an earlier result": (
+        '[estimator.search]\nmethod = "paper"\nstart_from = "before.csv"\n',
+        "does not start from an earlier result",
+        "[estimator.search]",
+    ),
     "missing curve": ('[curve]\nsource = "none.nc"\n', "no such file", "[curve] source"),
     "unknown channel": ('[columns]\nmotor_sped_rpm = "a"\n', '"motor_speed_rpm"', "[columns]"),
     "unknown unit": (
@@ -452,6 +457,31 @@ def test_a_date_to_decide_before_that_cannot_be_used_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=told):
         load(folder, base=re.sub(old, new, DATED))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (DATED + "[wear]\nrelative_sd_per_date = -0.1\n", "relative_sd_per_date"),
+        (DATED + "[wear]\nin_service_since = 2026-05-01\n", "begun to work after"),
+        (
+            re.sub("(?m)^(date|decide_before) = .*$", "", DATED)
+            + "[wear]\nrelative_sd_per_date = 0.02\n",
+            "needs dated recordings",
+        ),
+    ],
+)
+def test_what_is_said_of_wear_and_cannot_be_is_refused(folder: Path, text: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        load(folder, base=text)
+
+
+def test_a_joint_may_be_older_than_its_first_recording(folder: Path) -> None:
+    since = "[wear]\nin_service_since = 2024-05-01\n"
+    assert load(folder, base=DATED + since).wear.in_service_since == date(2024, 5, 1)
+    repaired = DATED.replace("date = 2026-07-01", "date = 2026-07-01\nrepaired = true")
+    after = since.replace("2024", "2026")
+    assert load(folder, base=repaired + after).wear.in_service_since == date(2026, 5, 1)
 
 
 def test_what_is_wrong_is_told_at_its_own_line(folder: Path) -> None:

@@ -22,13 +22,14 @@ from bayesbl.noise.process import NO_NOISE, NoiseModel
 from bayesbl.noise.rotation_noise import Noise, estimate_noise
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing import optimum as optimum_module
+from bayesbl.ringing import table_2
 from bayesbl.ringing.covariance import Covariance, covariance
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.guess import guesses
 from bayesbl.ringing.misfit import repeating_misfit
 from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import Optimum, find_optimum, local_search, table_2_box
+from bayesbl.ringing.optimum import Optimum, find_optimum, local_search
 from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import (
@@ -364,15 +365,17 @@ class Watched(Objective):
         return super().sum_of_squares_at(searched, amplitude_rpm, mean_speed_rpm)
 
 
-def test_the_papers_search_stays_in_the_box_of_table_2(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(optimum_module, "PAPER_POPULATION", 100)
-    monkeypatch.setattr(optimum_module, "PAPER_ITERATIONS", 15)
+def test_the_search_of_the_pulse_train_stays_in_the_box_of_table_2(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(table_2, "POPULATION", 100)
+    monkeypatch.setattr(table_2, "ITERATIONS", 15)
     measured = recording(WHITE, baseline_rpm=())
     objective = Watched(DisturbanceModel(0), measured.time_s, measured.motor_speed_rpm)
-    found = find_optimum(objective, "paper", seeded())
+    _, history = table_2.search_pulse_train(objective, seeded())
     asked = np.concatenate(objective.asked)
-    assert len(asked) == found.evaluations == 1500
-    box = table_2_box(objective)
+    assert len(asked) == history.evaluations[-1] == 1500
+    box = table_2.table_2_box(objective)
     half = 0.5 * np.ptp(measured.motor_speed_rpm)
     assert box[AMPLITUDE] == (-half, half)
     assert box[DECAY] == (5.0, 30.0)
@@ -382,7 +385,6 @@ def test_the_papers_search_stays_in_the_box_of_table_2(monkeypatch: pytest.Monke
         assert np.all((column >= low) & (column <= high)), name
         # x0 is mid-range and σ0 a quarter of it: the first population spans most of the box.
         assert np.ptp(column[:100]) > 0.6 * (high - low), name
-    assert found.method == "paper"
 
 
 def test_symbols_stay_where_they_are_fixed_and_inside_their_ranges() -> None:
