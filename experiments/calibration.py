@@ -357,11 +357,12 @@ def _bench(row: Row) -> Bench:
     assert row.bench is not None
     bench = load_bench(row.bench)
     seen = bench.measurement
-    return bench.with_measurement(
-        replace(
+    return replace(
+        bench,
+        measurement=replace(
             seen,
             encoder_counts=row.encoder_counts or seen.encoder_counts,
             speed_source=row.speed_source,
             speed_noise=_noise(row),
-        )
+        ),
     )

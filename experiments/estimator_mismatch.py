@@ -174,4 +174,4 @@ def _curve(path: Path) -> GapCurve:
 def _bench(row: Row) -> Bench:
     bench = load_bench(row.bench)
     noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients)
-    return bench.with_measurement(replace(bench.measurement, speed_noise=noise))
+    return replace(bench, measurement=replace(bench.measurement, speed_noise=noise))

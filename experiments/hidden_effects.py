@@ -377,15 +377,16 @@ def _score(
 def _sampled(
     found: Findings, diagnosis: Diagnosis, seed: np.random.SeedSequence
 ) -> dict[str, float]:
-    """The posterior of the gap by emcee beside the Laplace approximation."""
-    laplace = diagnosis.delta_after
-    if laplace is None:
+    """The posterior of the gap by emcee beside the Laplace approximation, of the chosen bench."""
+    if diagnosis.delta_after is None:
         return {}
+    laplace = found.final.fit
     posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
     log_gap = np.log(posterior.values(GAP))
     return {
-        "sampled_shift_sd": (float(log_gap.mean()) - laplace.value) / laplace.sd,
-        "sampled_sd_ratio": float(log_gap.std()) / laplace.sd,
+        "sampled_shift_sd": (float(log_gap.mean()) - math.log(laplace.value(GAP)))
+        / laplace.sd(GAP),
+        "sampled_sd_ratio": float(log_gap.std()) / laplace.sd(GAP),
     }
 
 

@@ -21,7 +21,7 @@ from bayesbl.presentation.figures.style import (
     new_figure,
 )
 from bayesbl.ringing.symbols import SYMBOLS
-from bayesbl.ringing.waveform import pulse_train
+from bayesbl.ringing.waveform import impact, pulse_train
 
 _DASHED = (0.0, (4.0, 2.0))
 
@@ -31,15 +31,14 @@ def data(stored: Stored) -> xr.Dataset:
     snapshot = snapshots(stored.tree("wear_swept"))[0]
     symbol = {name: snapshot.number("optimum", name) for name in SYMBOLS}
     amplitude, decay = symbol["amplitude_rpm"], symbol["decay_rate_per_s"]
-    period = symbol["rotation_period_s"]
+    frequency, period = symbol["angular_frequency_rad_per_s"], symbol["rotation_period_s"]
     length = symbol["window_end_s"] - symbol["window_start_s"]
     since = np.linspace(-0.15 * length, 1.25 * length, 1500)
     inside = np.where((since >= 0.0) & (since <= length), since, np.nan)
     first = symbol["start_time_s"] + symbol["window_start_s"]
     begin = float(snapshot.values("observed_data", "time_s")[0])
     time = np.arange(begin, first + 1.6 * period, 1e-3)
-    alone = symbol | {"start_time_s": 0.0, "window_start_s": 0.0, "window_end_s": length}
-    pulse = pulse_train(since, alone, since[1] - since[0])
+    pulse = impact(since, decay, frequency, length, since[1] - since[0])
     train = pulse_train(time, symbol, 1e-3)
     found = arrays(
         since_impact_s=("pulse_sample", since, "s"),

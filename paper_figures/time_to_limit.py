@@ -14,7 +14,7 @@ from bayesbl.presentation.wear import sentences, with_rate
 
 
 def data(stored: Stored) -> xr.DataTree:
-    """Draws of δ by date, of the wear's line and of the time to the limit."""
+    """Draws of δ by date, of the wear's path and of the time to the limit."""
     tree = stored.tree("wear_dates")
     found = with_rate(summarise_comparison(tree))
     assert found is not None, "the snapshots are dated, and the gap grows"
@@ -28,7 +28,7 @@ def caption(tree: xr.DataTree) -> str:
     group = tree["wear"].to_dataset()
     used = int(group["used"].values.sum())
     return (
-        f"(a) The gap δ at {group['used'].size} dates with its interval, and the line through the "
+        f"(a) The gap δ at {group['used'].size} dates with its interval, and its path through the "
         f"{used} since the last repair (open: before it); recordings simulated on the virtual "
         "bench, amplitude route, one curve for all. (b) Probability that the limit is reached by a "
         f"date. {tree.attrs['answer']}"

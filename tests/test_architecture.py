@@ -57,6 +57,7 @@ SAME_IDEA = {
     "diagnosis": "a diagnosis: the numbers, their words, their figure",
     "direct_route": "the direct route: the measurement, its words",
     "first_configuration": "what init writes: the making, its words",
+    "joint_check": "whether it is the same joint: what was found, its words",
     "measurement": "a measurement: its configuration, what every route returns",
     "method": "a method of diagnosis behind the protocol, one in each of its rooms",
     "misfit": "what repeats and the model lacks: the numbers, their figure",

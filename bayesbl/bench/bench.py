@@ -187,10 +187,6 @@ class Bench:
         """The same bench with these effects instead of its own."""
         return dataclasses.replace(self, effects=tuple(effects))
 
-    def with_measurement(self, measurement: Measurement) -> Bench:
-        """The same bench, measured differently."""
-        return dataclasses.replace(self, measurement=measurement)
-
     def draw(self, rng: np.random.Generator) -> Bench:
         """A bench drawn uniformly within the tolerances, known exactly.
 
@@ -319,7 +315,6 @@ class Bench:
         seed: np.random.Generator | None = None,
         name: str = "simulated",
         accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
-        overrides: Mapping[str, float] | None = None,
     ) -> Recording:
         """One recording in steady rotation.
 
@@ -339,8 +334,6 @@ class Bench:
             Generator of the noise; ``None`` for none.
         name, accuracy_rpm
             Of the recording; largest error of the simulated speed.
-        overrides
-            Other parameter values for this recording, by name.
 
         Raises
         ------
@@ -353,7 +346,6 @@ class Bench:
             start_angle_rad=start_angle_rad,
             reference_speed_rpm=reference_speed_rpm,
             motor_start_angle_rad=motor_start_angle_rad,
-            **dict(overrides or {}),
         )
         reference = float(parameters[0, Slot.reference_speed_rpm])
         samples = self.samples(rotations, sampling_hz, reference)

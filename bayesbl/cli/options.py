@@ -78,19 +78,21 @@ Curve = Annotated[
     _option(
         "--curve",
         "published|RESULT",
-        "Gap curve: the result of a sweep, its folder or result.nc. [default: published]",
+        "Gap curve: the result of a sweep, its folder or result.nc; or the paper's, by name. "
+        "[default: swept from the bench; none without one]",
     ),
 ]
 BenchFile = Annotated[
-    Path | None, _option("--bench", "FILE", "Bench of the joint, for the direct route.")
+    Path | None,
+    _option("--bench", "FILE", "Bench of the joint: simulated, and swept for curves."),
 ]
 Route = Annotated[
     str | None,
     _option(
         "--route",
-        "amplitude|direct",
-        "By the ringing's amplitude and a curve, or by simulations of the bench. "
-        "[default: amplitude]",
+        "auto|amplitude|direct",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both. "
+        "[default: auto with a bench]",
     ),
 ]
 StartFrom = Annotated[

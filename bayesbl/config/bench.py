@@ -28,6 +28,7 @@ from bayesbl.config.fields import (
     Section,
     as_tuple,
     refuse,
+    require_different,
 )
 from bayesbl.config.files import load_file
 from bayesbl.errors import BenchError, ConfigError
@@ -81,6 +82,9 @@ class ParameterEntry(Section):
 
 
 class _NoiseEntry(Section):
+    """Noise of a channel; ``sd`` is that of the noise, not of its innovations."""
+
+    sd: float
     kind: Literal["white", "ar", "student_t"] = "white"
     coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
     degrees_of_freedom: float | None = Field(default=None, gt=2.0)
@@ -100,30 +104,26 @@ class _NoiseEntry(Section):
                 expected='kind = "ar" with coefficients, or kind = "white" without',
             )
         try:
-            NoiseModel(1.0, self.coefficients)
+            self.model()
         except BenchError as error:
             refuse(error.problem, found=error.found, expected=error.expected)
         return self
 
-
-class SpeedNoise(_NoiseEntry):
-    """Noise of the speed channel; ``sd_rpm`` is that of the noise, not of its innovations."""
-
-    sd_rpm: float = Field(ge=0.0)
-
     def model(self) -> NoiseModel:
         """As the bench takes it."""
-        return NoiseModel(self.sd_rpm, self.coefficients, self.degrees_of_freedom)
+        return NoiseModel(self.sd, self.coefficients, self.degrees_of_freedom)
+
+
+class SpeedNoise(_NoiseEntry):
+    """Noise of the speed channel."""
+
+    sd: float = Field(alias="sd_rpm", ge=0.0)
 
 
 class CurrentNoise(_NoiseEntry):
     """Noise of the current channel."""
 
-    sd_a: float = Field(ge=0.0)
-
-    def model(self) -> NoiseModel:
-        """As the bench takes it."""
-        return NoiseModel(self.sd_a, self.coefficients, self.degrees_of_freedom)
+    sd: float = Field(alias="sd_a", ge=0.0)
 
 
 class MeasurementSection(Section):
@@ -193,10 +193,7 @@ class BenchFile(Section):
     @field_validator("effects")
     @classmethod
     def _each_once(cls, effects: tuple[EffectEntry, ...]) -> tuple[EffectEntry, ...]:
-        names = [effect.name for effect in effects]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            refuse("An effect is listed twice.", found=twice[0], expected="each effect once")
+        require_different([effect.name for effect in effects], "An effect is listed twice.")
         return effects
 
     def bench(self) -> Bench:

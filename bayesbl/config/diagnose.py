@@ -14,6 +14,7 @@ from bayesbl.config.fields import (
     Section,
     as_tuple,
     refuse,
+    require_different,
 )
 from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording
 from bayesbl.recording.channels import did_you_mean
@@ -120,8 +121,7 @@ class DiagnoseConfig(RecordedConfig):
         cls, recordings: tuple[DiagnosedRecording, ...]
     ) -> tuple[DiagnosedRecording, ...]:
         names = [recording.name for recording in recordings]
-        if len(set(names)) < len(names):
-            refuse("Two recordings have the same name.", found=names, expected="different names")
+        require_different(names, "Two recordings have the same name.")
         return recordings
 
     @model_validator(mode="after")

@@ -54,6 +54,14 @@ def refuse(
     raise PydanticCustomError("refused", "{problem}", context)
 
 
+def require_different(values: Sequence[str], problem: str) -> None:
+    """Refuse texts of which two are the same, with this sentence."""
+    twice = sorted({value for value in values if values.count(value) > 1})
+    if twice:
+        named = ", ".join(f'"{value}"' for value in twice)
+        refuse(problem, found=named, expected="a different one for each")
+
+
 def resolve(path: str | Path, info: ValidationInfo) -> Path:
     """A path taken relative to the folder of the configuration, symbolic steps removed."""
     base = (info.context or {}).get(BASE_DIRECTORY, Path.cwd())

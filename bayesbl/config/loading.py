@@ -163,16 +163,12 @@ def dump_config(config: RunConfig) -> str:
     return tomli_w.dumps(_plain(config.model_dump(by_alias=True, exclude_none=True)))
 
 
-def inputs_of(config: RunConfig) -> list[Path]:
-    """Every file that a configuration names, as text in the rows of a study too."""
-    return _files(config.model_dump(exclude={"run"}))
-
-
-def _files(value: Any) -> list[Path]:
+def files_of(value: Any) -> list[Path]:
+    """Every path in a configuration's tables, as text in the rows of a study too."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, list | tuple):
-        return [path for item in value for path in _files(item)]
+        return [path for item in value for path in files_of(item)]
     # A study's rows hold full paths where text names a file.
     text = isinstance(value, str) and os.path.isabs(value) and os.path.isfile(value)
     return [Path(value)] if text or isinstance(value, Path) else []

@@ -17,6 +17,7 @@ from bayesbl.config.fields import (
     Section,
     as_tuple,
     refuse,
+    require_different,
 )
 from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
 
@@ -162,10 +163,10 @@ class Estimator(Section):
                 expected='bench = "bench.toml" (--bench bench.toml)',
                 at=("route",),
             )
-        if self.route == "direct" and self.search.start_from is not None:
+        if self.route != "amplitude" and self.search.start_from is not None:
             refuse(
                 "The direct route starts from its bench and cannot start from an earlier result.",
-                found=f'start_from = "{self.search.start_from}" with route = "direct"',
+                found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )
         if self.search.method != "guess" and self.model.baseline_harmonics != 0:
@@ -190,10 +191,23 @@ class Curve(Section):
     """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
 
     Without a source the curves are those of the estimator's bench; without a bench there is no δ.
+    A source goes before the bench; the direct route has no use for one.
     """
 
     source: CurveSource | None = None
     allow_extrapolation: bool = False
+
+
+class WearOverDates(Section):
+    """``[wear]``: what is known of wear beside the recordings.
+
+    ``relative_sd_per_date`` is what temperature, grease or the torque constant may move each
+    date's gap by, whatever the wear. ``in_service_since`` is when the joint, or what its last
+    repair replaced, began to work.
+    """
+
+    relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)
+    in_service_since: Date | None = None
 
 
 class SnapshotConfig(RecordedConfig):
@@ -209,25 +223,6 @@ class SnapshotConfig(RecordedConfig):
     interval: Interval = Field(default_factory=Interval)
     curve: Curve = Field(default_factory=Curve)
 
-    @model_validator(mode="after")
-    def _one_curve(self) -> Self:
-        estimator, source = self.estimator, self.curve.source
-        if source is None or estimator.bench is None or estimator.route == "auto":
-            return self
-        if estimator.route == "direct":
-            refuse(
-                "The direct route needs no curve.",
-                found=f'source = "{source}" with route = "direct"',
-                expected='no source, or route = "auto" for the amplitude beside it',
-                at=("curve", "source"),
-            )
-        refuse(
-            "There are two curves: that of the bench and another one.",
-            found=f'source = "{source}" and bench = "{estimator.bench}"',
-            expected="one of them",
-            at=("curve", "source"),
-        )
-
     @field_validator("recordings")
     @classmethod
     def _right_number(
@@ -241,23 +236,18 @@ class SnapshotConfig(RecordedConfig):
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
         names = [recording.name for recording in recordings]
-        if len(set(names)) < len(names):
-            refuse(
-                "Two recordings have the same name.",
-                found=", ".join(f'"{name}"' for name in names),
-                expected="a different name for each",
-            )
+        require_different(names, "Two recordings have the same name.")
         return recordings
 
     @field_validator("posterior")
     @classmethod
     def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:
         estimator = info.data.get("estimator")  # absent if it was refused itself
-        if estimator is not None and estimator.route == "direct" and posterior.check_sampler:
+        if estimator is not None and estimator.route != "amplitude" and posterior.check_sampler:
             refuse(
                 "The second sampler samples the amplitude route's posterior only; by the direct "
                 "route, full simulations check the draws.",
-                found='check_sampler = true with route = "direct"',
+                found=f'check_sampler = true with route = "{estimator.route}"',
                 expected='route = "amplitude", or no check_sampler',
                 at=("check_sampler",),
             )
@@ -293,6 +283,7 @@ class CompareConfig(SnapshotConfig):
     least_recordings = 2
 
     kind: Literal["compare"]
+    wear: WearOverDates = Field(default_factory=WearOverDates)
 
     @property
     def dates(self) -> tuple[Date, ...] | None:
@@ -325,6 +316,28 @@ class CompareConfig(SnapshotConfig):
             return recordings
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
+
+    @model_validator(mode="after")
+    def _wears_over_dates(self) -> Self:
+        if self.wear.model_fields_set and self.dates is None:
+            refuse(
+                "[wear] needs dated recordings.",
+                found="a recording without a date",
+                expected="date = 2026-03-01 in every [[recordings]], or no [wear]",
+                at=("wear",),
+            )
+        start = self.wear.in_service_since
+        if start is not None and self.dates is not None:
+            repairs = [d for d, r in zip(self.dates, self.recordings, strict=True) if r.repaired]
+            first = repairs[-1] if repairs else self.dates[0]
+            if start > first:
+                refuse(
+                    "The joint cannot have begun to work after its first recording.",
+                    found=f"in_service_since = {start}, first recording {first}",
+                    expected="an earlier date, or none where it is not known",
+                    at=("wear", "in_service_since"),
+                )
+        return self
 
     @model_validator(mode="after")
     def _decides_on_the_future(self) -> Self:

@@ -26,6 +26,7 @@ from bayesbl.config.fields import (
     column_entry,
     name_of,
     refuse,
+    require_different,
 )
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.ringing.symbols import (
@@ -115,14 +116,7 @@ class RecordedConfig(RunConfig):
                     at=(channel, "unit"),
                 )
         names = [column.name for column in columns.values()]
-        if len(set(names)) < len(names):
-            refuse(
-                "A column is mapped to two channels.",
-                found=", ".join(
-                    f'"{name}"' for name in sorted(set(names)) if names.count(name) > 1
-                ),
-                expected="a column for each channel",
-            )
+        require_different(names, "A column is mapped to two channels.")
         return columns
 
 

@@ -7,7 +7,15 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from bayesbl.config.fields import InputPath, Name, OutputPath, Positive, Section, as_tuple, refuse
+from bayesbl.config.fields import (
+    InputPath,
+    Name,
+    OutputPath,
+    Positive,
+    Section,
+    as_tuple,
+    require_different,
+)
 from bayesbl.config.files import load_file
 
 
@@ -51,13 +59,7 @@ class SimulateFile(Section):
     ) -> tuple[SimulatedRecording, ...]:
         for kind in ("name", "file"):
             values = [getattr(recording, kind) for recording in recordings]
-            twice = sorted({value for value in values if values.count(value) > 1})
-            if twice:
-                refuse(
-                    f"Two recordings have the same {kind}.",
-                    found=f'"{twice[0]}"',
-                    expected="a different one for each",
-                )
+            require_different(values, f"Two recordings have the same {kind}.")
         return recordings
 
 

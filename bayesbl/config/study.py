@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_validator
 
-from bayesbl.config.fields import InputPath, as_tuple, refuse, resolve
+from bayesbl.config.fields import InputPath, as_tuple, refuse, require_different, resolve
 from bayesbl.config.sections import Run, RunConfig
 
 
@@ -62,6 +62,5 @@ class StudyConfig(RunConfig):
             refuse("A study needs rows.", expected="at least one [[rows]]")
         if not all(isinstance(name, str) and name.strip() for name in names):
             refuse("A row has no name.", found=names, expected="a name as text in every row")
-        if len(set(names)) < len(names):
-            refuse("Two rows have the same name.", found=names, expected="different names")
+        require_different(list(map(str, names)), "Two rows have the same name.")
         return rows

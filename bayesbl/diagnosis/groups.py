@@ -22,51 +22,43 @@ from bayesbl.diagnosis.residual_groups import residuals_dataset, residuals_group
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
+from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
 from bayesbl.results.intervals import IntervalKind
-from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.results.stacking import padded
+from bayesbl.results.variables import Group, Variable, dataset, labels, table
 from bayesbl.units import unit_of
 
 STAGES = ("before", "after")
 """The bench as believed, and with what was named."""
 
-_PIECE = (
-    Variable("recording", ("piece",), "", "recording", "text"),
-    Variable("channel", ("piece",), "", "channel", "text"),
-    Variable("use", ("piece",), "", "fitted on (used) or predicted (held_out)", "text"),
-)
+_PIECE = table("""
+    recording (piece) | text | recording
+    channel (piece) | text | channel
+    use (piece) | text | fitted on (used) or predicted (held_out)
+""")
 
 
 def signals_group(unit: str) -> Group:
     """Signals in the unit of their channel; a row for each :class:`PieceSignals`."""
-    dims = ("piece", "sample")
-    return Group(
-        "signals",
-        (
-            Variable("time_s", dims, "s", "time"),
-            Variable("measured", dims, unit, "measured"),
-            Variable("before", dims, unit, "bench without the named effects"),
-            Variable("after", dims, unit, "bench with the named effects"),
-        ),
-        _PIECE,
-        optional=True,
-    )
+    variables = table(f"""
+        time_s (piece, sample) | s | time
+        measured (piece, sample) | {unit} | measured
+        before (piece, sample) | {unit} | bench without the named effects
+        after (piece, sample) | {unit} | bench with the named effects
+    """)
+    return Group("signals", variables, _PIECE, optional=True)
 
 
 def disagreement_group(unit: str) -> Group:
     """RMS between bench and measurement in the unit of the channel; a row for each piece."""
-    dims = ("piece",)
-    return Group(
-        "disagreement",
-        (
-            Variable("before", dims, unit, "RMS without the named effects"),
-            Variable("after", dims, unit, "RMS with the named effects"),
-            Variable(
-                "noise_floor", dims, unit, "RMS of what does not follow from the recording's past"
-            ),
-            Variable("closed_fraction", dims, "1", "closed share of the excess over the floor"),
-        ),
-        (*_PIECE, Variable("noise_floor_from", dims, "", "that past: rotation or samples", "text")),
-    )
+    variables = table(f"""
+        before (piece) | {unit} | RMS without the named effects
+        after (piece) | {unit} | RMS with the named effects
+        noise_floor (piece) | {unit} | RMS of what does not follow from the recording's past
+        closed_fraction (piece) | 1 | closed share of the excess over the floor
+    """)
+    past = table("noise_floor_from (piece) | text | that past: rotation or samples")
+    return Group("disagreement", variables, (*_PIECE, *past))
 
 
 def _unknown(name: str) -> Variable:
@@ -78,22 +70,14 @@ def _unknown(name: str) -> Variable:
     )
 
 
-POSTERIOR = Group(
-    "posterior",
-    coordinates=(
-        Variable("chain", ("chain",), "1", "ensemble"),
-        Variable("draw", ("draw",), "1", "draw"),
-    ),
-    named=_unknown,
-    optional=True,
-)
+POSTERIOR = Group("posterior", coordinates=(CHAIN, DRAW), named=_unknown, optional=True)
 
 RANKING = Group(
     "ranking",
-    (
-        Variable("chi_square_gain", ("candidate",), "1", "drop of χ² by this candidate alone"),
-        Variable("log_evidence_gain", ("candidate",), "1", "log evidence over the bench before"),
-    ),
+    table("""
+        chi_square_gain (candidate) | 1 | drop of χ² by this candidate alone
+        log_evidence_gain (candidate) | 1 | log evidence over the bench before
+    """),
     (labels("candidate", "effect or bench parameter"),),
     optional=True,
 )
@@ -159,17 +143,13 @@ def _stacked(rows: Sequence[object], declared: Variable) -> object:
         return values
     if len(declared.dims) == 1:
         return np.array(values, dtype=float)
-    table = np.full((len(values), max(value.size for value in values)), np.nan)
-    for row, value in zip(table, values, strict=True):
-        row[: value.size] = value
-    return table
+    return padded(values, max(value.size for value in values))
 
 
 def _posterior(posterior: DirectPosterior) -> xr.Dataset:
-    chains, count, _ = posterior.draws.shape
     values = {}
     for i, unknown in enumerate(posterior.fit.model.unknowns):
         name = result_name(unknown)
         label = name if unknown.recording is None else f"{name} ({unknown.recording})"
         values[label] = unknown.value(posterior.draws[..., i])
-    return dataset(POSTERIOR, values, {"chain": np.arange(chains), "draw": np.arange(count)})
+    return dataset(POSTERIOR, values, numbered(posterior.draws.shape))

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from bayesbl.diagnosis.diagnosis import Diagnosis
-    from bayesbl.diagnosis.task import Progress, Task
+    from bayesbl.diagnosis.task import Task
+    from bayesbl.measurement.task import StageProgress
 
 
 class Method(Protocol):
@@ -26,7 +27,7 @@ class Method(Protocol):
     def describe(self, task: Task) -> str:
         """What would be compared, without comparing it; a task that does not suit is refused."""
 
-    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
         """The answer.
 
         Raises

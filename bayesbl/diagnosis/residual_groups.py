@@ -16,14 +16,14 @@ from operator import attrgetter
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from bayesbl.diagnosis.residuals.analysis import ChannelResiduals, ResidualAnalysis
 from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
 from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain
 from bayesbl.recording.types import CHANNELS
-from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.results.stacking import padded
+from bayesbl.results.variables import Group, Variable, dataset, labels, table
 from bayesbl.units import unit_of
 
 _ANGLE = "load_angle_rad"
@@ -123,13 +123,13 @@ def residuals_group(stage: str) -> Group:
     """Of the bench as believed (``before``), or with what was named (``after``)."""
     return Group(
         f"residuals_{stage}",
-        (
-            Variable("reference_speed_rpm", ("recording",), "rpm", "reference speed of the motor"),
-            Variable("rotations", ("recording",), "1", "load rotations looked at"),
-            Variable("gear_ratio", ("recording",), "1", "motor turns in a turn of the load"),
-            Variable("frequency_hz", ("recording", "bin"), "Hz", "frequency"),
-            Variable("load_order", ("recording", "bin"), "1", "cycles per turn of the load"),
-        ),
+        table("""
+            reference_speed_rpm (recording) | rpm | reference speed of the motor
+            rotations (recording) | 1 | load rotations looked at
+            gear_ratio (recording) | 1 | motor turns in a turn of the load
+            frequency_hz (recording, bin) | Hz | frequency
+            load_order (recording, bin) | 1 | cycles per turn of the load
+        """),
         (
             labels("recording", "recording"),
             Variable(_ANGLE, (_ANGLE,), "rad", "load angle"),
@@ -153,8 +153,8 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
         "reference_speed_rpm": [w.reference_speed_rpm for w in whole],
         "rotations": [float(w.rotations) for w in whole],
         "gear_ratio": [w.gear_ratio for w in whole],
-        "frequency_hz": _table([w.frequency_hz for w in whole], sizes["bin"]),
-        "load_order": _table([w.frequency_hz / w.rotation_hz for w in whole], sizes["bin"]),
+        "frequency_hz": padded([w.frequency_hz for w in whole], sizes["bin"]),
+        "load_order": padded([w.frequency_hz / w.rotation_hz for w in whole], sizes["bin"]),
     }
     for name in names:
         seen = [next((c for c in r.channels if c.channel == name), None) for r in recordings]
@@ -182,12 +182,4 @@ def _of_recordings(
 ) -> object:
     if not row.along:
         return np.array([np.nan if c is None else row.of(c) for c in seen], dtype=float)
-    return _table([[] if c is None else row.of(c) for c in seen], sizes[row.along], row.is_text)
-
-
-def _table(rows: Sequence[object], width: int, text: bool = False) -> NDArray[np.generic]:
-    """Rows of different lengths, padded with NaN or empty text, shape (recordings, width)."""
-    out = np.full((len(rows), width), "" if text else np.nan, dtype="U16" if text else float)
-    for place, row in zip(out, map(np.asarray, rows), strict=True):
-        place[: row.size] = row
-    return out
+    return padded([[] if c is None else row.of(c) for c in seen], sizes[row.along], row.is_text)

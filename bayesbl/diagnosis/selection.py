@@ -45,7 +45,8 @@ from bayesbl.diagnosis.diagnosis import (
 from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
-from bayesbl.diagnosis.task import Progress, Task
+from bayesbl.diagnosis.task import Task
+from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
@@ -96,7 +97,7 @@ class BySelection:
         names = ", ".join(candidate.name for candidate in comparison.candidates)
         return f"{self.name}, {comparison.pieces[0].channel}; candidates {names}"
 
-    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
         """The answer."""
         asked = task.config.candidates
         settings = Settings(asked.max_effects, asked.false_alarm)
@@ -121,7 +122,7 @@ class _Trial:
 
 
 def diagnose(
-    problem: Problem, bench: Bench, settings: Settings, progress: Progress | None = None
+    problem: Problem, bench: Bench, settings: Settings, progress: StageProgress | None = None
 ) -> Diagnosis:
     """Name what is missing; the disagreement before and after.
 
@@ -162,7 +163,7 @@ def _signals(
 
 
 def _select(
-    comparison: Comparison, before: EffectsFit, settings: Settings, progress: Progress | None
+    comparison: Comparison, before: EffectsFit, settings: Settings, progress: StageProgress | None
 ) -> EffectsFit:
     """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from bayesbl.bench.bench import Bench, Drive
@@ -14,9 +14,6 @@ from bayesbl.recording.checks import require_channels
 from bayesbl.recording.clipping import require_unclipped, without_rails
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, done, of how many)."""
 
 MOST_EXCLUDED = 0.5
 """Largest share of a piece that may be left out: what remains should still be a recording."""

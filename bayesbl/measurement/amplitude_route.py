@@ -79,7 +79,9 @@ class AmplitudeMeasurer:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
         check = NOTHING_COMPARED
         if not self.source.is_of_bench:
-            check = same_joint(fits, [entry.repaired for entry in task.config.recordings])
+            check = same_joint(
+                [fit.point for fit in fits], [entry.repaired for entry in task.config.recordings]
+            )
         return Measurement(
             "amplitude",
             [

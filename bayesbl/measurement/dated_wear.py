@@ -2,8 +2,9 @@
 
 Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
 the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
-where the answer is withheld, ``decide_before`` where that was asked, and with three snapshots or
-more those of :class:`bayesbl.measurement.wear.Straightness`, ``line_`` before their names.
+where the answer is withheld, ``decide_before`` where that was asked, ``relative_sd_per_date`` with
+``drift_widens`` where the gaps drift, and those of :class:`bayesbl.measurement.wear.Fall`,
+``fall_`` before their names.
 
 ``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
@@ -23,21 +24,24 @@ from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.measurement import Snapshot
 from bayesbl.measurement.summary_types import (
     DateInterval,
-    LineSummary,
+    FallSummary,
+    RateInterval,
     WearSummary,
     WithheldWearSummary,
 )
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
-    LEAST_SHARE_GROWING,
     LONGEST_YEARS,
-    Straightness,
+    Fall,
     Wear,
+    fall,
     probability_before,
     since_repair,
-    straightness,
+    trend,
     wear,
 )
+from bayesbl.measurement.wear_laws import LAWS
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, attributes, dataset, table
 
@@ -61,67 +65,93 @@ WEAR = Group(
     table("""
         date (dated) | text | date of snapshot
         used (dated) | 1 | 1 where taken since the last repair
-        rate_rad_per_year? (chain, draw) | rad/year | growth of the gap, of either sign
+        trend_rad_per_year? (chain, draw) | rad/year | slope of a straight line, of either sign
+        law? (chain, draw) | 1 | number of the law of wear, from 0
+        law_shape? (law_parameter, chain, draw) | 1 | its shape parameters; 1 where it has fewer
+        first_rad? (chain, draw) | rad | gap at the first snapshot in use, from all of them
         current_rad? (chain, draw) | rad | gap at the last snapshot, from all of them
+        expected_growth_rad? (chain, draw) | rad | mean growth between them by the law
+        rate_now_rad_per_year? (chain, draw) | rad/year | rate at the last snapshot by the law
         scatter_rad_per_root_year? (chain, draw) | rad/year^0.5 | irregular wear
-        years_to_limit? (chain, draw) | year | time from the last snapshot to the limit; none where
-            the gap would heal
+        years_to_limit? (chain, draw) | year | time from the last snapshot to the limit
     """),
     optional=True,
 )
 
 
 def wear_of(
-    config: CompareConfig, snapshots: Sequence[Snapshot], seed: np.random.SeedSequence
+    config: CompareConfig,
+    snapshots: Sequence[Snapshot],
+    seed: np.random.SeedSequence,
+    change_reason: str | None = None,
 ) -> xr.Dataset | None:
-    """Group :data:`WEAR` of a comparison; ``None`` where not every recording has a date."""
+    """Group :data:`WEAR` of a comparison; ``None`` where not every recording has a date.
+
+    ``change_reason`` is why the change of the gap is withheld, which withholds its rate too.
+    """
     dates = config.dates
     if dates is None:
         return None
     used = since_repair([recording.repaired for recording in config.recordings])
     since, chosen = dates[used], snapshots[used]
-    before = config.joint.decide_before
+    group = wear_group(dates, used)
+    if config.joint.decide_before is not None:
+        group.attrs["decide_before"] = config.joint.decide_before.isoformat()
     if since[0] == since[-1]:
         count = "one snapshot" if len(since) == 1 else "snapshots of one day"
-        reason = f"There is only {count} since the repair: a rate needs two, at different dates."
-        if used.start == 0 and not config.recordings[0].repaired:
-            reason = f"There are only {count}: a rate needs two, at different dates."
-        return wear_group(dates, used, None, reason=reason, decide_before=before)
-    years = np.array([years_between(since[0], day) for day in since])
-    drawn = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
-    result = wear(drawn, years, seed, limit_rad=config.joint.limit_rad)
+        begin = "There is only" if len(since) == 1 else "There are only"
+        repair = " since the repair" if config.recordings[used.start].repaired else ""
+        group.attrs["reason"] = f"{begin} {count}{repair}: a rate needs two, at different dates."
+        return group
     withheld = [snapshot.name for snapshot in chosen if snapshot.verdict.reason]
-    reason = ""
     if withheld:
-        reason = f"The gap is withheld for {', '.join(withheld)}."
-    elif 1.0 - result.heals.mean() < LEAST_SHARE_GROWING:
-        reason = (
+        group.attrs["reason"] = f"The gap is withheld for {', '.join(withheld)}."
+        return group
+    if change_reason:
+        group.attrs["reason"] = change_reason
+        return group
+    years = np.array([years_between(since[0], day) for day in since])
+    drift_seed, wear_seed = seed.spawn(2)
+    measured = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
+    drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
+    start, limit = config.wear.in_service_since, config.joint.limit_rad
+    age = None if start is None else max(years_between(start, since[0]), 0.0)
+    found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
+    if found is None:
+        group.attrs["reason"] = (
             "The gap shrank, and wear does not heal. If the joint was repaired, mark the first "
             "recording after it (repaired = true)."
         )
-    line = None if reason else straightness(drawn, years)
-    return wear_group(dates, used, result, reason=reason, decide_before=before, line=line)
+        return group
+    slope = trend(drawn, years)
+    group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)
+    group.attrs |= {f"fall_{name}": value for name, value in asdict(fall(drawn)).items()}
+    if config.wear.relative_sd_per_date > 0.0:
+        group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
+        group.attrs["drift_widens"] = float(slope.std() / trend(measured, years).std())
+    return group
+
+
+def _drifting(
+    delta_rad: FloatArray, relative_sd: float, seed: np.random.SeedSequence
+) -> FloatArray:
+    """Draws of gaps that temperature, grease and the like may have moved, each date by itself."""
+    moved = np.random.default_rng(seed).standard_normal(delta_rad.shape)
+    return np.asarray(delta_rad * np.exp(relative_sd * moved))
 
 
 def wear_group(
     dates: Sequence[Date],
     used: slice,
-    found: Wear | None,
-    *,
-    reason: str,
-    decide_before: Date | None,
-    line: Straightness | None = None,
+    found: Wear | None = None,
+    slope_rad_per_year: FloatArray | None = None,
 ) -> xr.Dataset:
-    """Group :data:`WEAR`; ``found`` is ``None`` where nothing could be computed."""
+    """Group :data:`WEAR`; without ``found`` there is no answer, and ``reason`` has to say why."""
     chosen = np.zeros(len(dates))
     chosen[used] = 1.0
-    draws = attributes(WEAR, found)
-    group = dataset(WEAR, {"date": [d.isoformat() for d in dates], "used": chosen, **draws})
-    group.attrs = {"reason": reason}
-    if decide_before is not None:
-        group.attrs["decide_before"] = decide_before.isoformat()
-    if line is not None:
-        group.attrs |= {f"line_{name}": value for name, value in asdict(line).items()}
+    values = {"date": [d.isoformat() for d in dates], "used": chosen, **attributes(WEAR, found)}
+    group = dataset(WEAR, values | {"trend_rad_per_year": slope_rad_per_year})
+    group.attrs = {"reason": ""}
     return group
 
 
@@ -146,56 +176,68 @@ def summarise_wear(
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
         "level": level,
-        "rate_rad_per_year": None,
-        "rate_at_most_rad_per_year": None,
         "probability_wear": None,
+        "law": None,
+        "rate": None,
+        "rate_now": None,
+        "rate_at_most_rad_per_year": None,
         "scatter_rad_per_root_year": None,
-        "line": None,
+        "fall": None,
+        "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
+        "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": None if limit is None else float(limit),
         "years_to_limit": None,
-        "limit_date": None,
-        "limit_not_before": None,
+        "date_of_limit": None,
+        "not_before": None,
         "decide_before": before,
-        "probability_limit_before": None,
+        "probability_before": None,
         "reason": group.attrs["reason"],
     }
     if withheld["reason"]:
         return withheld
-    every = group["rate_rad_per_year"].values
-    grows = every >= 0.0
-    rate = every[grows]
+    shares = np.bincount(group["law"].values.astype(int).ravel(), minlength=len(LAWS))
+    shares = shares / shares.sum()
+    grown = group["current_rad"].values - group["first_rad"].values
+    rate = grown / years_between(dates[0], dates[-1])
     result: WearSummary = {
         **withheld,
-        "rate_rad_per_year": interval(rate, level, kind),
+        "probability_wear": float(np.mean(group["trend_rad_per_year"].values > 0.0)),
+        "law": {law.name: float(p) for law, p in zip(LAWS, shares, strict=True)},
+        "rate": _rate(interval(rate, level, kind)),
+        "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
         "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
-        "probability_wear": float(np.mean(every > 0.0)),
+        "fall": _fall(group, withheld["snapshots"]),
         "reason": None,
     }
     if len(dates) >= FEWEST_FOR_SCATTER:
-        scatter = group["scatter_rad_per_root_year"].values[grows]
+        scatter = group["scatter_rad_per_root_year"].values
         result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
-    if "line_probability" in group.attrs:
-        result["line"] = _line(group, result["snapshots"])
     if "years_to_limit" in group:
-        years = group["years_to_limit"].values[grows]
+        years = group["years_to_limit"].values
         found = interval(years, level, kind)
         result["years_to_limit"] = found
-        result["limit_date"] = _dates(dates[-1], found)
-        result["limit_not_before"] = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
+        result["date_of_limit"] = _dates(dates[-1], found)
+        earliest = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
+        result["not_before"] = {"date": earliest, "level": level}
         if before is not None:
             ahead = years_between(dates[-1], Date.fromisoformat(before))
-            result["probability_limit_before"] = probability_before(years, ahead)
+            passed = probability_before(years, ahead)
+            result["probability_before"] = {"date": before, "probability": passed}
     return result
 
 
-def _line(group: xr.Dataset, names: Sequence[str]) -> LineSummary:
-    line = Straightness(**{f.name: group.attrs[f"line_{f.name}"] for f in fields(Straightness)})
+def _rate(found: Interval) -> RateInterval:
+    return {**found, "unit": "rad/year"}
+
+
+def _fall(group: xr.Dataset, names: Sequence[str]) -> FallSummary:
+    found = Fall(**{f.name: group.attrs[f"fall_{f.name}"] for f in fields(Fall)})
     return {
-        "is_straight": bool(line.is_straight),
-        "probability": float(line.probability),
-        "snapshot": names[int(line.snapshot)],
-        "excess_rad": float(line.excess_rad),
-        "standard_deviations": float(line.standard_deviations),
+        "is_fall": bool(found.is_fall),
+        "snapshot": names[int(found.snapshot)],
+        "fall_rad": float(found.fall_rad),
+        "standard_deviations": float(found.standard_deviations),
+        "probability": float(found.probability),
     }
 
 

@@ -1,10 +1,11 @@
 """What a recording says of its joint beside the gap: the controller's gains, friction, the load.
 
 Signals are folded over load rotations. Noise differs from one rotation to the next, so products of
-two different rotations hold none of it on average: the gains come from such products (instrumental
-variables, the instrument being another rotation), and are not pulled towards zero by the noise of
-the speed; the size of a harmonic comes from them too, and is not enlarged. Standard errors are
-those of a block bootstrap of what does not repeat.
+two different rotations hold none of it on average: the size of a harmonic comes from them, and is
+not enlarged by noise. Standard errors are those of a block bootstrap of what does not repeat.
+
+The gains come from the law of the controller at every load order, by maximum likelihood with noise
+in both speed and current (:func:`controller_gains`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
@@ -27,6 +29,15 @@ BLOCKS_PER_ROTATION = 8
 
 SEED = 20260301
 HARMONICS = (1, 2)
+
+SMOOTHED = 31
+"""Load orders over which the noise is taken for level: less than the ringing's own width."""
+
+STANDS_OUT = 4.0
+"""Power of the speed error over that of its noise from which on an order counts."""
+
+FEWEST_ORDERS = 6
+ROUNDS = 8
 
 PROPORTIONAL, INTEGRAL = "proportional gain", "integral gain"
 MEAN_CURRENT = "mean current"
@@ -70,12 +81,60 @@ def features(folded: FloatArray, period_s: float) -> list[Feature]:
     period_s
         Between samples.
     """
-    values = _values(folded, period_s)
+    gains = controller_gains(folded, period_s) if len(folded) > 1 else []
     generator = np.random.default_rng(SEED)
-    drawn = [_values(_resampled(folded, generator), period_s) for _ in range(RESAMPLES)]
-    return [
+    drawn = [_values(_resampled(folded, generator)) for _ in range(RESAMPLES)]
+    return gains + [
         Feature(name, _unit(name), value, float(np.std([d[name] for d in drawn], ddof=1)))
-        for name, value in values.items()
+        for name, value in _values(folded).items()
+    ]
+
+
+def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
+    """K_p/K_t and K_i/K_t from the law of the controller, I_k = (K_p + K_i/jω_k) E_k / K_t.
+
+    At every load order k the rotations' mean of speed error E_k and current I_k has noise of a
+    covariance that the scatter between rotations gives, smoothed over ``SMOOTHED`` orders. The true
+    E_k is estimated beside the gains (errors in variables), by Gauss-Newton. Orders whose speed
+    error is noise say nothing and are left out.
+
+    Returns
+    -------
+    Nothing where too few orders stand out; ``folded`` as :func:`features` takes it.
+    """
+    centred = folded - folded.mean(axis=2, keepdims=True)
+    spectrum = np.fft.rfft(centred, axis=2)[:, :, 1:]
+    spectrum[0] *= -1.0 / RPM_PER_RAD_PER_S
+    rotations = spectrum.shape[1]
+    error, current = spectrum.mean(axis=1)
+    scatter = spectrum - spectrum.mean(axis=1, keepdims=True)
+    noise = np.einsum("irk,jrk->ijk", scatter, scatter.conj()) / (rotations * (rotations - 1))
+    noise = uniform_filter1d(noise.real, SMOOTHED) + 1j * uniform_filter1d(noise.imag, SMOOTHED)
+    shown = np.abs(error) ** 2 > STANDS_OUT * noise[0, 0].real
+    if np.count_nonzero(shown) < FEWEST_ORDERS:
+        return []
+    error, current, noise = error[shown], current[shown], noise[:, :, shown]
+    order = 1.0 + np.flatnonzero(shown)
+    integrated = folded.shape[2] * period_s / (2j * np.pi * order)
+    plain = np.stack([error, error * integrated])
+    gains = np.linalg.solve((plain @ plain.conj().T).real, (plain.conj() @ current).real)
+    for _ in range(ROUNDS):
+        response = gains[0] + gains[1] * integrated
+        variance = (
+            noise[1, 1] + np.abs(response) ** 2 * noise[0, 0] - 2.0 * response.conj() * noise[1, 0]
+        ).real
+        remaining = current - response * error
+        crossed = response.conj() * noise[0, 0] - noise[0, 1]
+        true_error = error + crossed / variance * remaining
+        columns = np.stack([true_error, true_error * integrated]) / np.sqrt(0.5 * variance)
+        white = remaining / np.sqrt(0.5 * variance)
+        information = (columns @ columns.conj().T).real
+        gains = gains + np.linalg.solve(information, (columns.conj() @ white).real)
+    excess = float(np.sum(np.abs(white) ** 2)) / (2 * white.size - 2)
+    sds = np.sqrt(np.diag(np.linalg.inv(information)) * max(excess, 1.0))
+    return [
+        Feature(name, _unit(name), float(value), float(sd))
+        for name, value, sd in zip((PROPORTIONAL, INTEGRAL), gains, sds, strict=True)
     ]
 
 
@@ -88,32 +147,13 @@ def folded_signal(signal: FloatArray, samples_per_rotation: float) -> FloatArray
     return np.asarray(folded.reshape(rotations, count))
 
 
-def _values(folded: FloatArray, period_s: float) -> dict[str, float]:
+def _values(folded: FloatArray) -> dict[str, float]:
     centred = folded - folded.mean(axis=2, keepdims=True)
-    found = {}
-    if len(folded) > 1:
-        current = centred[1]
-        error = -centred[0] / RPM_PER_RAD_PER_S
-        integral = np.cumsum(error, axis=1) * period_s
-        integral -= integral.mean(axis=1, keepdims=True)
-        terms = [error, integral]
-        normal = np.array([[_between_rotations(a, b) for b in terms] for a in terms])
-        found[PROPORTIONAL], found[INTEGRAL] = np.linalg.solve(
-            normal, [_between_rotations(a, current) for a in terms]
-        )
-        found[MEAN_CURRENT] = float(folded[1].mean())
+    found = {} if len(folded) == 1 else {MEAN_CURRENT: float(folded[1].mean())}
     for name, channel in zip(("speed", "current"), centred, strict=False):
         for order in HARMONICS:
             found[harmonic_name(name, order)] = _harmonic(channel, order)
     return found
-
-
-def _between_rotations(first: FloatArray, second: FloatArray) -> float:
-    """Mean of the products of different rotations, (rotations, samples) each."""
-    count = len(first)
-    of_all = float(first.sum(axis=0) @ second.sum(axis=0))
-    of_same = float(np.einsum("ij,ij->", first, second))
-    return (of_all - of_same) / (count * (count - 1))
 
 
 def _harmonic(channel: FloatArray, order: int) -> float:

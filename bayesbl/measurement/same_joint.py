@@ -24,7 +24,7 @@ from bayesbl.measurement.joint_features import (
     harmonic_name,
 )
 from bayesbl.recording.types import MOTOR_CURRENT
-from bayesbl.ringing.estimator import Fit, nominal_speed_rpm
+from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
 from bayesbl.units import number
 
 FALSE_ALARM = 0.01
@@ -94,7 +94,7 @@ class _Seen:
     direction: float
 
 
-def same_joint(fits: Sequence[Fit], repaired: Sequence[bool]) -> JointCheck:
+def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> JointCheck:
     """Every snapshot against the first one since the last repair.
 
     Parameters
@@ -102,9 +102,9 @@ def same_joint(fits: Sequence[Fit], repaired: Sequence[bool]) -> JointCheck:
     repaired
         Whether each snapshot is the first one after a repair.
     """
-    if len(fits) < 2:
+    if len(points) < 2:
         return NOTHING_COMPARED
-    seen = [_seen(fit) for fit in fits]
+    seen = [_seen(point) for point in points]
     pairs, first = [], seen[0]
     for snapshot, anew in zip(seen[1:], repaired[1:], strict=True):
         if anew:
@@ -116,7 +116,7 @@ def same_joint(fits: Sequence[Fit], repaired: Sequence[bool]) -> JointCheck:
         return NOTHING_COMPARED
     bound = float(norm.isf(0.5 * FALSE_ALARM / len(found)))
     blind = [*_too_small(pairs, bound)]
-    if not all(MOTOR_CURRENT in fit.point.recording.channels for fit in fits):
+    if not all(MOTOR_CURRENT in point.recording.channels for point in points):
         blind = [*WITHOUT_CURRENT, *blind]
     apart = [(other, item) for other, item in found if abs(item.z) > bound]
     several = len(pairs) > 1
@@ -139,9 +139,9 @@ def change_reason(check: JointCheck) -> str | None:
     )
 
 
-def _seen(fit: Fit) -> _Seen:
-    centre, covariance = fit.point.ringing
-    found = {feature.name: feature for feature in features_of(fit.point)}
+def _seen(point: PointEstimate) -> _Seen:
+    centre, covariance = point.ringing
+    found = {feature.name: feature for feature in features_of(point)}
     for name, unit, place, scale in (
         (FREQUENCY, "Hz", 1, 2.0 * math.pi),
         (DECAY, "1/s", 2, 1.0),
@@ -151,7 +151,7 @@ def _seen(fit: Fit) -> _Seen:
             value = math.exp(centre[place]) / scale
             sd = math.hypot(sd, START_ANGLE_SD[name])
             found[name] = Feature(name, unit, value, value * sd)
-    recording = fit.point.recording
+    recording = point.recording
     return _Seen(
         recording.name,
         found,

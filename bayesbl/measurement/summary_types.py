@@ -165,14 +165,37 @@ StepSummary = TypedDict(
 """Change between neighbouring snapshots."""
 
 
-class LineSummary(TypedDict):
-    """Whether the gaps lie on a straight line in time, and which is farthest off."""
+class FallSummary(TypedDict):
+    """The surest fall of the gap between neighbouring dates, and whether it is one."""
 
-    is_straight: bool
-    probability: float
+    is_fall: bool
     snapshot: str
-    excess_rad: float
+    fall_rad: float
     standard_deviations: float
+    probability: float
+
+
+class RateInterval(Interval):
+    """An interval of a rate of wear, with its unit."""
+
+    unit: str
+
+
+class NotBefore(TypedDict):
+    """With probability ``level`` the limit is not reached before ``date`` (one-sided).
+
+    ``None`` where that is too far ahead to be computed.
+    """
+
+    date: str | None
+    level: float
+
+
+class ProbabilityBefore(TypedDict):
+    """Probability that the limit is reached by a date."""
+
+    date: str
+    probability: float
 
 
 class DateInterval(TypedDict):
@@ -193,42 +216,50 @@ class _DatedSummary(TypedDict):
     last_date: str
     level: float
     limit_rad: float | None
+    relative_sd_per_date: float
+    drift_widens: float | None
     decide_before: str | None
 
 
 class WearSummary(_DatedSummary):
     """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
 
-    ``rate_rad_per_year`` has healing ruled out, ``probability_wear`` that the gap grows has not.
-    ``scatter_rad_per_root_year`` is irregular wear, ``None`` under four snapshots; ``line`` is
-    ``None`` under three. ``years_to_limit`` count from the last snapshot; before
-    ``limit_not_before`` the limit is not reached, one-sided.
+    ``probability_wear`` that the gap grows has not ruled out healing, all that follows has. ``law``
+    is the posterior probability of each law of wear, ``rate`` the mean since the first snapshot,
+    ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is irregular wear,
+    ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may drift, as
+    configured, and ``drift_widens`` by what factor that widens the rate. ``years_to_limit`` count
+    from the last snapshot.
     """
 
-    rate_rad_per_year: Interval
-    rate_at_most_rad_per_year: float
     probability_wear: float
+    law: dict[str, float]
+    rate: RateInterval
+    rate_now: RateInterval
+    rate_at_most_rad_per_year: float
     scatter_rad_per_root_year: Interval | None
-    line: LineSummary | None
+    fall: FallSummary
     years_to_limit: Interval | None
-    limit_date: DateInterval | None
-    limit_not_before: str | None
-    probability_limit_before: float | None
+    date_of_limit: DateInterval | None
+    not_before: NotBefore | None
+    probability_before: ProbabilityBefore | None
     reason: None
 
 
 class WithheldWearSummary(_DatedSummary):
     """As :class:`WearSummary` where no rate can be given; ``reason`` says why."""
 
-    rate_rad_per_year: None
-    rate_at_most_rad_per_year: None
     probability_wear: None
+    law: None
+    rate: None
+    rate_now: None
+    rate_at_most_rad_per_year: None
     scatter_rad_per_root_year: None
-    line: None
+    fall: None
     years_to_limit: None
-    limit_date: None
-    limit_not_before: None
-    probability_limit_before: None
+    date_of_limit: None
+    not_before: None
+    probability_before: None
     reason: str
 
 

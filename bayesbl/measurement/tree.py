@@ -35,7 +35,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         groups["change"].attrs["reason"] = measured.change_reason or ""
         wear = None
         if not (measured.without_gap or measured.by_other_joint):
-            wear = wear_of(config, snapshots, task.seeds.wear)
+            wear = wear_of(config, snapshots, task.seeds.wear, measured.change_reason)
         if wear is not None:
             groups["wear"] = wear
     else:

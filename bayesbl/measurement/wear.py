@@ -1,22 +1,22 @@
 """How fast a joint wears, and when its gap reaches a limit: from joint draws of dated snapshots.
 
-Since the last repair the gap grows as a straight line in time,
+Since the last repair the gap follows a monotone path,
 
-    δ(t) = δ(t₁) + r (t − t₁) + σ B(t − t₁),    r ≥ 0,
+    δ(t) = δ(t₁) + X(t),    X a gamma process with mean Δ u(t) and variance σ² u(t),    Δ > 0,
 
-where B is Brownian motion: wear that is irregular beyond what measuring scatters (the Wiener
-process with drift of degradation analysis, Whitmore and Schenkelberg 1997). Fewer than
-``FEWEST_FOR_SCATTER`` snapshots cannot tell σ from measuring; it is then taken as 0.
+whose mean u follows one of the laws of :mod:`bayesbl.measurement.wear_laws` and whose increments
+are irregular by σ (van Noortwijk 2009). Which law, its shapes and σ are drawn by sequential Monte
+Carlo (Del Moral, Doucet and Jasra 2006) from their marginal likelihood: δ(t₁) and Δ have flat
+priors and are integrated out; between snapshots the process is taken as normal with the same mean
+and covariance, beyond the last it is the gamma process itself.
 
-The line is laid through *each joint draw* of the gaps. What the snapshots share, the curve's
-coefficients and the bench, is thereby one draw for all of them; a factor that they share makes
-another line of a line. Weights come from what they do not share.
+The path is laid through *each joint draw* of the gaps, each with a law of its own. What the
+snapshots share, the curve's coefficients and the bench, is thereby one draw for all of them; a
+factor that they share makes another path of the same law. Weights come from what they do not
+share.
 
-Wear does not heal: draws with r < 0 are left out of rate, gap and time to the limit
-(:attr:`Wear.heals`). They are counted first: :attr:`Wear.probability_wear` stays near one half, and
-exceeds 0.95 in one of twenty cases, where nothing wears. Rate and time must therefore never be
-read as a sign of wear: without any, the rate is still reported above 0, at about 0.8 of its
-standard deviation, and the time to the limit is too short rather than too long.
+Wear does not heal: paths that fall are left out. Rate and date must therefore never be read as a
+sign of wear; that is what :func:`trend` is for, which may have either sign.
 """
 
 from __future__ import annotations
@@ -26,24 +26,36 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gdtrib, ndtr, ndtri
+from scipy.stats import norm, qmc
 
+from bayesbl.measurement.wear_laws import SHAPES, grown, prior, shapes, time_of
 from bayesbl.recording.types import FloatArray
 
 FEWEST_FOR_SCATTER = 4
-LEAST_SHARE_GROWING = 0.01
-"""Share of draws with r ≥ 0 below which the gap has shrunk, which wear cannot do."""
+"""Snapshots from which on irregular wear can be told from errors of measuring."""
 
-FEWEST_FOR_LINE = 3
-"""Snapshots from which on a straight line can fail to fit."""
+LEAST_SHARE_GROWING = 0.01
+"""Share of draws that grow below which the gap has shrunk, which wear cannot do."""
 
 FALSE_ALARM = 0.01
-"""How often gaps that do lie on a line are said not to."""
+"""How often gaps that never fell are said to have fallen between two dates."""
 
 LONGEST_YEARS = 1000.0
 """Times to the limit are cut here: a rate near 0 makes them as long as one likes."""
 
-_GRID = 400
+SCATTER = (0.001, 0.8)
+"""Range of the log-uniform prior of σ, in multiples of the growth over the span."""
+
+PARTICLES = 2048
+LEAST_EFFECTIVE = 0.5
+"""Share of particles that a step of tempering leaves effective."""
+
+MOVES = 4
+"""Metropolis steps of every particle after each step of tempering."""
+
+_SMOOTH = 1e4
+"""More jumps than this between the gap and its limit are as good as none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,97 +64,70 @@ class Wear:
 
     Attributes
     ----------
-    rate_rad_per_year
-        r, of either sign.
-    current_rad
-        Gap at the last snapshot, given all snapshots since the repair.
+    law
+        Number of the law in :data:`bayesbl.measurement.wear_laws.LAWS`.
+    law_shape
+        Its shape parameters, (law_parameter, chain, draw); 1 where it has fewer.
+    first_rad, current_rad
+        Gap at the first and at the last snapshot, given all of them.
+    expected_growth_rad
+        Δ, the mean growth over the span by the law.
+    rate_now_rad_per_year
+        Mean rate by the law at the last snapshot.
     scatter_rad_per_root_year
-        σ; zero where there are too few snapshots to tell it.
+        σ over the root of the span.
     years_to_limit
         From the last snapshot until δ first reaches the limit, 0 where it has, at most
-        ``LONGEST_YEARS``; ``None`` without a limit. NaN where the draw heals.
+        ``LONGEST_YEARS``; ``None`` without a limit.
     """
 
-    rate_rad_per_year: FloatArray
+    law: NDArray[np.int_]
+    law_shape: FloatArray
+    first_rad: FloatArray
     current_rad: FloatArray
+    expected_growth_rad: FloatArray
+    rate_now_rad_per_year: FloatArray
     scatter_rad_per_root_year: FloatArray
     years_to_limit: FloatArray | None
 
-    @property
-    def heals(self) -> NDArray[np.bool_]:
-        """Draws that wear rules out."""
-        return np.asarray(self.rate_rad_per_year < 0.0)
-
-    @property
-    def probability_wear(self) -> float:
-        """Share of draws in which the gap grows, before healing is ruled out."""
-        return float(np.mean(self.rate_rad_per_year > 0.0))
-
 
 @dataclass(frozen=True, slots=True)
-class Straightness:
-    """How well one straight line in time fits the gaps.
+class Fall:
+    """The surest fall of the gap from one snapshot to the next, which wear rules out.
 
     Attributes
     ----------
-    probability
-        Of residuals as large as these where the gaps do lie on a line.
     snapshot
-        Number of the snapshot that is farthest off the line through all others, counted in
-        standard deviations; the middle one of three, which are all off by the same.
-    excess_rad
-        Its gap less that of the line through the others.
-    standard_deviations
-        The same over its uncertainty, both gap's and line's.
+        Number of the snapshot that lies below the one before it.
+    fall_rad, standard_deviations
+        By how much, also in units of its uncertainty; 0 or less where no gap falls.
+    probability
+        That errors of measuring make a fall as sure as this somewhere, at most (Bonferroni).
     """
 
-    probability: float
     snapshot: int
-    excess_rad: float
+    fall_rad: float
     standard_deviations: float
+    probability: float
 
     @property
-    def is_straight(self) -> bool:
-        """Whether measuring explains the residuals; wrongly denied with ``FALSE_ALARM``."""
-        return self.probability >= FALSE_ALARM
+    def is_fall(self) -> bool:
+        """Whether measuring does not explain it; wrongly claimed with ``FALSE_ALARM`` at most."""
+        return self.probability < FALSE_ALARM
 
 
-def straightness(delta_rad: FloatArray, years: FloatArray) -> Straightness | None:
-    """χ² of the residuals from the line of generalised least squares through the gaps' means.
+def fall(delta_rad: FloatArray) -> Fall:
+    """Whether the gap fell between neighbouring snapshots, from their joint draws.
 
-    Under the joint covariance of the draws: a factor that all snapshots share bends no line. The
-    snapshot named is off the line through the others by (Q m)_i / Q_ii ± Q_ii^(−1/2), with Q the
-    inverse covariance less what the line takes of it.
-
-    Parameters
-    ----------
-    delta_rad, years
-        As :func:`wear` takes them.
-
-    Returns
-    -------
-    ``None`` for fewer than ``FEWEST_FOR_LINE`` snapshots, or where these have no more than two
-    different dates.
+    What snapshots share falls nowhere: the draws of the difference are paired.
     """
-    count = len(years)
-    if count < FEWEST_FOR_LINE or np.unique(years).size < FEWEST_FOR_LINE:
-        return None
-    gaps = delta_rad.reshape(count, -1)
-    middle, design = gaps.mean(axis=1), _design((years - years[0]) / (years[-1] - years[0]))
-    covariance = np.cov(gaps)
-    # A floor: gaps that share all but rounding must not be taken for exact.
-    weights = np.linalg.inv(covariance + 1e-9 * np.diag(np.diag(covariance)))
-    line = weights @ design
-    left = weights - line @ np.linalg.solve(design.T @ line, line.T)
-    pull, stiffness = left @ middle, np.diag(left)
-    deviations = pull / np.sqrt(stiffness)
-    farthest = 1 if count == FEWEST_FOR_LINE else int(np.argmax(np.abs(deviations)))
-    return Straightness(
-        float(chi2.sf(middle @ pull, count - 2)),
-        farthest,
-        float(pull[farthest] / stiffness[farthest]),
-        float(abs(deviations[farthest])),
-    )
+    falls = -np.diff(delta_rad.reshape(len(delta_rad), -1), axis=0)
+    middle, spread = falls.mean(axis=1), falls.std(axis=1)
+    deviations = middle / np.maximum(spread, 1e-12 * np.abs(delta_rad).max())
+    surest = int(np.argmax(deviations))
+    found = float(deviations[surest])
+    probability = min(1.0, len(falls) * float(norm.sf(found)))
+    return Fall(surest + 1, float(middle[surest]), found, probability)
 
 
 def since_repair(repaired: Sequence[bool]) -> slice:
@@ -151,14 +136,28 @@ def since_repair(repaired: Sequence[bool]) -> slice:
     return slice(starts[-1] if starts else 0, len(repaired))
 
 
+def trend(delta_rad: FloatArray, years: FloatArray) -> FloatArray:
+    """Slope of the straight line through each joint draw, of either sign, rad/year.
+
+    Whatever the law, its sign is that of the wear. Parameters as :func:`wear` takes them.
+    """
+    gaps = delta_rad.reshape(len(years), -1)
+    elapsed = np.broadcast_to(years[:, None] - years[0], gaps.shape)
+    line, _ = _fit(gaps, elapsed, own_variance(gaps), np.zeros(gaps.shape[1]))
+    return np.asarray(line[1].reshape(delta_rad.shape[1:]))
+
+
 def wear(
     delta_rad: FloatArray,
     years: FloatArray,
     seed: np.random.SeedSequence,
     *,
     limit_rad: float | None = None,
-) -> Wear:
-    """Rate, present gap and time to the limit from snapshots without a repair between them.
+    age_years: float | None = None,
+) -> Wear | None:
+    """Law, rate, present gap and time to the limit from snapshots without a repair between them.
+
+    ``None`` where less than ``LEAST_SHARE_GROWING`` of the draws grow: the gap shrank.
 
     Parameters
     ----------
@@ -166,38 +165,60 @@ def wear(
         Draws of the gaps, paired by draw, shape (snapshot, chain, draw), two snapshots or more.
     years
         When each was taken, from any origin, shape (snapshot,), ascending, not all the same.
+    age_years
+        How long the joint had worn at the first snapshot; ``None`` where nobody knows.
+
+    Raises
+    ------
+    ValueError
+        Where the times give no rate.
     """
     span = float(years[-1] - years[0])
     if len(years) < 2 or span <= 0.0 or np.any(np.diff(years) < 0.0):
         raise ValueError("a rate needs ascending times of two snapshots or more")
     generator = np.random.default_rng(seed)
-    count, shape = len(years), delta_rad.shape[1:]
-    gaps = delta_rad.reshape(count, -1)
-    elapsed = (years - years[0]) / span
-    own = _own_variance(gaps)
-    scatter = np.zeros(gaps.shape[1])
-    if count >= FEWEST_FOR_SCATTER:
-        scatter = _scatter_draws(gaps.mean(axis=1), own, elapsed, gaps.shape[1], generator)
-    rate, current = _lines(gaps, own, elapsed, scatter, generator)
-    to_limit = None
+    gaps = delta_rad.reshape(len(years), -1)
+    problem = _Problem.of(gaps, (years - years[0]) / span, age_years and age_years / span)
+    law, normal = _tempered(problem, generator)
+    count = gaps.shape[1]
+    particle = generator.permutation(np.arange(count) % law.size)
+    law, normal = law[particle], normal[:, particle]
+    elapsed, scatter = problem.growth(law, normal), problem.scatter(normal)
+    steps = np.sqrt(np.diff(elapsed, axis=0, prepend=0.0))
+    path = scatter * np.cumsum(steps * generator.standard_normal(gaps.shape), axis=0)
+    # Matheron's rule: the line through what a drawn path leaves of a draw is a draw of the line.
+    (first, growth), _ = _fit(gaps - path, elapsed, problem.own, scatter**2)
+    current = first + growth + path[-1]
+    grows = np.flatnonzero((growth > scatter / SCATTER[1]) & (current > first))
+    if grows.size < LEAST_SHARE_GROWING * count:
+        return None
+    # Every draw that falls gives its place to one that grows.
+    place = np.arange(count)
+    place[np.setdiff1d(place, grows)] = generator.choice(grows, count - grows.size)
+    law, shape = law[place], problem.shapes(law, normal)[:, place]
+    first, growth, current, scatter = (x[place] for x in (first, growth, current, scatter))
+    years_to_limit = None
     if limit_rad is not None:
-        spans = _first_passage(limit_rad - current, rate, scatter, generator)
-        to_limit = np.minimum(span * spans, LONGEST_YEARS).reshape(shape)
+        needed = _growth_needed(limit_rad - current, scatter**2 / growth, generator)
+        longest = LONGEST_YEARS / span
+        times = time_of(law, shape, 1.0 + needed / growth, 1.0 + longest) - 1.0
+        years_to_limit = np.where(needed > 0.0, span * times, 0.0)
+    before = np.full(count, 1.0 - 1e-3)
+    rate = growth * (1.0 - grown(law, shape, before)) / (1e-3 * span)
+    dims = delta_rad.shape[1:]
     return Wear(
-        (rate / span).reshape(shape),
-        current.reshape(shape),
-        (scatter / np.sqrt(span)).reshape(shape),
-        to_limit,
+        law.reshape(dims),
+        shape.reshape(SHAPES, *dims),
+        first.reshape(dims),
+        current.reshape(dims),
+        growth.reshape(dims),
+        rate.reshape(dims),
+        (scatter / np.sqrt(span)).reshape(dims),
+        None if years_to_limit is None else years_to_limit.reshape(dims),
     )
 
 
-def probability_before(years_to_limit: FloatArray, years: float) -> float:
-    """Probability that the limit is reached within ``years`` of the last snapshot."""
-    known = years_to_limit[np.isfinite(years_to_limit)]
-    return float(np.mean(known <= years))
-
-
-def _own_variance(gaps: FloatArray) -> FloatArray:
+def own_variance(gaps: FloatArray) -> FloatArray:
     """Variance of each gap that it does not share with the others, shape (snapshot,), rad²."""
     middle = gaps.mean(axis=1)
     relative = np.cov(gaps / middle[:, None])
@@ -207,96 +228,141 @@ def _own_variance(gaps: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(variance - shared, 1e-4 * variance + 1e-18) * middle**2)
 
 
-def _walk(elapsed: FloatArray) -> FloatArray:
-    """Covariance of Brownian motion from the first snapshot on, shape (snapshot, snapshot)."""
-    return np.minimum.outer(elapsed, elapsed)
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """What is measured, in spans of time: means and own variances of the gaps, (snapshot,)."""
+
+    middle: FloatArray
+    own: FloatArray
+    elapsed: FloatArray
+    scale_rad: float
+    age: float | None
+
+    @classmethod
+    def of(cls, gaps: FloatArray, elapsed: FloatArray, age: float | None) -> _Problem:
+        own = own_variance(gaps)
+        slope = trend(gaps[:, None, :], elapsed)
+        scale = max(float(slope.mean()), float(slope.std()))
+        return cls(gaps.mean(axis=1), own, elapsed, scale, age)
+
+    def shapes(self, law: NDArray[np.int_], normal: FloatArray) -> FloatArray:
+        return shapes(law, normal[:SHAPES], self.age)
+
+    def scatter(self, normal: FloatArray) -> FloatArray:
+        low, high = SCATTER
+        return np.asarray(self.scale_rad * low * (high / low) ** ndtr(normal[SHAPES]))
+
+    def growth(self, law: NDArray[np.int_], normal: FloatArray) -> FloatArray:
+        """u at each snapshot, shape (snapshot, particle)."""
+        elapsed = np.broadcast_to(self.elapsed[:, None], (len(self.elapsed), law.size))
+        return grown(law, self.shapes(law, normal), elapsed)
+
+    def log_likelihood(self, law: NDArray[np.int_], normal: FloatArray) -> FloatArray:
+        growth, variance = self.growth(law, normal), self.scatter(normal) ** 2
+        middle = np.broadcast_to(self.middle[:, None], growth.shape)
+        return _fit(middle, growth, self.own, variance)[1]
 
 
-def _design(elapsed: FloatArray) -> FloatArray:
-    """Columns of the line: gap at the first snapshot, growth over the span."""
-    return np.column_stack([np.ones(elapsed.size), elapsed])
-
-
-def _scatter_draws(
-    middle: FloatArray,
-    own: FloatArray,
-    elapsed: FloatArray,
-    count: int,
-    generator: np.random.Generator,
-) -> FloatArray:
-    """Draws of σ over the span from its marginal likelihood, the line integrated out.
-
-    The prior is half-Cauchy, its scale the typical scatter of measuring: it favours no scatter,
-    and gives way to scatter of any size that the snapshots show.
-    """
-    scale = float(np.sqrt(own.mean()))
-    edges = np.r_[0.0, np.geomspace(0.03 * scale, 10.0 * max(scale, np.ptp(middle)), _GRID)]
-    grid = np.r_[0.0, np.sqrt(edges[1:-1] * edges[2:])]
-    prior = np.diff(np.arctan(edges / scale))
-    covariances = np.diag(own) + grid[:, None, None] ** 2 * _walk(elapsed)
-    logs = _log_marginal(middle, covariances, _design(elapsed))
-    weights = prior * np.exp(logs - logs.max())
-    picked = generator.choice(_GRID, count, p=weights / weights.sum())
-    return np.asarray(grid[picked])
-
-
-def _log_marginal(middle: FloatArray, covariances: FloatArray, design: FloatArray) -> FloatArray:
-    """ln of the restricted likelihood (flat prior on the line) of each covariance, less a constant.
-
-    ``covariances`` has the shape (grid, snapshot, snapshot), the result (grid,).
-    """
-    inverses = np.linalg.inv(covariances)
-    information = design.T @ inverses @ design
-    lines = np.linalg.solve(information, (design.T @ inverses @ middle)[..., None])
-    residuals = middle - (design @ lines)[..., 0]
-    squares = np.einsum("gi,gij,gj->g", residuals, inverses, residuals)
-    determinants = np.linalg.slogdet(covariances)[1] + np.linalg.slogdet(information)[1]
-    return np.asarray(-0.5 * (determinants + squares))
-
-
-def _lines(
-    gaps: FloatArray,
-    own: FloatArray,
-    elapsed: FloatArray,
-    scatter: FloatArray,
-    generator: np.random.Generator,
+def _fit(
+    gaps: FloatArray, growth: FloatArray, own: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Growth over the span, and the gap at the last snapshot, of every draw.
+    """δ(t₁) and Δ by generalised least squares, (2, particle), and ln of the restricted likelihood.
 
-    Matheron's rule: a path of the walk is drawn, and the line laid by generalised least squares
-    through what it leaves of the draw. For gaps that are normal this is the exact posterior of
-    line and last gap: the rule's correction of the path is 0 there, since the walk's covariance
-    with its last point grows as the line does.
+    Of gaps = δ(t₁) + Δ u + W + errors, W a normal walk of variance ``variance`` u, all but ``own``
+    of shape (snapshot, particle) or (particle,). A Kalman filter takes the walk out, one snapshot
+    after the other, so that n of them cost n.
     """
-    design, walk = _design(elapsed), _walk(elapsed)
-    steps = np.sqrt(np.diff(elapsed, prepend=0.0))[:, None]
-    path = np.cumsum(steps * generator.standard_normal(gaps.shape), axis=0)
-    rate, current = np.empty(gaps.shape[1]), np.empty(gaps.shape[1])
-    for sigma in np.unique(scatter):
-        chosen = np.flatnonzero(scatter == sigma)
-        inverse = np.linalg.inv(np.diag(own) + sigma**2 * walk)
-        left = gaps[:, chosen] - sigma * path[:, chosen]
-        line = np.linalg.solve(design.T @ inverse @ design, design.T @ inverse @ left)
-        rate[chosen] = line[1]
-        current[chosen] = line.sum(axis=0) + sigma * path[-1, chosen]
-    return rate, current
+    columns = np.stack([np.ones(gaps.shape), growth, gaps - gaps[0]])
+    state, uncertain = np.zeros((3, gaps.shape[1])), np.zeros(gaps.shape[1])
+    products, log_determinant = np.zeros((3, 3, gaps.shape[1])), 0.0
+    before = np.zeros(gaps.shape[1])
+    for number, noise in enumerate(own):
+        uncertain = uncertain + variance * (growth[number] - before)
+        before = growth[number]
+        total = uncertain + noise
+        left = columns[:, number] - state
+        products += left[:, None] * left[None] / total
+        log_determinant = log_determinant + np.log(total)
+        gain = uncertain / total
+        state, uncertain = state + gain * left, uncertain * (1.0 - gain)
+    (a, b, e), (_, c, f), (_, _, squares) = products
+    determinant = a * c - b * b
+    line = np.stack([c * e - b * f, a * f - b * e]) / determinant
+    misfit = squares - line[0] * e - line[1] * f
+    log_likelihood = -0.5 * (log_determinant + np.log(determinant) + misfit)
+    line[0] += gaps[0]
+    return line, log_likelihood
 
 
-def _first_passage(
-    distance: FloatArray, rate: FloatArray, scatter: FloatArray, generator: np.random.Generator
+def _tempered(
+    problem: _Problem, generator: np.random.Generator
+) -> tuple[NDArray[np.int_], FloatArray]:
+    """Laws and standard normal numbers of equally likely particles, by tempering the likelihood."""
+    uniform = qmc.Sobol(SHAPES + 2, rng=generator).random(PARTICLES)
+    law = np.searchsorted(np.cumsum(prior())[:-1], uniform[:, 0], side="right")
+    normal = ndtri(np.clip(uniform[:, 1:].T, 1e-9, 1.0 - 1e-9))
+    likely, done = problem.log_likelihood(law, normal), 0.0
+    while done < 1.0:
+        step = _step(likely, 1.0 - done)
+        done += step
+        weight = np.exp(step * (likely - likely.max()))
+        spread = np.stack(
+            [_deviation(normal, weight * (law == number)) for number in range(len(prior()))]
+        )
+        ladder = (np.arange(PARTICLES) + generator.uniform()) / PARTICLES
+        chosen = np.searchsorted(np.cumsum(weight / weight.sum()), ladder)
+        chosen = np.minimum(chosen, PARTICLES - 1)
+        law, normal, likely = law[chosen], normal[:, chosen], likely[chosen]
+        for _ in range(MOVES):
+            size = 1.2 * generator.choice([1.0, 0.3], PARTICLES)
+            moved = normal + size * spread[law].T * generator.standard_normal(normal.shape)
+            found = problem.log_likelihood(law, moved)
+            gain = done * (found - likely) - 0.5 * np.sum(moved**2 - normal**2, axis=0)
+            taken = np.log(generator.uniform(size=PARTICLES)) < gain
+            normal = np.where(taken, moved, normal)
+            likely = np.where(taken, found, likely)
+    return law, normal
+
+
+def _step(likely: FloatArray, most: float) -> float:
+    """How far to temper so that ``LEAST_EFFECTIVE`` of the particles stay effective."""
+
+    def effective(step: float) -> float:
+        weight = np.exp(step * (likely - likely.max()))
+        return float(weight.sum() ** 2 / np.sum(weight**2)) / likely.size
+
+    if effective(most) >= LEAST_EFFECTIVE:
+        return most
+    low, high = 0.0, most
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective(middle) >= LEAST_EFFECTIVE else (low, middle)
+    return high
+
+
+def _deviation(normal: FloatArray, weight: FloatArray) -> FloatArray:
+    """Weighted standard deviation of each number, (number,); 1 where no particle is left."""
+    total = weight.sum()
+    if total <= 0.0:
+        return np.ones(len(normal))
+    centre = normal @ weight / total
+    return np.asarray(np.sqrt((normal - centre[:, None]) ** 2 @ weight / total) + 1e-6)
+
+
+def _growth_needed(
+    distance: FloatArray, jump: FloatArray, generator: np.random.Generator
 ) -> FloatArray:
-    """Time until a walk with drift first covers a distance; NaN for a negative drift.
+    """Mean growth until a gamma process first covers a distance, 0 where it is behind.
 
-    Inverse Gaussian with mean distance / rate, drawn as Michael, Schucany and Haas (1976) do, in
-    a form that does not cancel where the drift is weak.
+    A mean growth of m is a gamma distribution of shape m / jump and scale ``jump``: the shape at
+    which a uniform share of it lies below the distance.
     """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        mean = np.where(rate > 0.0, distance / rate, np.inf)
-        spread = scatter**2 / (distance * rate)
-        y = 0.5 * spread * generator.standard_normal(rate.size) ** 2
-        ratio = 1.0 + y + np.sqrt(y * (2.0 + y))
-        early = generator.uniform(size=rate.size) * (1.0 + 1.0 / ratio) <= 1.0
-        time = np.where(scatter > 0.0, np.where(early, mean / ratio, mean * ratio), mean)
-    time = np.where(np.isnan(time), np.inf, time)
-    time = np.where(distance <= 0.0, 0.0, time)
-    return np.where(rate < 0.0, np.nan, time)
+    ahead = np.maximum(distance, 0.0)
+    jumps = np.clip(ahead / jump, 1e-12, _SMOOTH)
+    shape = gdtrib(1.0, generator.uniform(size=jumps.size), jumps)
+    return np.where(jumps < _SMOOTH, shape * jump, ahead) * (distance > 0.0)
+
+
+def probability_before(years_to_limit: FloatArray, years: float) -> float:
+    """Probability that the limit is reached within ``years`` of the last snapshot."""
+    return float(np.mean(years_to_limit <= years))

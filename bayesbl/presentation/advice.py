@@ -139,13 +139,14 @@ def _by_forecast(found: WearSummary, last: SnapshotSummary) -> Advice | None:
     sentences = tuple(wear.sentences(found))
     if found["probability_wear"] < SURE:
         return Advice("fine", "No repair is due, and no wear is shown.", sentences)
-    if found["limit_not_before"] is None:
+    earliest = wear.not_before(found)
+    if earliest is None:
         return Advice("fine", "No repair is due for years.", sentences)
-    if wear.not_straight(found) and found["scatter_rad_per_root_year"] is None:
+    if wear.fallen(found):
         return Advice("watch", "Measure again before you plan a repair.", sentences)
-    passed = found["probability_limit_before"]
-    tone: Tone = "fine" if passed is None or passed <= 1.0 - SURE else "watch"
-    return Advice(tone, f"Plan the repair for {found['limit_not_before']} or before.", sentences)
+    asked = found["probability_before"]
+    tone: Tone = "fine" if asked is None or asked["probability"] <= 1.0 - SURE else "watch"
+    return Advice(tone, f"Plan the repair for {earliest} or before.", sentences)
 
 
 def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
@@ -198,8 +199,8 @@ def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Ite
         return
     if found["reason"] is not None:
         yield found["reason"]
-    elif bent := wear.not_straight(found):
-        yield bent
+    elif fell := wear.fallen(found):
+        yield fell
     if len(found["snapshots"]) == 2:
         yield "Two snapshots cannot show whether the wear is steady: take a third."
 

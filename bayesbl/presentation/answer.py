@@ -57,7 +57,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     yield Sentence(ringing.EXPLAINED if ringing.is_alone(summary) else GAP_EXPLAINED, "aside")
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
-    for sentence in direct_route.other_route(summary):
+    for sentence in direct_route.other_route(snapshots(summary)):
         yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)

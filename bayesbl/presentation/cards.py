@@ -89,7 +89,7 @@ def _of_interval(label: str, found: Interval | None, places: int) -> Card:
 def _of_wear(summary: ComparisonSummary, found: WearSummary) -> Iterator[Card]:
     """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
     last = summary["snapshots"][-1]["delta_rad"]
-    change, rate = summary["change_rad"], found["rate_rad_per_year"]
+    change, rate = summary["change_rad"], found["rate"]
     places = words.common_decimals([last, change])
     yield _of_interval("Gap δ now", last, places)
     if not wear.spans_repair(summary, found):

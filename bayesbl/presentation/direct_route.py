@@ -70,11 +70,11 @@ def beside(part: SnapshotSummary) -> str | None:
     return next((route for route in part["routes"] if route != part["route"]), None)
 
 
-def other_route(summary: MeasuredSummary) -> Iterator[str]:
-    """What the column of the other route rests on, and why it has no answer where it has none."""
-    from bayesbl.presentation.answer import snapshots
+def other_route(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
+    """What the column of the other route rests on, and why it has no answer where it has none.
 
-    parts = snapshots(summary)
+    ``parts``: name and summary of every snapshot.
+    """
     route = beside(parts[0][1])
     if route is None:
         return

@@ -33,6 +33,7 @@ def what_next(path: Path, *, sound: bool) -> str:
     if not sound:
         return f"Written to {path}. It cannot run yet:"
     return (
-        f"Written to {path}. Correct it there, fill in gear_ratio and limit_rad (the gap at which "
-        f"the joint is to be repaired, in rad), then: bayesbl run {shlex.quote(str(path))}"
+        f"Written to {path}. Correct it there, fill in gear_ratio, limit_rad (the gap at which "
+        f"the joint is to be repaired, in rad) and bench (what is known of the joint), then: "
+        f"bayesbl run {shlex.quote(str(path))}"
     )

@@ -19,9 +19,19 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 MODEL = (
-    "Wear is taken as linear in time since the last repair, and never as healing: draws in which "
-    "the gap shrinks are not used for rate and date, which therefore are no evidence of wear."
+    "Rate and date are averages over laws of wear, each by how well it fits, and over how "
+    "irregular wear may be. No law heals: draws in which the gap shrinks are not used for them, "
+    "so neither is evidence of wear."
 )
+
+LAWS = {
+    "linear": "steady",
+    "running_in": "slowing down (running in)",
+    "power": "speeding up as a power of age",
+    "exponential": "speeding up exponentially",
+    "s_shaped": "speeding up, then levelling off",
+}
+"""The laws of :data:`bayesbl.measurement.wear_laws.LAWS` in words."""
 
 _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 
@@ -33,9 +43,9 @@ def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) 
     if wear["reason"] is not None:
         yield Sentence(wear["reason"], "warning", "No rate of wear")
         return
-    bent = not_straight(wear)
-    if bent:
-        yield Sentence(bent, "warning", "Warning")
+    fell = fallen(wear)
+    if fell:
+        yield Sentence(fell, "warning", "Warning")
     for sentence in sentences(wear):
         yield Sentence(sentence)
     yield _table(wear)
@@ -63,10 +73,10 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
             f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "
             f"{words.probability(wear['probability_wear'])})."
         )
-    rate = wear["rate_rad_per_year"]
+    rate = wear["rate"]
     places = words.decimals(rate, 1e3)
     return (
-        f"The gap {now}grows by {median_in_mrad(rate)} mrad a year "
+        f"The gap {now}has grown by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
         f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})."
     )
 
@@ -100,77 +110,94 @@ def sentences(wear: WearSummary) -> Iterator[str]:
         f"{words.probability(wear['probability_wear'])}); with {share} probability by at most "
         f"{words.significant(rate)} mrad a year."
     )
+    yield law(wear)
     years = wear["years_to_limit"]
     if years is None or wear["limit_rad"] is None:
         return
     limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
     if years["high"] == 0.0:
         yield f"The gap passed {limit} before {wear['last_date']}."
-    elif wear["limit_not_before"] == wear["last_date"]:
+    elif not_before(wear) == wear["last_date"]:
         yield (
             f"The gap may have passed {limit} before {wear['last_date']}: the probability that it "
             f"had not is below {share}."
         )
-    elif wear["limit_not_before"] is None:
+    elif not_before(wear) is None:
         yield (
             f"With {share} probability the gap does not reach {limit} within "
             f"{LONGEST_YEARS:g} years."
         )
     else:
         yield (
-            f"With {share} probability the gap does not reach {limit} before "
-            f"{wear['limit_not_before']}."
+            f"With {share} probability the gap does not reach {limit} before {not_before(wear)}."
         )
-    if wear["probability_limit_before"] is not None:
+    asked = wear["probability_before"]
+    if asked is not None:
         yield (
-            f"Probability that it passes {limit} by {wear['decide_before']}: "
-            f"{words.probability(wear['probability_limit_before'])}."
+            f"Probability that it passes {limit} by {asked['date']}: "
+            f"{words.probability(asked['probability'])}."
         )
 
 
-def not_straight(wear: WearSummary) -> str | None:
-    """That the gaps lie on no straight line, and what this means for rate and date."""
+def not_before(wear: WearSummary) -> str | None:
+    """The date to plan by; ``None`` where it is too far ahead to be given, or without a limit."""
+    found = wear["not_before"]
+    return None if found is None else found["date"]
+
+
+def law(wear: WearSummary) -> str:
+    """How probable each law of wear is, the likeliest first."""
+    ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
+    told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
+    return f"If the joint wears, its wear is: {told}."
+
+
+def fallen(wear: WearSummary) -> str | None:
+    """That the gap fell between two dates, which no wear explains."""
     from bayesbl.measurement.wear import FALSE_ALARM
 
-    line = wear["line"]
-    if line is None or line["is_straight"]:
+    fall = wear["fall"]
+    if not fall["is_fall"]:
         return None
-    side = "above" if line["excess_rad"] > 0.0 else "below"
-    finding = (
-        f"The gaps do not lie on a straight line ({line['snapshot']} lies "
-        f"{words.significant(1e3 * abs(line['excess_rad']))} mrad {side} that of the others, "
-        f"{line['standard_deviations']:.1f} standard deviations; a test that errs in "
-        f"{100.0 * FALSE_ALARM:g} % of cases)"
-    )
-    if wear["scatter_rad_per_root_year"] is None:
-        return f"{finding}: do not rely on the rate or any date."
     return (
-        f"{finding}. Rate and date allow for irregular wear, but not for wear that speeds up or "
-        "for a recording that is off: look at the gaps before you rely on them."
+        f"{fall['snapshot']} lies {words.significant(1e3 * fall['fall_rad'])} mrad below the "
+        f"snapshot before it ({fall['standard_deviations']:.1f} standard deviations; a test that "
+        f"errs in {100.0 * FALSE_ALARM:g} % of cases), and wear does not heal: the joint was "
+        "repaired (repaired = true) or a recording is off. Do not rely on the rate or any date."
     )
 
 
 def notes(wear: WearSummary) -> Iterator[str]:
-    """The model, and what so few snapshots cannot show."""
+    """The model, what so few snapshots cannot show, and what drift was allowed for."""
     from bayesbl.measurement.wear import FEWEST_FOR_SCATTER
 
     yield MODEL
     count = len(wear["snapshots"])
     if count == 2:
         yield (
-            "Two snapshots cannot show whether wear is steady: the rate is that of the time "
-            "between them, and the forecast is only as good as the line. Take a third."
+            "Two snapshots cannot show whether wear is steady: the date is as uncertain as what "
+            "is believed of wear before measuring. Take a third."
         )
     elif count < FEWEST_FOR_SCATTER:
         yield (
             f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
-            "wear from measurement errors; none is assumed."
+            "wear from measurement errors: the date allows for as much as is believed before "
+            "measuring."
+        )
+    if wear["drift_widens"] is not None:
+        yield (
+            f"Temperature, grease and the like may move the gap by "
+            f"{100.0 * wear['relative_sd_per_date']:g} % from date to date (relative_sd_per_date): "
+            f"that makes the rate {wear['drift_widens']:.1f} times as uncertain."
         )
 
 
 def _table(wear: WearSummary) -> Table:
-    rate, scatter = wear["rate_rad_per_year"], wear["scatter_rad_per_root_year"]
-    rows = [_row("rate", rate, 1e3, "mrad/year")]
+    rate, scatter = wear["rate"], wear["scatter_rad_per_root_year"]
+    rows = [
+        _row(f"mean rate since {wear['first_date']}", rate, 1e3, "mrad/year"),
+        _row("rate at the last recording", wear["rate_now"], 1e3, "mrad/year"),
+    ]
     if scatter is not None:
         rows.append(_row("irregular wear", scatter, 1e3, "mrad/√year"))
     years = wear["years_to_limit"]
@@ -190,7 +217,7 @@ def _row(name: str, found: Interval, scale: float, unit: str) -> tuple[str, ...]
 
 def limit_dates(wear: WearSummary, shown: Callable[[str | None], str]) -> tuple[str, str] | None:
     """When the limit is reached, and between which dates; a past date is given only as past."""
-    years, dates = wear["years_to_limit"], wear["limit_date"]
+    years, dates = wear["years_to_limit"], wear["date_of_limit"]
     if years is None or dates is None:
         return None
     low, middle, high = (

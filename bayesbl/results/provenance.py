@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import bayesbl
-from bayesbl.config.loading import dump_config
+from bayesbl.config.loading import dump_config, files_of
 from bayesbl.config.sections import RunConfig
 
 DEPENDENCIES = (
@@ -68,16 +69,9 @@ def file_sha256(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def digests_of(config: object) -> dict[str, str]:
+def digests_of(tables: Mapping[str, Any]) -> dict[str, str]:
     """SHA-256 of the bytes of every file that a configuration's tables name, by path."""
-    match config:
-        case Path() if config.is_file():
-            return {str(config): file_sha256(config)}
-        case Mapping():
-            return digests_of(list(config.values()))
-        case list() | tuple():
-            return {file: digest for item in config for file, digest in digests_of(item).items()}
-    return {}
+    return {str(file): file_sha256(file) for file in files_of(tables) if file.is_file()}
 
 
 def code_versions() -> dict[str, str]:

@@ -1,10 +1,12 @@
-"""Groups of several snapshots stacked into one."""
+"""Groups of several snapshots, and rows of different lengths, stacked into one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayesbl.results.variables import STACKED
 
@@ -14,7 +16,7 @@ def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str,
     names = list(groups)
     stacked = {}
     for group in next(iter(groups.values())):
-        parts = _padded([groups[name][group] for name in names])
+        parts = _of_one_size([groups[name][group] for name in names])
         stacked[group] = xr.concat(
             parts,
             dim=xr.Variable(STACKED, names),
@@ -27,7 +29,15 @@ def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str,
     return stacked
 
 
-def _padded(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+def padded(rows: Sequence[object], width: int, text: bool = False) -> NDArray[np.generic]:
+    """Rows of different lengths as (row, width), NaN or empty text behind."""
+    table = np.full((len(rows), width), "" if text else np.nan, dtype="U16" if text else float)
+    for place, row in zip(table, map(np.asarray, rows), strict=True):
+        place[: row.size] = row
+    return table
+
+
+def _of_one_size(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     """All dimensions without labels brought to their longest, NaN behind."""
     longest: dict[str, int] = {}
     for part in parts:

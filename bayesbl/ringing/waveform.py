@@ -1,6 +1,7 @@
 """The disturbance model as the paper writes it: eq. 3, 5 and 6 over an array of times.
 
-The fast kernel is held against it, and recordings whose samples are not evenly spaced go by it.
+This is the reference that the fast kernel is tested against, and the path for recordings whose
+samples are not evenly spaced.
 
 Two things differ from eq. 3, in three samples per pulse: its edges are resolved to the sampling.
 
@@ -20,7 +21,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import (
     DECAY,
@@ -33,19 +33,34 @@ from bayesbl.ringing.symbols import (
 )
 
 
-@compiled()
-def _add_impact(train, time_s, start, sign, decay, frequency, window, period_s):  # type: ignore[no-untyped-def]
-    """Add the ringing after one impact of unit amplitude, eq. 3: e^{−τu} sin(ωu) in the window."""
-    reach = max(window + 0.5 * period_s, period_s)
-    i = np.searchsorted(time_s, start - period_s)
-    while i < time_s.size and time_s[i] < start + reach:
-        u = time_s[i] - start
-        if u > 0.0:
-            ramp = max(0.0, min(1.0, (window - u) / period_s + 0.5))
-            train[i] += sign * ramp * math.exp(-decay * u) * math.sin(frequency * u)
-        near = max(0.0, 1.0 - abs(u) / period_s)
-        train[i] += sign * frequency * period_s * near**3 / 6.0
-        i += 1
+def impact(
+    since_start_s: FloatArray,
+    decay_rate_per_s: float,
+    angular_frequency_rad_per_s: float,
+    window_length_s: float,
+    sampling_period_s: float,
+) -> FloatArray:
+    """Ringing after one impact of unit amplitude, eq. 3: e^{−τu} sin(ωu) within the window.
+
+    Parameters
+    ----------
+    since_start_s
+        Time u = t − t1 since the impact, any shape, s.
+    window_length_s
+        t2 − t1 in s.
+    sampling_period_s
+        Δt in s, which the edges are resolved to.
+
+    Returns
+    -------
+    Same shape as ``since_start_s``, dimensionless.
+    """
+    u = np.maximum(since_start_s, 0.0)
+    ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
+    ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
+    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
+    corner = angular_frequency_rad_per_s * sampling_period_s * near**3 / 6.0
+    return np.asarray(ramp * ringing + corner)
 
 
 def impacts(
@@ -87,11 +102,13 @@ def pulse_train(
     train = np.zeros_like(time_s)
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
     for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], sampling_period_s):
-        _add_impact(
-            train,
-            time_s,
-            start,
-            sign,
+        inside = slice(
+            *np.searchsorted(
+                time_s, (start - sampling_period_s, start + window + sampling_period_s)
+            )
+        )
+        train[inside] += sign * impact(
+            time_s[inside] - start,
             symbols[DECAY],
             symbols[FREQUENCY],
             window,

@@ -13,8 +13,9 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import method_named
-from bayesbl.diagnosis.task import Progress, Task
+from bayesbl.diagnosis.task import Task
 from bayesbl.errors import RecordingError
+from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
@@ -36,7 +37,7 @@ def run(config: DiagnoseConfig, options: Options) -> Summary:
 
 
 def run_diagnose(
-    config: DiagnoseConfig, progress: Progress | None = None, work: WorkStore = NOTHING_KEPT
+    config: DiagnoseConfig, progress: StageProgress | None = None, work: WorkStore = NOTHING_KEPT
 ) -> xr.DataTree:
     """Diagnose as configured; nothing is written but finished work.
 

@@ -103,8 +103,9 @@ output = {_text(f"results/{name_of(path.stem)}")}
 [interval]
 level = 0.9             # of the credible intervals
 
-[curve]
-source = "published"    # the paper's test bench; or the result.nc of a sweep of your joint's bench
+# The gap needs what is known of the joint; without it the ringing alone is compared.
+[estimator]
+# bench = "bench.toml"  # inertias, stiffness, damping, controller: configs/bench.toml explains each
 """
 
 

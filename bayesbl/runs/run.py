@@ -11,15 +11,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 from bayesbl.config.files import require_text_names
-from bayesbl.config.loading import config_from_options, inputs_of, load_config
+from bayesbl.config.loading import config_from_options, files_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import CONFIG_FILE
 from bayesbl.results.inputs import require_apart
-from bayesbl.runs.workflow import Draw, Options, Plan, Progress, Workflow
+from bayesbl.runs.workflow import Draw, Options, Plan, Workflow
 
 if TYPE_CHECKING:
+    from bayesbl.measurement.task import StageProgress
     from bayesbl.runs.summary import Summary
 
 WORKFLOWS: Mapping[str, str] = MappingProxyType(
@@ -73,7 +74,7 @@ def run(
     draw: Draw,
     *,
     force: bool = False,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     say: Callable[[str], None] = print,
     file: Path | None = None,
 ) -> Summary:
@@ -126,7 +127,7 @@ def check(path: str | Path) -> Plan:
 
 def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
     """The output folder is none of the inputs, nor holds one."""
-    output, inputs = config.run.output, [*inputs_of(config)]
+    output, inputs = config.run.output, files_of(config.model_dump(exclude={"run"}))
     # The configuration that a result holds is written again as it is, so it may be run again.
     if file is not None and os.path.realpath(file) != os.path.realpath(output / CONFIG_FILE):
         inputs.append(Path(file))

@@ -32,13 +32,13 @@ from bayesbl.runs.sweep_groups import (
 from bayesbl.runs.workflow import (
     Options,
     Plan,
-    Progress,
     require_affordable,
     require_output,
     run_into_folder,
 )
 
 if TYPE_CHECKING:
+    from bayesbl.measurement.task import StageProgress
     from bayesbl.runs.summary import Summary
 
 CACHE = ".sweep-cache"
@@ -73,7 +73,7 @@ def _gaps(config: SweepConfig, bench: Bench) -> str:
 
 
 def run_sweep(
-    config: SweepConfig, progress: Progress | None = None, *, fresh: bool = False
+    config: SweepConfig, progress: StageProgress | None = None, *, fresh: bool = False
 ) -> xr.DataTree:
     """Sweep a bench and regress its gap curve.
 

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.config.sections import RunConfig
+    from bayesbl.measurement.task import StageProgress
     from bayesbl.runs.summary import Summary
-
-Progress = Callable[[str, int, int], None]
-"""Called with (what is worked on, steps made, steps allowed)."""
 
 Draw = Callable[["xr.DataTree", Path], object]
 """Draws the figures of a result into a folder; passed in, as figures are made from results."""
@@ -56,7 +54,7 @@ class Options:
 
     draw: Draw = lambda tree, folder: None
     force: bool = False
-    progress: Progress | None = None
+    progress: StageProgress | None = None
     say: Callable[[str], None] = print
 
 

@@ -30,6 +30,7 @@ Table = Mapping[str, np.ndarray]
 HEAD = 'schema = 1\nkind = "{kind}"\n[run]\nseed = 1\nworkers = 1\noutput = "result"\n'
 SHORT = "[posterior]\nensembles = 2\nmax_steps = 1000\n"
 JOINT = "[joint]\ngear_ratio = 120.0\nlimit_rad = 9e-4\n"
+CURVE = '[curve]\nsource = "published"\n'
 TWO = (
     '[[recordings]]\nfile = "before.csv"\ndate = 2025-03-01\n'
     '[[recordings]]\nfile = "after.csv"\ndate = 2026-03-01\n'
@@ -56,8 +57,12 @@ def figure(table, cases):
 """
 
 CONFIGURATIONS: Mapping[str, str] = {
-    "fit": HEAD.format(kind="fit") + JOINT + SHORT + '[[recordings]]\nfile = "before.csv"\n',
-    "compare": HEAD.format(kind="compare") + JOINT + SHORT + TWO,
+    "fit": HEAD.format(kind="fit")
+    + JOINT
+    + CURVE
+    + SHORT
+    + '[[recordings]]\nfile = "before.csv"\n',
+    "compare": HEAD.format(kind="compare") + JOINT + CURVE + SHORT + TWO,
     "direct": HEAD.format(kind="compare")
     + JOINT
     + SHORT

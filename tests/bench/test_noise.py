@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,7 +107,7 @@ def test_position_begins_at_zero_in_whole_counts() -> None:
     counts = position * 16384 / (2.0 * math.pi)
     assert position[0] == 0.0
     assert np.max(np.abs(counts - np.rint(counts))) < 1e-6
-    ideal = BENCH.with_measurement(Measurement()).simulate(8e-4, rotations=0.5)
+    ideal = replace(BENCH, measurement=Measurement()).simulate(8e-4, rotations=0.5)
     assert np.max(np.abs(position - ideal.channels[MOTOR_POSITION])) <= math.pi / 16384 + 1e-12
     assert quantised(np.array([0.49, 0.51]) * 2.0 * math.pi / 100, 100) == pytest.approx(
         [0.0, 2.0 * math.pi / 100]
@@ -114,7 +115,7 @@ def test_position_begins_at_zero_in_whole_counts() -> None:
 
 
 def test_absolute_position_begins_where_it_is_said_to() -> None:
-    bench = BENCH.with_measurement(Measurement())
+    bench = replace(BENCH, measurement=Measurement())
     absolute = bench.simulate(8e-4, rotations=0.2, start_angle_rad=1.0, motor_start_angle_rad=7.0)
     relative = bench.simulate(8e-4, rotations=0.2, start_angle_rad=1.0)
     lead = absolute.channels[MOTOR_POSITION] - relative.channels[MOTOR_POSITION]
@@ -124,7 +125,7 @@ def test_absolute_position_begins_where_it_is_said_to() -> None:
 
 
 def test_speed_from_the_encoder_is_its_difference() -> None:
-    bench = BENCH.with_measurement(Measurement(encoder_counts=16384, speed_source="encoder"))
+    bench = replace(BENCH, measurement=Measurement(encoder_counts=16384, speed_source="encoder"))
     recording = bench.simulate(8e-4, rotations=0.5)
     step = np.diff(recording.channels[MOTOR_POSITION]) * 1000.0 * 60.0 / (2.0 * math.pi)
     assert np.allclose(recording.motor_speed_rpm[1:], step)
@@ -147,7 +148,7 @@ def test_noise_inside_the_loop_comes_with_the_recording() -> None:
     inside = Measurement(speed_noise=NoiseModel(1.5, (0.6,)), noise_through_controller=True)
     outside = Measurement(speed_noise=NoiseModel(1.5, (0.6,)))
     spread = [
-        BENCH.with_measurement(measurement)
+        replace(BENCH, measurement=measurement)
         .simulate(8e-4, rotations=1.0, seed=np.random.default_rng(6))
         .channels[MOTOR_CURRENT]
         - BENCH.simulate(8e-4, rotations=1.0).channels[MOTOR_CURRENT]

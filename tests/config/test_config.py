@@ -66,7 +66,7 @@ def test_the_shipped_configurations_load(name: str) -> None:
 
 def test_the_shipped_fit_writes_out_exactly_the_defaults(folder: Path) -> None:
     written = load_config(CONFIGS / "fit_example.toml")
-    bare = config_from_options("fit", [BEFORE])
+    bare = config_from_options("fit", [BEFORE], bench=CONFIGS / "bench.toml")
     assert isinstance(written, FitConfig)
     assert isinstance(bare, FitConfig)
     for section in ("estimator", "posterior", "interval", "curve"):
@@ -81,8 +81,16 @@ def test_defaults_are_the_papers_model_with_a_baseline(folder: Path) -> None:
     assert config.estimator.model.baseline_harmonics == 1
     assert config.estimator.noise.kind == "auto"
     assert config.interval.level == 0.9
-    assert config.curve.source == "published"
+    assert config.curve.source is None  # no gap without a bench or a curve that was named
+    assert config.estimator.route == "amplitude"
     assert [recording.name for recording in config.recordings] == ["before", "after"]
+
+
+def test_with_a_bench_both_routes_are_run_unless_one_is_named(folder: Path) -> None:
+    bench = '[estimator]\nbench = "before.csv"\n'
+    assert load(folder, bench).estimator.route == "auto"
+    for route in ("amplitude", "direct", "auto"):
+        assert load(folder, f'{bench}route = "{route}"\n').estimator.route == route
 
 
 def test_every_kind_of_noise_can_be_asked_for(folder: Path) -> None:
@@ -215,7 +223,7 @@ WRONG = {
     ),
     "order without ar": ("[estimator.noise]\norder = 2\n", 'kind = "ar"', "[estimator.noise]"),
     "direct without bench": ('[estimator]\nroute = "direct"\n', "needs a bench", "[estimator]"),
-    "bench without direct": ('[estimator]\nbench = "before.csv"\n', "not the route", "[estimator]"),
+    "auto without bench": ('[estimator]\nroute = "auto"\n', "needs a bench", "[estimator]"),
     "direct from an earlier result": (
         '[estimator]\nroute = "direct"\nbench = "before.csv"\n'
         '[estimator.search]\nstart_from = "after.csv"\n',
@@ -449,6 +457,31 @@ def test_a_date_to_decide_before_that_cannot_be_used_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=told):
         load(folder, base=re.sub(old, new, DATED))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (DATED + "[wear]\nrelative_sd_per_date = -0.1\n", "relative_sd_per_date"),
+        (DATED + "[wear]\nin_service_since = 2026-05-01\n", "begun to work after"),
+        (
+            re.sub("(?m)^(date|decide_before) = .*$", "", DATED)
+            + "[wear]\nrelative_sd_per_date = 0.02\n",
+            "needs dated recordings",
+        ),
+    ],
+)
+def test_what_is_said_of_wear_and_cannot_be_is_refused(folder: Path, text: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        load(folder, base=text)
+
+
+def test_a_joint_may_be_older_than_its_first_recording(folder: Path) -> None:
+    since = "[wear]\nin_service_since = 2024-05-01\n"
+    assert load(folder, base=DATED + since).wear.in_service_since == date(2024, 5, 1)
+    repaired = DATED.replace("date = 2026-07-01", "date = 2026-07-01\nrepaired = true")
+    after = since.replace("2024", "2026")
+    assert load(folder, base=repaired + after).wear.in_service_since == date(2026, 5, 1)
 
 
 def test_what_is_wrong_is_told_at_its_own_line(folder: Path) -> None:

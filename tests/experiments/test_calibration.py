@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -147,7 +148,7 @@ def test_lost_samples_are_bridged_and_marked_and_nothing_else_is_changed():
 
 
 def test_a_drifting_speed_turns_the_load_by_its_own_integral(bench):
-    quiet = bench.with_measurement(type(bench.measurement)())
+    quiet = replace(bench, measurement=type(bench.measurement)())
     settings = {"rotations": 2.2, "sampling_hz": 500.0, "start_angle_rad": 1.0}
     steady = quiet.simulate(1e-3, **settings)
     generator = np.random.default_rng(8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ POINTS = np.array([[math.log(8e-4), 1.0], [math.log(9e-4), 2.0], [math.log(8e-4)
 
 
 def model(bench: Bench, sampling_hz: float = 500.0) -> SimulatedSignals:
-    recording = bench.with_measurement(NOISE).simulate(
+    recording = replace(bench, measurement=NOISE).simulate(
         8e-4,
         rotations=2.4,
         sampling_hz=sampling_hz,

@@ -46,12 +46,13 @@ FRICTION = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterVal
 def bench(tolerances: bool = False, noise: float = 1.0) -> Bench:
     """The shipped bench; ``noise`` times the noise of the examples."""
     found = load_bench(CONFIGS / ("bench_tolerances.toml" if tolerances else "bench.toml"))
-    return found.with_measurement(
-        Measurement(
+    return replace(
+        found,
+        measurement=Measurement(
             encoder_counts=None,
             speed_noise=NoiseModel(1.5 * noise, (0.6,)),
             current_noise=NoiseModel(0.05 * noise),
-        )
+        ),
     )
 
 

@@ -58,7 +58,7 @@ def folder(tmp_path_factory) -> Path:
 def fit(folder) -> Path:
     """A fit with everything, figures included."""
     file = written(folder, load_bench(KNOWN), 8e-4, 1, "one")
-    options = ["--route", "direct", "--bench", KNOWN, "--limit-rad", 1e-3]
+    options = ["--bench", KNOWN, "--limit-rad", 1e-3]
     options += ["--config", two_ensembles(folder, "fit")]
     assert run("fit", file, *options, "--out", folder / "fit") == 0
     return folder / "fit"
@@ -97,8 +97,10 @@ def test_a_fit_answers_with_the_keys_of_the_contract(fit):
 
 def test_a_fit_shows_the_amplitude_route_beside_it(fit):
     found = summary(fit)
-    beside = found["amplitude_route"]
-    assert beside["curve"] == "published"
+    assert found["route"] == "direct"
+    assert found["routes"]["direct"]["delta_rad"] == found["delta_rad"]
+    beside = found["routes"]["amplitude"]
+    assert beside["curve"] == str(KNOWN)
     assert beside["amplitude_rpm"] == found["amplitude_rpm"]
     width = beside["delta_rad"]["high"] - beside["delta_rad"]["low"]
     assert width > 3.0 * (found["delta_rad"]["high"] - found["delta_rad"]["low"])
@@ -131,7 +133,7 @@ def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):
 def test_inspect_shows_the_bound_and_the_predictive_check(fit, capsys):
     assert run("inspect", fit) == 0
     text = capsys.readouterr().out
-    for told in ("Cramér-Rao", "Repeating", "mean", "published", "effective of 1000 draws"):
+    for told in ("Cramér-Rao", "Repeating", "mean", KNOWN.name, "effective of 1000 draws"):
         assert told in text
 
 

@@ -56,6 +56,8 @@ kind = "compare"
 output = "result"
 [joint]
 limit_rad = 1.2e-3
+[curve]
+source = "published"
 [posterior]
 ensembles = 2
 max_steps = 150

@@ -60,6 +60,8 @@ def check(*sentences, blind_spots=()):
 def part(low=6.85e-4, high=7.31e-4, reasons=()):
     """A snapshot's part of a summary; with reasons it is withheld."""
     return {
+        "route": "amplitude",
+        "routes": {"amplitude": {"delta_rad": None if reasons else between(low, high)}},
         "delta_rad": None if reasons else between(low, high),
         "amplitude_rpm": between(30.8, 32.3),
         "rotations": 5.0,
@@ -87,6 +89,15 @@ def part(low=6.85e-4, high=7.31e-4, reasons=()):
     }
 
 
+def ringing_alone(**changed):
+    """A summary of compared snapshots without a curve."""
+    found = comparison()
+    for snapshot in found["snapshots"]:
+        snapshot |= {"delta_rad": None, "routes": {"amplitude": {"delta_rad": None}}}
+    without = {"curve": None, "change_rad": None, "probability_increase": None}
+    return found | without | {"outcome": "no_curve", "reason": "There is no bench."} | changed
+
+
 def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "after"), reasons=()):
     """A summary of compared snapshots; with reasons the last one is withheld."""
     snapshots = [{"name": name, **part()} for name in names[:-1]]
@@ -105,7 +116,11 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "change_rad": change,
         "changes": steps,
         "probability_increase": given_probability,
+        "ringing_change": between(0.20, 0.28),
+        "probability_ringing_grew": given_probability,
         "same_joint": check(),
+        "reason": " ".join(reasons) or None,
+        "curve": "results/sweep/result.nc",
         "wear": None,
     }
 
@@ -144,8 +159,35 @@ def test_a_change_is_named_by_where_its_interval_lies(low, high, told):
     assert "grew by" not in text
 
 
+def test_without_a_curve_the_ringing_alone_is_told():
+    text = flat(printed(ringing_alone()))
+    assert text.startswith("The ringing grew by 24 % (90 % interval 20 to 28 %);")
+    assert "No gap: There is no bench." in text
+    assert "above its limit" not in text
+    assert "mrad" not in text
+    shrunk = ringing_alone(ringing_change=between(-0.3, -0.2), probability_ringing_grew=0.0)
+    assert flat(printed(shrunk)).startswith("The ringing shrank by 25 %")
+
+
+def test_by_the_published_curve_the_first_line_says_whose_it_is_and_no_limit_is_asked():
+    text = flat(printed(comparison() | {"curve": "published"}))
+    assert text.startswith(answer.OTHER_MACHINE)
+    assert "above its limit" not in text
+
+
+def test_what_changed_besides_the_gap_is_told_once():
+    sentence = "The ringing frequency fell from 11.18 to 8.72 Hz: payload or stiffness, not wear."
+    reason = f"Something other than the gap changed. {sentence}"
+    found = comparison() | {"change_rad": None, "probability_increase": None, "reason": reason}
+    text = flat(printed(found | {"outcome": "withheld", "same_joint": check(sentence)}))
+    assert text.count(sentence) == 1
+    assert flat(printed(ringing_alone(same_joint=check(sentence)))).count(sentence) == 1
+
+
 def test_a_fit_answers_with_the_gap():
-    text = flat(printed({"kind": "fit", "outcome": "converged", "warnings": [], **part()}))
+    text = flat(
+        printed({"kind": "fit", "outcome": "converged", "curve": "x", "warnings": [], **part()})
+    )
     assert text.startswith("The gap is 0.708 mrad (90 % interval 0.685 to 0.731 mrad).")
     assert "limit of 1.2 mrad: < 0.1 %." in text
 
@@ -313,7 +355,7 @@ def stored(tmp_path_factory):
     np.savetxt(folder / "one.csv", table, "%.9g", ",", header=header, comments="")
     (folder / "fit.toml").write_text(
         'schema = 1\nkind = "fit"\n[run]\noutput = "x"\n[posterior]\nensembles = 2\n'
-        'max_steps = 100\n[[recordings]]\nfile = "one.csv"\n'
+        'max_steps = 100\n[curve]\nsource = "published"\n[[recordings]]\nfile = "one.csv"\n'
     )
     return measure(load_config(folder / "fit.toml"))
 

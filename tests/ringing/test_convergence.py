@@ -43,7 +43,8 @@ def withheld(
     )
     (folder / "fit.toml").write_text(
         f'schema = 1\nkind = "fit"\n[run]\noutput = "out"\n[[recordings]]\nfile = "speed.csv"\n'
-        f"[curve]\nallow_extrapolation = true\n{extra}"
+        f'[curve]\nsource = "published"\n'
+        f"allow_extrapolation = true\n{extra}"
     )
     assert cli.status(["run", str(folder / "fit.toml"), "--json"]) == 3
     summary = json.loads(capsys.readouterr().out)

@@ -23,7 +23,7 @@ from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import AMPLITUDE, ROTATION
 from bayesbl.units import RPM_PER_RAD_PER_S
 
-BENCH = reference_bench().with_measurement(Measurement())
+BENCH = replace(reference_bench(), measurement=Measurement())
 NOISE = NoiseModel(1.5, (0.6,))
 OUTLIERS = NoiseModel(1.5, (0.6,), 3.0)
 

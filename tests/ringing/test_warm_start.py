@@ -183,6 +183,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict
         files = [folder / f"wear_{name}.csv" for name in names]
         options = {k: folder / v if k == "start_from" else v for k, v in options.items()}
         short = two_ensembles(folder, kind)
+        options["curve"] = "published"
         config = config_from_options(kind, files, short, out=folder / out, **options)
         return run(config, lambda tree, place: None, say=said.append), " ".join(said)
 

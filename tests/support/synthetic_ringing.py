@@ -42,22 +42,6 @@ QUICK = TRUTH | {START: 0.3, DECAY: 19.0, FREQUENCY: 70.0, SEPARATION: 0.7, ROTA
 NOISE = NoiseModel(1.5)
 
 
-def impact(
-    since_start_s: FloatArray,
-    decay_rate_per_s: float,
-    angular_frequency_rad_per_s: float,
-    window_length_s: float,
-    sampling_period_s: float,
-) -> FloatArray:
-    """One pulse of unit amplitude as docs/design.md has it, written a second time."""
-    u = np.maximum(since_start_s, 0.0)
-    ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
-    ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
-    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
-    corner = angular_frequency_rad_per_s * sampling_period_s * near**3 / 6.0
-    return np.asarray(ramp * ringing + corner)
-
-
 def clean(seed: int = 1) -> Recording:
     return synthetic_recording(STRONG, NOISE, np.random.default_rng(seed), baseline_rpm=(5.0, -3.0))
 

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
@@ -35,11 +36,17 @@ from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, with_noise
 from bayesbl.naming.search import (
-    NamedCandidate,
     Naming,
-    Progress,
     name_missing,
 )
+from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.chains import Progress
+
+AVERAGED_DRAWS = 4000
+"""Of δ over several explanations, where the chosen one was not sampled."""
+
+GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)
+"""Its multiples modulo 1 fill the unit interval evenly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +170,7 @@ def diagnosis_of(
             NamedEffect(
                 effect.name,
                 fitted,
-                _probability(naming.final, effect),
+                _probability(naming, effect.name),
                 math.sqrt(max(effect.gain, 0.0)),
                 effect.members[1:],
             )
@@ -186,7 +193,7 @@ def diagnosis_of(
         tuple(notes),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=_delta(final, sampled),
+        delta_after=_averaged_delta(naming, final, sampled),
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
         residuals_before=found.residuals_before,
@@ -240,11 +247,62 @@ def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> 
     }
 
 
-def _probability(final: Explanation, effect: NamedCandidate) -> float:
-    """Of this name among those that cannot be told apart, by their evidence."""
-    own = final.log_evidence
-    odds = [math.exp(min(700.0, e.log_evidence - own)) for e in effect.indistinguishable]
-    return 1.0 / (1.0 + sum(odds))
+def _probability(naming: Naming, name: str) -> float:
+    """Of this name, by evidence over every explanation that was fitted, nothing included."""
+    return sum(w for e, w in _weighted(naming) if name in e.names)
+
+
+def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
+    """Every explanation that was fitted, nothing included, with its share of the evidence.
+
+    All were fitted with the noise of the nominal fit, as evidences of different noise do not
+    compare.
+    """
+    rivals = [rival for effect in naming.effects for rival in effect.indistinguishable]
+    found: dict[frozenset[str], Explanation] = {}
+    for explanation in (naming.final, *rivals, *naming.alone, naming.nominal):
+        found.setdefault(frozenset(explanation.names), explanation)
+    logs = np.array([explanation.log_evidence for explanation in found.values()])
+    weights = np.exp(logs - logs.max())
+    return list(zip(found.values(), map(float, weights / weights.sum()), strict=True))
+
+
+def _averaged_delta(
+    naming: Naming, final: Explanation, posterior: DirectPosterior | None
+) -> Estimate | None:
+    """δ over every explanation that the recordings do not exclude, by evidence.
+
+    Of the chosen one the draws, where it was sampled. Each other explanation takes a share of them
+    as large as its weight, spread evenly, and puts its normal approximation there.
+    """
+    chosen = _delta(final, posterior)
+    if chosen is None:
+        return None
+    draws = _normal_draws(chosen, AVERAGED_DRAWS) if chosen.draws is None else chosen.draws
+    averaged = draws.ravel().copy()
+    order, begin = np.argsort(np.arange(averaged.size) * GOLDEN_RATIO % 1.0), 0
+    for explanation, weight in _weighted(naming):
+        other, count = _delta(explanation), round(weight * averaged.size)
+        if explanation is naming.final or other is None or count == 0:
+            continue
+        averaged[order[begin : begin + count]] = _normal_draws(other, count)
+        begin += count
+    if begin == 0:
+        return chosen
+    coordinate = np.log(averaged) if chosen.logarithmic else averaged
+    return Estimate(
+        float(coordinate.mean()),
+        float(coordinate.std()),
+        averaged.reshape(draws.shape),
+        chosen.logarithmic,
+    )
+
+
+def _normal_draws(estimate: Estimate, count: int) -> FloatArray:
+    """Evenly spaced quantiles of an estimate's normal approximation, in the value's unit."""
+    quantiles = norm.ppf((np.arange(count) + 0.5) / count)
+    coordinate = estimate.value + estimate.sd * quantiles
+    return np.asarray(np.exp(coordinate) if estimate.logarithmic else coordinate)
 
 
 def _analysis(

@@ -19,7 +19,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.task import Progress, Task, notes_of, refused, sound
+from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.signals import (
@@ -30,6 +30,7 @@ from bayesbl.matching.signals import (
     observed,
     start_angle_unknown,
 )
+from bayesbl.measurement.task import StageProgress
 from bayesbl.noise.channel_noise import HIGHEST_ORDER
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.types import (
@@ -67,7 +68,7 @@ class ClosedLoop:
         free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
         return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
 
-    def diagnose(self, task: Task, progress: Progress | None = None) -> Diagnosis:
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
         """The answer, with draws of everything unknown."""
         config = task.config
         used, held_out, unknowns, notes = forward_problem(task)

@@ -55,9 +55,7 @@ def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]
     name="diagnosis",
     parts=_each_recording,
 )
-def residuals_by_angle(
-    before: xr.Dataset, recording: str, after: xr.Dataset | None = None
-) -> Figure:
+def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) -> Figure:
     """A row for each channel: overlay, residuals against load angle, their order spectrum.
 
     Parameters
@@ -68,9 +66,7 @@ def residuals_by_angle(
     recording
         Name of one recording of theirs.
     """
-    stages = [before.sel(recording=recording)]
-    if after is not None:
-        stages.append(after.sel(recording=recording))
+    stages = [stage.sel(recording=recording) for stage in (before, after)]
     channels = [str(name) for name in np.atleast_1d(before.attrs["channels"])]
     channels = [n for n in channels if not np.isnan(stages[0][f"{n}_offset"])]
     rows = len(channels)
@@ -85,8 +81,7 @@ def residuals_by_angle(
         spectrum = figure.add_subplot(spec[row, 2])
         _spectrum(spectrum, stages, channel)
         axes += [overlay, maps[0], spectrum]
-        residuals = "residuals" + (": before, after" if after is not None else "")
-        titles += [CHANNELS.get(channel, channel), residuals, "their spectrum"]
+        titles += [CHANNELS.get(channel, channel), "residuals: before, after", "their spectrum"]
     head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure
@@ -129,9 +124,7 @@ def _load_maps(
         rotation_axis(panel, "Load angle (rad)")
         panel.label_outer()
         panels.append(panel)
-    panels[0].set_ylabel(
-        f"Recorded − simulated ({unit_of(channel)})", y=0.5 if len(panels) == 1 else -0.06
-    )
+    panels[0].set_ylabel(f"Recorded − simulated ({unit_of(channel)})", y=-0.06)
     return panels
 
 
@@ -211,8 +204,7 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
 def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
     panel = figure.axes[0]
     handles = [Line2D([], [], color=MEASURED, linewidth=1.6, label="recorded, mean of rotations")]
-    names = ["simulated"] if len(stages) == 1 else ["simulated before", "simulated after"]
-    for index, name in enumerate(names):
+    for index, name in enumerate(("simulated before", "simulated after")):
         style = look(index)
         handles += panel.plot([], [], color=style.colour, linestyle=style.dashes, label=name)
     handles.append(

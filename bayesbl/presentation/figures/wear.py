@@ -1,4 +1,4 @@
-"""The gap against the date, the line through it, and when it reaches the limit."""
+"""The gap against the date, its mean path, and when it reaches the limit."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
+from bayesbl.measurement.wear_laws import grown
 from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import (
     gap_colour,
@@ -31,12 +32,12 @@ _LONGEST_VIEW = 3.0
 
 @stored_figure("The gap against the date, and when it reaches its limit.", 40, holding(WEAR.name))
 def wear(tree: xr.DataTree) -> Figure:
-    """δ of every dated snapshot with the line since the last repair; when the limit is reached."""
+    """δ of every dated snapshot with its path since the last repair; when the limit is reached."""
     group = tree[WEAR.name].to_dataset()
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group and not group.attrs["reason"]
     spec = layout.grid(figure, 1, 2 if limited else 1, top=0.6)
-    panels, titles = [figure.add_subplot(spec[0, 0])], ["gap and the line since the last repair"]
+    panels, titles = [figure.add_subplot(spec[0, 0])], ["gap and its mean path since repair"]
     ahead = _years_ahead(group)
     _draw_gaps(panels[0], tree, group, ahead)
     if limited:
@@ -55,23 +56,32 @@ def wear(tree: xr.DataTree) -> Figure:
     return figure
 
 
-def line_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
-    """Low, median and high of the line, years from the last snapshot, shape (3, n), rad.
+def path_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
+    """Low, median and high of the mean path, years from the last snapshot, shape (3, n), rad.
 
-    Of the draws that do not heal; equal-tailed.
+    Equal-tailed: between first and last gap by the law that leads from one to the other, beyond
+    by the law alone, without what irregular wear adds.
     """
-    rate = group["rate_rad_per_year"].values.ravel()
-    grows = rate >= 0.0
-    line = group["current_rad"].values.ravel()[grows] + np.outer(years, rate[grows])
+    days = _days(used_dates(group))
+    span = (days[-1] - days[0]) / DAYS_PER_YEAR
+    law = group["law"].values.astype(int).ravel()
+    shape = group["law_shape"].values.reshape(-1, law.size)
+    first, current, expected = (
+        group[name].values.ravel() for name in ("first_rad", "current_rad", "expected_growth_rad")
+    )
     quantiles = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
-    return np.asarray(np.quantile(line, quantiles, axis=1))
+    bands = []
+    for elapsed in 1.0 + years / span:
+        share = grown(law, shape, np.full(law.size, elapsed)) - 1.0
+        path = current + share * np.where(elapsed < 1.0, current - first, expected)
+        bands.append(np.quantile(path, quantiles))
+    return np.transpose(bands)
 
 
 def reached(group: xr.Dataset, years: FloatArray) -> FloatArray:
     """Probability that the limit is reached within so many years of the last snapshot."""
-    times = group["years_to_limit"].values.ravel()
-    known = np.sort(times[np.isfinite(times)])
-    return np.asarray(np.searchsorted(known, years, side="right") / known.size)
+    times = np.sort(group["years_to_limit"].values.ravel())
+    return np.asarray(np.searchsorted(times, years, side="right") / times.size)
 
 
 def _days(days: list[Date]) -> FloatArray:
@@ -80,12 +90,12 @@ def _days(days: list[Date]) -> FloatArray:
 
 
 def _years_ahead(group: xr.Dataset) -> float:
-    """Up to where 95 % of the draws have reached the limit, or as far as the line may be drawn."""
+    """Up to where 95 % of the draws have reached the limit, or as far as the path may be drawn."""
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span
     if "years_to_limit" in group and not group.attrs["reason"]:
-        ahead = float(np.nanquantile(group["years_to_limit"].values, 0.95))
+        ahead = float(np.quantile(group["years_to_limit"].values, 0.95))
     if "decide_before" in group.attrs:
         asked = _days([Date.fromisoformat(group.attrs["decide_before"])])[0] - days[-1]
         ahead = max(ahead, 1.2 * asked / DAYS_PER_YEAR)
@@ -94,22 +104,22 @@ def _years_ahead(group: xr.Dataset) -> float:
 
 
 def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
-    has_rate = "rate_rad_per_year" in group and not group.attrs["reason"]
+    has_rate = "law" in group and not group.attrs["reason"]
     days = _days(used_dates(group))
     level = float(tree.attrs["interval_level"])
     if has_rate:
         years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
         shown = days[-1] + DAYS_PER_YEAR * years
-        low, middle, high = 1e3 * line_band(group, years, level)
+        low, middle, high = 1e3 * path_band(group, years, level)
         panel.fill_between(
             shown,
             low,
             high,
             color=style.BAND,
             linewidth=0.0,
-            label=f"{interval_name(tree)} of the line",
+            label=f"{interval_name(tree)} of the path",
         )
-        panel.plot(shown, middle, color=style.MODEL, label="line, median")
+        panel.plot(shown, middle, color=style.MODEL, label="path, median")
     parts, used = snapshots(tree), group["used"].values
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
     own = style.look(1)
@@ -128,10 +138,10 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
             capsize=2.5,
             zorder=3.0,
         )
-        above = False  # on the side of the point where the line is not
+        above = False  # on the side of the point where the path is not
         if has_rate and used[index]:
             at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
-            above = bool(found["low"] > 1e3 * line_band(group, at, level)[1, 0])
+            above = bool(found["low"] > 1e3 * path_band(group, at, level)[1, 0])
         panel.annotate(
             f"{part.name}: withheld" if part.withheld else part.name,
             (day, found["high" if above else "low"]),
