@@ -28,8 +28,8 @@ GROSS = 1.05
 Of a bench that lacked an effect the fitted gap was at most 8 % off below it, near enough to go on
 from, and up to a factor of two above it (``configs/far_off.toml``: 24 and 36 cases). Noise alone is
 below it by 4.5 standard deviations, √(2/N + 2.5/N) for a variance over one learnt from rotation
-differences, in N = 36000 samples (five rotations at 1 kHz, speed and current); it exceeds it once in
-six times at N = 1800, which costs only the wider search.
+differences, in N = 36000 samples (five rotations at 1 kHz, speed and current); it exceeds it once
+in six times at N = 1800, which costs only the wider search.
 """
 
 BEYOND_CHANCE = 2.0

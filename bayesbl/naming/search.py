@@ -51,8 +51,8 @@ LEAST_CONSISTENCY = 3.0
 A gain that comes from k of a recording's n rotations alone, alike in these, has
 √(k (n − 1)/(n − k)): 1 for a single event, whatever n, and above 3 only where k > 9n/(n + 8): all
 of 4 rotations, 4 of 5, 6 of 10. Gains that scatter about zero pass with the probability of
-Student's t, 0.6 % in three recordings of five rotations (12 degrees of freedom), 2 % in one (4), and
-only after the whole gain has passed a threshold of its own.
+Student's t, 0.6 % in three recordings of five rotations (12 degrees of freedom), 2 % in one (4),
+and only after the whole gain has passed a threshold of its own.
 """
 
 
