@@ -219,6 +219,17 @@ def _check_effects(matrix: FloatArray) -> None:
         _refuse_where(wrong, matrix, scale, "a number above zero")
 
 
+def cannot_be_negative(slot: Slot) -> bool:
+    """Whether :func:`check_parameters` refuses values below zero."""
+    info = PARAMETER_INFO.get(slot.name)
+    return (
+        slot in _NOT_NEGATIVE
+        or slot == Slot.gap_rad
+        or any(slot == scale for scale, _ in _SCALES)
+        or (info is not None and not info.signed)
+    )
+
+
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:
     if wrong.any():
         row = int(np.argmax(wrong))

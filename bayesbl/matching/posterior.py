@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesbl.bench.parameters import cannot_be_negative, slot_of
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
@@ -46,6 +47,8 @@ PRESSED = 1.1
 1.10 where a normal likelihood has its peak two standard deviations beyond the edge, 1.32 where it
 has it at the edge, 1.73 where it is flat.
 """
+LEAST_SHARE = 0.1
+"""Of the lower end of a range above zero, that the surrogate's points stay above."""
 BEYOND = 0.5
 """How far, in half-widths, the surrogate's points may leave a flat prior's range."""
 
@@ -187,7 +190,14 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
         [0.0 if u.logarithmic or not math.isfinite(h) else BEYOND * h
          for u, h in zip(model.unknowns, half, strict=True)]
     )  # fmt: skip
-    low, high = model.low - margin, model.high + margin
+    # Below zero much makes no physical sense, and at zero some of it neither.
+    floor = [
+        -math.inf
+        if u.logarithmic or u.added or not cannot_be_negative(slot_of(u.name))
+        else LEAST_SHARE * u.low
+        for u in model.unknowns
+    ]
+    low, high = np.maximum(model.low - margin, floor), model.high + margin
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(moves > 0.0, (high - fit.point) / moves, (low - fit.point) / moves)
     share = np.clip(np.nan_to_num(room, nan=1.0).min(axis=1), 0.0, 1.0)

@@ -22,6 +22,16 @@ _MODULES = {
 }
 """Kind to the module whose ``declared_groups`` lists its groups."""
 
+_MEASURED = ("outcome", "recordings", "interval_level", "interval_kind")
+_ATTRIBUTES = {
+    "fit": _MEASURED,
+    "compare": _MEASURED,
+    "sweep": ("outcome", "degree"),
+    "diagnose": ("outcome", "diagnosis"),
+    "study": ("outcome", "study"),
+}
+"""Kind to what its root says of it."""
+
 
 def read_result(path: str | Path) -> xr.DataTree:
     """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree` does.
@@ -48,6 +58,14 @@ def read_result(path: str | Path) -> xr.DataTree:
     except ResultError as problem:
         problem.name_file(path)
         raise
+    missing = [name for name in _ATTRIBUTES[kind] if name not in tree.attrs]
+    if missing:
+        raise ResultError(
+            "This result lacks what every result of its kind says of itself.",
+            file=path,
+            found=f"no {', '.join(missing)}",
+            expected=f"attributes {', '.join(_ATTRIBUTES[kind])}",
+        )
     return tree
 
 

@@ -11,9 +11,11 @@ import pytest
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.naming.joint_change import find_changes
+from bayesbl.sampling.chains import SamplerSettings
 
 BENCH = reference_bench()
 BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
@@ -130,3 +132,16 @@ def test_blind_spots_grow_where_the_current_is_missing(independent):
     gain = "speed_gain_nm_s_per_rad"
     assert errors[True][gain] > 5.0 * errors[False][gain]
     assert found.blind_spots == tuple(sorted(found.blind_spots, key=lambda s: -s.error_rad))
+
+
+def test_what_is_freed_never_leaves_the_physics(independent):
+    """Speed alone hardly tells a Stribeck speed from zero: its draws must not go below."""
+    truth = {
+        "motor_stribeck_friction.torque_nm": 0.05,
+        "motor_stribeck_friction.speed_rad_per_s": 200.0,
+    }
+    fit, found = find_changes(nominal_fit(independent, truth, seed=8, speed_alone=True))
+    assert found.explained
+    settings = SamplerSettings(ensembles=2, max_steps=500)
+    posterior = sample_direct(fit, settings, np.random.SeedSequence(8), corrected=False)
+    assert np.all(np.isfinite(posterior.values(GAP, "after")))

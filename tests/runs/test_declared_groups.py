@@ -19,6 +19,7 @@ TEXTS = xr.Dataset({name: ("case", ["text"]) for name in ("message", "commit")})
         ({"kind": "diagnose"}, {}, "disagreement: no such group"),
         ({"kind": "study"}, {"row_1": ROW}, "row_1: no message; row_1: no commit"),
         ({"kind": "study"}, {"row_2": ROW.merge(TEXTS).isel(case=0)}, "failed over ()"),
+        ({"kind": "study"}, {}, "no study"),
         ({"kind": "fit", "route": "scenic"}, {}, "route 'scenic'"),
         ({"kind": "compare"}, {}, "route None"),
         ({"kind": "scenic"}, {}, "kind 'scenic'"),
@@ -37,6 +38,6 @@ def test_what_is_missing_is_one_message_that_names_the_file(tmp_path, attributes
 def test_a_study_may_hold_groups_that_are_no_rows(tmp_path):
     row = ROW.merge(TEXTS).assign_coords(case=[0])
     tree = xr.DataTree.from_dict({"row_1": row, "notes": ROW})
-    tree.attrs = {"outcome": "done", "kind": "study"}
+    tree.attrs = {"outcome": "done", "kind": "study", "study": "{}"}
     write_tree(tree, tmp_path / "result.nc")
     assert "row_1" in read_result(tmp_path).children
