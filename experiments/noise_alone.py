@@ -4,9 +4,9 @@
 
 The optimum is the best of many start times, separations, rotation periods, frequencies and decays,
 so its A/σ_A is far above zero where there is nothing. An answer is withheld below
-``WEAKEST_SIGNAL_TO_NOISE``; this says how rarely noise alone passes it. Recordings of 18 s at 1 kHz,
-noise of 1.5 rpm. Those in which the search finds fewer than two rotations are refused, which is no
-answer either.
+``WEAKEST_SIGNAL_TO_NOISE``; this says how rarely noise alone passes it. Recordings of 18 s at 1 kHz
+with noise of 1.5 rpm. Those in which the search finds fewer than two rotations are refused, which
+is no answer either.
 """
 
 from __future__ import annotations

@@ -53,9 +53,6 @@ from bayesbl.recording.types import FloatArray
 BETTER = 2.0
 """Standard errors by which held-out pieces must be predicted better."""
 
-WORTH = 0.01
-"""Share of the held-out RMS that an effect must close: less may be anything."""
-
 SURE_PARAMETER = 3.0
 
 
@@ -117,8 +114,7 @@ class _Trial:
         amplitude = self.fit.effects[self.candidate.name][self.candidate.amplitude]
         physical = amplitude >= 0.0 or not self.candidate.not_negative
         physical = physical and self.candidate.name not in self.fit.at_edge
-        generalises = self.held_out_z > BETTER and self.closed > WORTH
-        return physical and generalises and self.log_p < math.log(threshold)
+        return physical and self.held_out_z > BETTER and self.log_p < math.log(threshold)
 
 
 def diagnose(

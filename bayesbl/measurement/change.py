@@ -16,7 +16,10 @@ from bayesbl.sampling.importance import effective_size, resampled
 LARGEST_SHARE_OUTSIDE = 0.01
 CANDIDATES_PER_DRAW = 20
 FEWEST_EFFECTIVE = 200.0
-"""Effective curve draws below which the ringing is not used to weigh them."""
+"""Effective curve draws below which the ringing is not used to weigh them.
+
+At 200 the actual level of a 90 % interval is 90 ± 2 %: √(p (1 − p)/n).
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,11 @@ CURVE_APART = 0.05
 """
 
 SPEED_POWER = 0.4
-"""d ln δ/d ln v at a given amplitude, of the reference bench: 0.28 at 0.2 mrad, 0.57 at 3.5."""
+"""d ln δ/d ln v at a given amplitude, of the reference bench: 0.28 at 0.2 mrad, 0.57 at 3.5.
+
+``python experiments/speed_power.py``; 0.4 is its value near 0.5 mrad, and tells an error that is
+named "some … %" to half of itself anywhere in between.
+"""
 
 ROTATION_APART = 0.03
 """Largest relative difference between the rotation found and that by speed and gear ratio."""
@@ -34,9 +38,9 @@ ROTATION_APART = 0.03
 SPEED_TOLERANCE = 0.01
 """Largest relative difference in speed between a recording and the curve that δ is read from.
 
-On the reference bench ∂ln δ/∂ln v at a given A is 0.28 to 0.57 for gaps of 2e-4 to 3.5e-3 rad, so
-this moves δ by 0.6 % at most: no more than the lack of fit that a curve may have, and a quarter of
-the 2 % that an amplitude tells δ to.
+With the power of the speed that :data:`SPEED_POWER` is taken from, 0.57 at most, this moves δ by
+0.6 % at most: no more than the lack of fit that a curve may have, and a quarter of the 2 % that an
+amplitude tells δ to.
 """
 
 SPEED = "nominal_speed_rpm"

@@ -38,11 +38,22 @@ BEAMS_ALONE = 5
 """The same of explanations by one candidate, if none of them agrees."""
 MOST_EXCHANGES = 4
 CLEARLY_BETTER = 1.0
-"""Gain of log evidence for which one candidate is exchanged for another."""
+"""Gain of log evidence for which one candidate is exchanged for another.
+
+Odds of e to 1: below that a difference is "not worth more than a bare mention" (Kass and Raftery
+1995, 2 ln B of 2), and both are in the set reported, whichever stands first.
+"""
 FITTED_AFTER_SCREENING = 5
 CONTENDERS = 5
 LEAST_CONSISTENCY = 3.0
-"""Mean over standard error of the gain per rotation: an effect helps in every rotation."""
+"""Mean over standard error of the gain per rotation: an effect helps in every rotation.
+
+A gain that comes from k of a recording's n rotations alone, alike in these, has
+√(k (n − 1)/(n − k)): 1 for a single event, whatever n, and above 3 only where k > 9n/(n + 8): all
+of 4 rotations, 4 of 5, 6 of 10. Gains that scatter about zero pass with the probability of
+Student's t, 0.6 % in three recordings of five rotations (12 degrees of freedom), 2 % in one (4),
+and only after the whole gain has passed a threshold of its own.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,18 @@ Outcome = Literal["converged", "usable", "withheld"]
 R_HAT_GOOD = 1.01
 R_HAT_BAD = 1.05
 FEWEST_EFFECTIVE = 400.0
+"""Effective draws below which it is reported: the actual level of a 90 % interval is 90 ± 1.5 %.
+
+The share of the posterior between two quantiles of n draws has the standard deviation
+√(p (1 − p)/n), p its level. (The same number as 100 in each of four chains, Vehtari et al. 2021.)
+"""
 STEPS_PER_AUTOCORRELATION = 50.0
 WEAKEST_SIGNAL_TO_NOISE = 6.0
+"""A/σ_A below which the answer is withheld: noise alone hardly ever rings as loudly.
+
+The search takes the best of many start times, periods and frequencies, and finds A/σ_A of 3.8 ± 0.8
+where there is only noise (``configs/noise_alone.toml``).
+"""
 AT_BOUND_SHARE, AT_BOUND_TOO_MUCH = 0.05, 0.2
 """Share of draws near a bound that is reported, and share at which the answer is withheld.
 
