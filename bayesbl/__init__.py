@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.summary import summarise
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "Bench",

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve, interpolate_rows
 from bayesbl.recording.types import FloatArray
@@ -15,6 +16,14 @@ from bayesbl.sampling.importance import effective_size, resampled
 
 LARGEST_SHARE_OUTSIDE = 0.01
 CANDIDATES_PER_DRAW = 20
+FALSE_ALARM = 0.005
+"""Of a ringing that contradicts the bench, over the snapshots of a run."""
+
+CONTRADICTED = (
+    "The ringing's frequency and decay are not those of the curve's bench at this amplitude, "
+    "whatever its tolerances: δ belongs to another joint, or something else than the gap changed. "
+    "Correct the bench or widen its tolerances."
+)
 FEWEST_EFFECTIVE = 200.0
 """Effective curve draws below which the ringing is not used to weigh them.
 
@@ -99,7 +108,8 @@ def gaps(
         curves = [curves] * len(snapshots)
     shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
     chains, count = snapshots[0].amplitude_rpm.shape
-    narrows = all(curve.ringing is not None and "bench" in curve.sources for curve in curves)
+    rings = all(curve.ringing is not None for curve in curves)
+    narrows = rings and all("bench" in curve.sources for curve in curves)
     copies = CANDIDATES_PER_DRAW if narrows else 1
     total = chains * count * copies
     shared = _shared_draws(curves, total, np.random.default_rng(shared_seed))
@@ -109,35 +119,37 @@ def gaps(
     ]
     prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
     weights, notes = prior, tuple[str, ...]()
-    if narrows:
-        matched = prior + np.sum(
-            [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)], axis=0
-        )
+    against: list[str | None] = [None] * len(snapshots)
+    if rings:
+        matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
+        least = float(chi2.isf(FALSE_ALARM / len(snapshots), 2))
+        against = [CONTRADICTED if -2.0 * match.max() > least else None for match in matches]
+        matched = prior + np.sum(matches, axis=0)
         effective = effective_size(matched)
-        if effective >= FEWEST_EFFECTIVE:
+        if narrows and effective >= FEWEST_EFFECTIVE:
             weights = matched
-        else:
+        elif narrows and not any(against):
             notes = (
-                "The ringing's frequency and decay do not match the bench within its tolerances "
-                f"(only {effective:.0f} of {total} curve draws explain them), so they were not "
-                "used to narrow the bench. Widen the tolerances or correct the bench.",
+                f"Only {effective:.0f} of {total} curve draws have the ringing's frequency and "
+                "decay, too few to narrow the bench by them. Narrower tolerances would help.",
             )
     own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
     index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
     result = []
-    for curve, draws, snapshot, candidates in zip(
-        curves, shared, snapshots, amplitudes, strict=True
+    for curve, draws, snapshot, candidates, contradiction in zip(
+        curves, shared, snapshots, amplitudes, against, strict=True
     ):
         chosen, amplitude = draws.take(index), candidates[index]
         delta = chosen.gap(amplitude).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
+        beyond = None if allow_extrapolation else _extrapolation(curve, outside, delta, level)
         result.append(
             Gap(
                 delta,
                 (index // copies).reshape(chains, count),
                 outside,
                 _budget(chosen, snapshot.amplitude_rpm),
-                None if allow_extrapolation else _extrapolation(curve, outside, delta, level),
+                " ".join(filter(None, [contradiction, beyond])) or None,
                 notes,
             )
         )
@@ -181,9 +193,10 @@ def _log_match(
     gain = covariance[1:, 0] / covariance[0, 0]
     conditional = covariance[1:, 1:] - np.outer(gain, covariance[0, 1:])
     every = np.zeros(amplitude_rpm.size, dtype=np.int64)
+    of_bench = draws.rows.get("bench", every)
     expected = [
         interpolate_rows(curve.knots_rpm, nominal[None], every, amplitude_rpm)
-        + interpolate_rows(curve.knots_rpm, departures, draws.rows["bench"], amplitude_rpm)
+        + interpolate_rows(curve.knots_rpm, departures, of_bench, amplitude_rpm)
         for nominal, departures in (
             (ringing.log_frequency, ringing.frequency_draws),
             (ringing.log_decay, ringing.decay_draws),
