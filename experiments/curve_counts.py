@@ -25,7 +25,7 @@ from bayesbl.ringing.estimator import Estimator
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 COUNTS = ((40, 4, 5), (40, 4, 3), (20, 4, 3), (20, 4, 2), (12, 4, 2))
-BENCHES = (150, 50, 24, 16)
+BENCHES = (150, 24, 16)
 
 
 def curve(

@@ -208,8 +208,8 @@ def _law(law: str, generator: np.random.Generator) -> Growth:
         return lambda t: np.interp(t, ages, path)
     if law == "steps":  # 8 to 20 in a life, at any time, of random size
         jumps = generator.uniform(8.0, 20.0)
-        at = np.cumsum(generator.exponential(1.0 / jumps, 300))
+        times = np.cumsum(generator.exponential(1.0 / jumps, 300))
         size = generator.lognormal(-0.125, 0.5, 300) / jumps
         risen_to = np.concatenate([[0.0], np.cumsum(size)])
-        return lambda t: np.asarray(risen_to[np.searchsorted(at, t, side="right")])
+        return lambda t: np.asarray(risen_to[np.searchsorted(times, t, side="right")])
     return lambda t: t

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +107,8 @@ def _point(
         gap_rad, rotations=5.0, start_angle_rad=angle, seed=generator, name="made"
     )
     if not with_current:
-        recording.channels.pop(MOTOR_CURRENT)  # type: ignore[attr-defined]
+        kept = {n: v for n, v in recording.channels.items() if n != MOTOR_CURRENT}
+        recording = replace(recording, channels=kept)
     return Estimator().estimate(recording, np.random.SeedSequence(1))
 
 

@@ -237,8 +237,8 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
         *([numbers(f"By {beside}\n(mrad)")] if beside else []),
         numbers("Ringing A\n(rpm)"),
         *([numbers(f"{kind}\n(rpm)")] if alone else []),
-        numbers("Load\nrotations"),
-        numbers("Noise sd\n(rpm)"),
+        # Eighty columns hold no more.
+        *([] if beside else [numbers("Load\nrotations"), numbers("Noise sd\n(rpm)")]),
         text("Outcome"),
     )
     rows = [
@@ -259,6 +259,7 @@ def _cells(part: SnapshotSummary, places: int, beside: str | None, alone: bool) 
     yield words.median_of(amplitude, 1)
     if alone:
         yield "–" if amplitude is None else words.bounds(amplitude, places=1)
-    yield f"{part['rotations']:.1f}"
-    yield f"{part['noise']['sd_rpm']:.2f}"
+    if not beside:
+        yield f"{part['rotations']:.1f}"
+        yield f"{part['noise']['sd_rpm']:.2f}"
     yield part["diagnostics"]["outcome"]

@@ -78,12 +78,17 @@ def other_route(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
     route = beside(parts[0][1])
     if route is None:
         return
-    yield f"For comparison {_by(route, parts[0][1]['routes'][route])}."
+    if any(part["routes"][route]["delta_rad"] is not None for _, part in parts):
+        yield f"For comparison {_by(route, parts[0][1]['routes'][route])}."
     reasons: dict[str, list[str]] = {}
     for name, part in parts:
         found = part["routes"][route]
-        if found["delta_rad"] is None:
-            reasons.setdefault(found["reason"] or "", []).append(name)
+        reason = found["reason"] or ""
+        # Where it is why the other one answers, that has been said of the snapshot.
+        if found["delta_rad"] is None and not any(
+            reason in told for told in part["diagnostics"]["reasons"]
+        ):
+            reasons.setdefault(reason, []).append(name)
     for reason, names in reasons.items():
         yield f"No answer by {route}{_of(names)}: {reason}"
 

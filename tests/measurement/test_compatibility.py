@@ -60,7 +60,7 @@ def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(
     tmp_path: Path, no_figures, capsys
 ) -> None:
     file, out = recorded(tmp_path, 1200.0), tmp_path / "out"
-    assert status(["fit", str(file), "--out", str(out)]) == 3
+    assert status(["fit", str(file), "--curve", "published", "--out", str(out)]) == 3
     assert json.loads((out / "summary.json").read_text())["delta_rad"] is None
     for word in ("2000 rpm", "1200 rpm", "too small", "allow_extrapolation"):
         assert word in said(capsys) or word in (out / "summary.json").read_text()
@@ -69,9 +69,28 @@ def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(
 def test_a_gear_ratio_that_is_not_the_rotations_is_told(tmp_path: Path, no_figures, capsys) -> None:
     file = recorded(tmp_path, 2000.0)
     right, wrong = tmp_path / "right", tmp_path / "wrong"
-    assert status(["fit", str(file), "--gear-ratio", f"{GEAR_RATIO}", "--out", str(right)]) == 0
+    assert (
+        status(
+            [
+                "fit",
+                str(file),
+                "--curve",
+                "published",
+                "--gear-ratio",
+                f"{GEAR_RATIO}",
+                "--out",
+                str(right),
+            ]
+        )
+        == 0
+    )
     capsys.readouterr()
-    assert status(["fit", str(file), "--gear-ratio", "60", "--out", str(wrong)]) == 3
+    assert (
+        status(
+            ["fit", str(file), "--curve", "published", "--gear-ratio", "60", "--out", str(wrong)]
+        )
+        == 3
+    )
     told = said(capsys)
     for word in ("gear ratio of 60", "3.6 s", "1.8 s", "fit one of 120"):
         assert word in told

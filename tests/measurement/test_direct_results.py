@@ -161,6 +161,27 @@ def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
     assert low < 1e-4 < high
 
 
+def test_where_a_recording_cannot_be_simulated_the_amplitude_answers_and_says_why(
+    folder, no_figures, capsys
+):
+    file = written(folder, load_bench(KNOWN), 8e-4, 6, "uneven")
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    table[:, 0] += 1e-3 * np.random.default_rng(1).uniform(-1.0, 1.0, len(table))  # of 4 ms
+    np.savetxt(
+        file, table, "%.10g", ",", header="time_s,motor_speed_rpm,motor_current_a", comments=""
+    )
+    options = ["--bench", KNOWN, "--config", two_ensembles(folder, "fit")]
+    assert run("fit", file, *options, "--out", folder / "uneven") == 0
+    found = summary(folder / "uneven")
+    assert found["route"] == "amplitude"
+    assert found["routes"]["direct"]["delta_rad"] is None
+    assert "evenly spaced" in found["routes"]["direct"]["reason"]
+    # Fails by chance in 1 of 10 000: four standard deviations on either side.
+    width = found["delta_rad"]["high"] - found["delta_rad"]["low"]
+    assert abs(found["delta_rad"]["median"] - 8e-4) < 4.0 * width / 3.29
+    assert capsys.readouterr().out.count("evenly spaced") == 1
+
+
 def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures, capsys):
     effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
     file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")

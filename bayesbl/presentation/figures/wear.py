@@ -26,6 +26,9 @@ from bayesbl.recording.types import FloatArray
 _RAREST = 0.005
 """A probability nearer than this to 0 or 1 is given as less than 1 % or more than 99 %."""
 
+_HIGHEST_VIEW = 1.3
+"""How far beyond the limit and the gaps is shown: a path that speeds up would hide them."""
+
 _LONGEST_VIEW = 3.0
 """How far ahead is shown at most, in times since the first snapshot in use."""
 
@@ -90,12 +93,12 @@ def _days(days: list[Date]) -> FloatArray:
 
 
 def _years_ahead(group: xr.Dataset) -> float:
-    """Up to where 95 % of the draws have reached the limit, or as far as the path may be drawn."""
+    """Up to where 80 % of the draws have reached the limit, or as far as the path may be drawn."""
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span
     if "years_to_limit" in group and not group.attrs["reason"]:
-        ahead = float(np.quantile(group["years_to_limit"].values, 0.95))
+        ahead = float(np.quantile(group["years_to_limit"].values, 0.8))
     if "decide_before" in group.attrs:
         asked = _days([Date.fromisoformat(group.attrs["decide_before"])])[0] - days[-1]
         ahead = max(ahead, 1.2 * asked / DAYS_PER_YEAR)
@@ -156,6 +159,12 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         )
     panels.limit_line(panel, tree)
     panel.margins(y=0.12)
+    gaps = [gap_interval(tree, part) for part in parts]
+    lowest = min(found["low"] for found in gaps)
+    limit = 1e3 * float(tree.attrs.get("limit_rad", 0.0))
+    highest = max(limit, *(found["high"] for found in gaps))
+    room = (_HIGHEST_VIEW - 1.0) * highest
+    panel.set_ylim(max(0.0, lowest - 0.5 * room), highest + room)
     panel.set_ylabel("Gap δ (mrad)")
 
 
@@ -178,9 +187,11 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
         share = float(reached(group, np.array([(day - last) / DAYS_PER_YEAR]))[0])
         panel.axvline(day, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
         panel.plot([day], [share], color=style.NEUTRAL, marker="o")
+        early = day < last + 0.5 * DAYS_PER_YEAR * ahead  # no room before
         panel.annotate(
-            f"by {asked}: {_share(share)}", (day, share), xytext=(-4.0, 4.0),
-            textcoords="offset points", ha="right", fontsize=7.0,
+            f"by {asked}: {_share(share)}", (day, share),
+            xytext=(4.0, -4.0) if early else (-4.0, 4.0), textcoords="offset points",
+            ha="left" if early else "right", va="top" if early else "bottom", fontsize=7.0,
         )  # fmt: skip
     panel.set_ylim(0.0, 1.03)
     panel.set_ylabel("Probability")
