@@ -38,11 +38,7 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum, local_search
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import (
-    AMPLITUDE,
-    MEAN,
     ROTATION,
-    START,
-    SYMBOLS,
     WINDOW_END,
     WINDOW_START,
     DisturbanceModel,
@@ -50,16 +46,14 @@ from bayesbl.ringing.symbols import (
 from bayesbl.ringing.table_2 import (
     same_pulses,
     search_as_printed,
-    search_box,
     search_pulse_train,
     speed_as_printed,
-    table_2_box,
 )
 
 AMPLITUDE_RPM = 20.0
 SAME_RMSE = 1e-6
 """An RMSE within this part of the optimum's is the optimum's."""
-Method = Literal["guess", "paper", "table_2_box", "nine symbols"]
+Method = Literal["guess", "paper", "table_2_box"]
 
 COLUMNS = {
     "found": ("1", "1 where the RMSE is as low as that of the optimum refined from the truth"),
@@ -174,40 +168,9 @@ def search(method: Method, objective: Objective, generator: np.random.Generator)
     if method == "guess":
         optimum = find_optimum(objective, method, generator)
         return Found(optimum.symbols, optimum.rmse_rpm, optimum.evaluations)
-    if method == "nine symbols":
-        return search_nine(objective, generator)
     search_one = search_as_printed if method == "paper" else search_pulse_train
     found, history = search_one(objective, generator)
     return Found(found.symbols, found.rmse_rpm, int(history.evaluations[-1]))
-
-
-def search_nine(objective: Objective, generator: np.random.Generator) -> Found:
-    """All nine symbols of the pulse train in Table 2's box, t1 and t2 included and swapped.
-
-    Where t2 is not later than t1 there is no pulse, and the model is the constant v_t.
-    """
-    box = table_2_box(objective)
-    # t0 and t1 only enter as their sum, t1 and t2 as their difference.
-    inner = Objective(
-        DisturbanceModel(0, fixed={WINDOW_START: 0.0}), objective.time_s, objective.speed_rpm
-    )
-    names = list(SYMBOLS)
-    speed = objective.speed_rpm
-
-    def sum_of_squares(x: FloatArray) -> FloatArray:
-        s = dict(zip(names, x.T, strict=True))
-        s[START] = s[START] + s[WINDOW_START]
-        s[WINDOW_END] = s[WINDOW_END] - s[WINDOW_START]
-        searched = np.column_stack([s[name] for name in inner.searched])
-        values = inner.sum_of_squares_at(searched, s[AMPLITUDE], s[MEAN])
-        constant = speed.size * (speed.var() + (speed.mean() - s[MEAN]) ** 2)
-        return np.where(s[WINDOW_END] > 0.5 * inner.period_s, values, constant)
-
-    low, high = np.array([box[name] for name in names]).T
-    end, history = search_box(sum_of_squares, low, high, generator, objective.samples)
-    rmse = math.sqrt(float(sum_of_squares(end[None])[0]) / objective.samples)
-    symbols = {name: float(value) for name, value in zip(names, end, strict=True)}
-    return Found(symbols, rmse, int(history.evaluations[-1]))
 
 
 def best_rmse_near(objective: Objective, truth: Mapping[str, float]) -> float:
