@@ -23,6 +23,7 @@ LONGEST = (
     "test_paper_figures.py",
     "test_golden.py",
     "test_forward.py",
+    "test_joint_change.py",
     "test_calibration.py",
     "test_direct.py",
     "test_wear_detection.py",

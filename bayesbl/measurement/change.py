@@ -123,7 +123,10 @@ def gaps(
     if rings:
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
         least = float(chi2.isf(FALSE_ALARM / len(snapshots), 2))
-        against = [CONTRADICTED if -2.0 * match.max() > least else None for match in matches]
+        against = [
+            CONTRADICTED if -2.0 * match.max() > least and _is_inside(curve, amplitude) else None
+            for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
+        ]
         matched = prior + np.sum(matches, axis=0)
         effective = effective_size(matched)
         if narrows and effective >= FEWEST_EFFECTIVE:
@@ -207,6 +210,11 @@ def _log_match(
     return np.asarray(
         -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(conditional), difference)
     )
+
+
+def _is_inside(curve: GapCurve, amplitude_rpm: FloatArray) -> bool:
+    """Whether the sweep tells how the bench rings there."""
+    return float(np.mean(curve.outside(amplitude_rpm) != 0.0)) < LARGEST_SHARE_OUTSIDE
 
 
 def _log(values: FloatArray) -> FloatArray:

@@ -483,3 +483,18 @@ def test_a_sweep_holds_all_that_its_groups_declare(
 ) -> None:
     tree = tolerant_sweep[2]
     require_declared(tree, declared_groups(tree))
+
+
+def test_a_ringing_that_is_not_the_benchs_withholds_the_gap(curve: GapCurve) -> None:
+    """The amplitude lies inside the sweep; only frequency and decay tell of another joint."""
+    ringing = curve.ringing
+    assert ringing is not None
+    amplitude = float(np.median(curve.knots_rpm))
+    nearest = int(np.argmin(np.abs(curve.knots_rpm - amplitude)))
+    draws = np.random.default_rng(2).normal(amplitude, 0.3, (4, 500))
+    own = np.array([amplitude, ringing.log_frequency[nearest], ringing.log_decay[nearest]])
+    covariance = np.diag([0.09, 1e-5, 1e-4])
+    for softer, contradicted in ((0.0, False), (0.5 * np.log(0.7), True)):
+        centre = own + np.array([0.0, softer, 0.0])
+        found = gaps(curve, [MeasuredRinging(draws, centre, covariance)], np.random.SeedSequence(2))
+        assert (found[0].reason is not None) == contradicted

@@ -63,9 +63,7 @@ CHANGES = {
     "speed_gain_nm_s_per_rad": times(0.9, "speed_gain_nm_s_per_rad"),
     "shaft_stiffness_nm_per_rad": times(0.9, "shaft_stiffness_nm_per_rad"),
     "payload": times(2.0, "gravity_torque_nm") | times(1.5, "load_inertia_kg_m2"),
-    "torque_constant_nm_per_a": times(0.95, "torque_constant_nm_per_a"),
     "load_coulomb_friction": {"load_coulomb_friction.torque_nm": 15.0},
-    "gear_transmission_error": {"gear_transmission_error.angle_rad": 1e-4},
 }
 
 
