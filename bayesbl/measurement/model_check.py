@@ -12,7 +12,7 @@ import numpy as np
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
-from bayesbl.naming.joint_change import ChangedParameter, JointFindings
+from bayesbl.naming.joint_change import CHANGED_TOGETHER, ChangedParameter, JointFindings
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
 
@@ -37,9 +37,10 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
     """
     between = [c for c in found.changed if c.recording is not None]
     sentences = [_sentence(c) for c in between]
-    others = [name for name in found.could_be if not any(c.name.startswith(name) for c in between)]
+    others = _others(found, between)
     if between and others:
-        sentences.append(f"{_listed(others, 'or').capitalize()} would look the same.")
+        listed = _listed(others, "or")
+        sentences.append(f"{listed[0].upper()}{listed[1:]} would look the same.")
     return JointCheck(
         found.explained and not between,
         [_item(c) for c in between],
@@ -63,7 +64,7 @@ def against_the_bench(found: JointFindings) -> str | None:
     if not everywhere:
         return None
     told = _listed([_as_found(c) for c in everywhere], "and")
-    others = [name for name in found.could_be if name not in {c.name for c in everywhere}]
+    others = _others(found, everywhere)
     instead = f" {_listed(others, 'or')} would do the same." if others else ""
     return (
         f"The recordings speak against the bench: with {told} it would explain them.{instead} "
@@ -109,6 +110,13 @@ def _undecided(
         "second speed or direction, or give what is known of the recording in "
         "[[recordings]] bench."
     )
+
+
+def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
+    """In words, what would do the same as what was freed."""
+    freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
+    freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed.issuperset(parts)}
+    return [spoken(name) for name in found.could_be if name not in freed]
 
 
 def _item(changed: ChangedParameter) -> CheckItem:
