@@ -57,7 +57,7 @@ class Made:
 RESULTS: Mapping[str, Made] = {
     "sweep": Made("sweep", ("configs/sweep.toml",)),
     "sweep_tolerances": Made("sweep", ("configs/sweep_tolerances.toml",)),
-    "wear": Made("compare", ("configs/wear_snapshots.toml",)),
+    "wear_published": Made("compare", ("configs/wear_published.toml",)),
     "wear_swept": Made("compare", ("configs/wear_swept.toml",)),
     "wear_tolerances": Made("compare", ("configs/wear_tolerances.toml",)),
     "wear_dates": Made("compare", ("configs/simulate_wear_dates.toml", "configs/wear_dates.toml")),

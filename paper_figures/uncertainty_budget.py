@@ -18,7 +18,7 @@ from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, head_panels, lo
 from bayesbl.presentation.words import source_in_words
 
 CURVES = {
-    "wear": "eq. 4 as printed",
+    "wear_published": "eq. 4 as printed",
     "wear_swept": "sweep, bench known",
     "wear_tolerances": "sweep, bench to 5 %",
 }

@@ -219,9 +219,11 @@ def _check_effects(matrix: FloatArray) -> None:
         _refuse_where(wrong, matrix, scale, "a number above zero")
 
 
-def cannot_be_negative(slot: Slot) -> bool:
-    """Whether :func:`check_parameters` refuses values below zero."""
-    info = PARAMETER_INFO.get(slot.name)
+def cannot_be_negative(name: str) -> bool:
+    """Whether :func:`check_parameters` refuses values of a slot below zero."""
+    if name not in Slot.__members__:
+        return False
+    slot, info = Slot[name], PARAMETER_INFO.get(name)
     return (
         slot in _NOT_NEGATIVE
         or slot == Slot.gap_rad

@@ -341,7 +341,7 @@ class CompareConfig(SnapshotConfig):
 
     @model_validator(mode="after")
     def _wears_over_dates(self) -> Self:
-        if self.wear.model_fields_set and self.dates is None:
+        if self.wear != WearOverDates() and self.dates is None:
             refuse(
                 "[wear] needs dated recordings.",
                 found="a recording without a date",

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.bench.parameters import cannot_be_negative, slot_of
+from bayesbl.bench.parameters import cannot_be_negative
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
@@ -196,7 +196,7 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
     # Below zero much makes no physical sense, and at zero some of it neither.
     floor = [
         -math.inf
-        if u.logarithmic or u.added or not cannot_be_negative(slot_of(u.name))
+        if u.logarithmic or u.added or not cannot_be_negative(u.name)
         else LEAST_SHARE * u.low
         for u in model.unknowns
     ]

@@ -37,10 +37,8 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
     """
     between = [c for c in found.changed if c.recording is not None]
     sentences = [_sentence(c) for c in between]
-    others = _others(found, between)
-    if between and others:
-        listed = _listed(others, "or")
-        sentences.append(f"{listed[0].upper()}{listed[1:]} would look the same.")
+    if between:
+        sentences[-1] += _others(found, between)
     return JointCheck(
         found.explained and not between,
         [_item(c) for c in between],
@@ -64,11 +62,10 @@ def against_the_bench(found: JointFindings) -> str | None:
     if not everywhere:
         return None
     told = _listed([_as_found(c) for c in everywhere], "and")
-    others = _others(found, everywhere)
-    instead = f" {_listed(others, 'or')} would do the same." if others else ""
     return (
-        f"The recordings speak against the bench: with {told} it would explain them.{instead} "
-        "Correct the bench file, or give what is not known exactly a tolerance."
+        f"The recordings speak against the bench: with {told} it would explain them."
+        f"{_others(found, everywhere)} Correct the bench file (`bayesbl diagnose` writes one with "
+        "what is missing), or give what is not known exactly a tolerance."
     )
 
 
@@ -112,11 +109,15 @@ def _undecided(
     )
 
 
-def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
-    """In words, what would do the same as what was freed."""
+def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> str:
+    """A sentence on what the recordings cannot tell from what changed, behind a space."""
     freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
-    freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed.issuperset(parts)}
-    return [spoken(name) for name in found.could_be if name not in freed]
+    freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
+    others = [spoken(name) for name in found.could_be if name not in freed]
+    if not others:
+        return ""
+    listed = _listed(others, "or")
+    return f" {listed[0].upper()}{listed[1:]} would look the same."
 
 
 def _item(changed: ChangedParameter) -> CheckItem:

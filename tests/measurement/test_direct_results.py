@@ -190,8 +190,9 @@ def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures,
     assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")
     assert found["delta_rad"] is None
-    assert "motor_current_a of friction" in found["reason"]
+    assert "load_coulomb_friction.torque_nm" in found["reason"]
     assert "bayesbl diagnose" in found["reason"]
+    assert not found["model_check"]["agrees"]
     assert np.isfinite(read_tree(folder / "refused")["posterior"]["delta_rad"].values).all()
     assert "withheld" in capsys.readouterr().out
 
