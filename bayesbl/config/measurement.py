@@ -253,6 +253,28 @@ class SnapshotConfig(RecordedConfig):
             )
         return posterior
 
+    @model_validator(mode="after")
+    def _known_of_a_bench_in_use(self) -> Self:
+        """What is known of the joint beside its bench file reaches the answer, or is refused."""
+        by_amplitude = self.estimator.route == "amplitude"
+        if self.joint.may_drift and by_amplitude:
+            refuse(
+                "What may drift is part of the direct route, which needs a bench.",
+                found="may_drift, and the amplitude route",
+                expected='bench = "bench.toml" under [estimator], and no route = "amplitude"',
+                at=("joint", "may_drift"),
+            )
+        if self.estimator.bench is None or (by_amplitude and self.curve.source is not None):
+            for number, recording in enumerate(self.recordings):
+                if recording.bench:
+                    refuse(
+                        "Nothing here is read from a bench, so its values cannot be changed.",
+                        found=f"bench of {recording.name}",
+                        expected='bench = "bench.toml" under [estimator], without a curve',
+                        at=("recordings", number, "bench"),
+                    )
+        return self
+
 
 class FitConfig(SnapshotConfig):
     """``kind = "fit"``: one recording."""

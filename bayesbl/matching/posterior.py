@@ -114,7 +114,10 @@ class _LogDensity:
         self._model, self._surrogate = model, surrogate
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        return self._model.log_prior(points) - 0.5 * self._surrogate.chi_square(points)
+        prior, chi_square = self._model.log_prior(points), self._surrogate.chi_square(points)
+        # A bench nowhere near the recordings overflows; such a point has no weight.
+        finite = np.isfinite(chi_square)
+        return np.where(finite, prior, -np.inf) - 0.5 * np.where(finite, chi_square, 0.0)
 
 
 def sample_direct(

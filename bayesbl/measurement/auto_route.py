@@ -32,6 +32,10 @@ CONTRADICTED = (
     "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
 )
 
+WITHOUT_DRIFT = (
+    "The change by the amplitude does not include what [joint] may_drift allows, so it is withheld."
+)
+
 
 @dataclass(frozen=True, slots=True)
 class AutoMeasurer:
@@ -82,7 +86,7 @@ class AutoMeasurer:
             case Measurement(), UserError():
                 return _with_attributes(_beside(direct, [str(amplitude)] * len(task.recordings)))
             case UserError(), Measurement():
-                return _instead(amplitude, None, str(direct))
+                return self._by_amplitude(amplitude, None, str(direct))
             case Measurement(), Measurement():
                 return self._of_both(direct, amplitude)
         raise AssertionError("all cases are above")
@@ -97,12 +101,23 @@ class AutoMeasurer:
             if s.verdict.reason is not None and s.model_check.agrees
         ]
         if failed and any(s.verdict.reason is None for s in amplitude.snapshots):
-            return _instead(amplitude, direct, " ".join(dict.fromkeys(filter(None, failed))))
+            why = " ".join(dict.fromkeys(filter(None, failed)))
+            return self._by_amplitude(amplitude, direct, why)
         reasons = [s.verdict.reason for s in amplitude.snapshots]
         found = _beside(direct, reasons, amplitude)
-        if self.amplitude.source.is_of_bench and found.change_reason is None:
+        # A drift moves the amplitude's gaps, and its curve does not know of it.
+        comparable = self.amplitude.source.is_of_bench and not self.config.joint.may_drift
+        if comparable and found.change_reason is None:
             found = replace(found, change_reason=_disagreement(direct, amplitude))
         return _with_attributes(found)
+
+    def _by_amplitude(
+        self, amplitude: Measurement, direct: Measurement | None, why: str
+    ) -> Measurement:
+        found = _instead(amplitude, direct, why)
+        if self.config.joint.may_drift and found.change_reason is None:
+            return replace(found, change_reason=WITHOUT_DRIFT)
+        return found
 
 
 def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | UserError:

@@ -22,6 +22,7 @@ from bayesbl.curve.gap_curve import GapCurve, published_curve
 from bayesbl.curve.sweep import SweepSettings
 from bayesbl.curve.swept_curve import swept_curve
 from bayesbl.matching.signals import reference_speed
+from bayesbl.measurement.bench_of import bench_with
 from bayesbl.measurement.bench_sweep import SweepProblem
 from bayesbl.measurement.compatibility import (
     other_speed,
@@ -187,11 +188,15 @@ class NamedCurve:
 
 @dataclass(frozen=True, slots=True)
 class _Need:
-    """What decides the curve of a recording, beside the bench and the estimator."""
+    """What decides the curve of a recording, beside bench file and estimator.
+
+    ``known``: bench values that were others when it was made.
+    """
 
     reference_speed_rpm: float
     sampling_hz: float
     rotations: int
+    known: tuple[tuple[str, float], ...]
 
     def __str__(self) -> str:
         return f"{self.sampling_hz:g} Hz at {abs(self.reference_speed_rpm):g} rpm"
@@ -252,17 +257,19 @@ class BenchCurves:
         return [made[need] for need in needs]
 
     def _need(self, recording: Recording) -> _Need:
-        stated = {entry.name: entry.reference_speed_rpm for entry in self.config.recordings}
-        speed = reference_speed(recording, self.bench, stated.get(recording.name))
+        entry = next(e for e in self.config.recordings if e.name == recording.name)
+        speed = reference_speed(recording, self.bench, entry.reference_speed_rpm)
         turns = recording.duration_s / self.bench.rotation_period_s(speed)
         rotations = min(max(int(turns), 2), MOST_ROTATIONS)
         # To the digits by which the fingerprint of an estimator tells rates apart.
-        return _Need(speed, float(f"{1.0 / recording.sampling_period_s:.3g}"), rotations)
+        sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
+        return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
 
     def _curve(
         self, need: _Need, estimator: Estimator, task: Task, recording: Recording
     ) -> GapCurve:
-        bench = self.bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
+        bench = bench_with(self.bench, dict(need.known))
+        bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
         model = replace(estimator.model, ranges=estimator.model.lasting_ranges)
         settings = SweepSettings(
             count=GAPS,

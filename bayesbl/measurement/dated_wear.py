@@ -120,7 +120,7 @@ def wear_of(
     if found is None:
         group.attrs["reason"] = (
             "The gap shrank, and wear does not heal. If the joint was repaired, mark the first "
-            "recording after it (repaired = true)."
+            "recording after it (repaired = true); if not, are files or dates swapped?"
         )
         return group
     slope = trend(drawn, years)

@@ -15,10 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
-from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.errors import ConfigError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
@@ -33,7 +30,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.measurement.bench_of import bench_of
+from bayesbl.measurement.bench_of import bench_of, drifts_of
 from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
@@ -184,46 +181,9 @@ def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> O
     """A recording as the simulator is compared with it, with what the config knows of it."""
     require_alive(recording, (MOTOR_CURRENT,))
     entry = next(e for e in config.recordings if e.name == recording.name)
-    known = {}
-    for name, value in entry.bench.items():
-        _require_part_of(bench, name, f"[[recordings]] bench of {entry.name}")
-        known[name.replace(".", "__")] = value
+    known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
     seen = observed(recording, bench, entry.reference_speed_rpm)
     return replace(seen, known={**seen.known, **known})
-
-
-def drifts_of(config: SnapshotConfig, bench: Bench) -> dict[str, float]:
-    """Half-width of what may drift between snapshots, by name, in each parameter's unit."""
-    found = {}
-    for name, drift in config.joint.may_drift.items():
-        _require_part_of(bench, name, "[joint] may_drift")
-        found[name] = drift.half_width(bench.value(name))
-        if found[name] == 0.0:
-            raise ConfigError(
-                "A share of zero is no drift.",
-                where=f"[joint] may_drift, {name}",
-                found="relative_tolerance, and a value of 0 in the bench",
-                expected="tolerance, in the parameter's unit",
-            )
-    return found
-
-
-def _require_part_of(bench: Bench, name: str, where: str) -> None:
-    """Refuse what is no parameter of the bench or of an effect that it has."""
-    own = {
-        f"{present.name}.{parameter.name}"
-        for present in bench.effects
-        for parameter in effect_named(present.name).amplitudes
-    }
-    if name not in own | PARAMETER_INFO.keys():
-        raise ConfigError(
-            "The bench has no such parameter.",
-            where=where,
-            found=name,
-            expected="one of "
-            + ", ".join([*PARAMETER_INFO, *sorted(own)])
-            + ", or of an effect that the bench file has",
-        )
 
 
 def direct_unknowns(

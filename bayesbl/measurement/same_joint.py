@@ -217,5 +217,5 @@ def _sentence(item: CheckItem, snapshot: str) -> str:
     where = f" in {snapshot}" if snapshot else ""
     return (
         f"The {item.quantity} {direction} from {before} to {after} {item.unit}{where}: "
-        f"{IN_WORDS[item.quantity]}, not wear."
+        f"{IN_WORDS[item.quantity]}, not the gap."
     )

@@ -106,9 +106,9 @@ def sentences(wear: WearSummary) -> Iterator[str]:
     share = words.probability(wear["level"])
     rate = 1e3 * wear["rate_at_most_rad_per_year"]
     yield (
-        f"The gap has grown since {wear['first_date']} (probability "
-        f"{words.probability(wear['probability_wear'])}); with {share} probability by at most "
-        f"{words.significant(rate)} mrad a year."
+        f"Probability that the gap has grown since {wear['first_date']}: "
+        f"{words.probability(wear['probability_wear'])}. With {share} probability it grew by at "
+        f"most {words.significant(rate)} mrad a year."
     )
     yield law(wear)
     years = wear["years_to_limit"]
