@@ -46,7 +46,7 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
         sentences,
         [
             BlindSpot(
-                f"{spoken(spot.name)} by {spot.size:.2g} {spot.unit}".strip(),
+                f"{spoken(spot.name)} by {_size(spot.size, spot.believed, spot.unit)}",
                 "too small for these recordings to show",
                 spot.error_rad,
             )
@@ -139,6 +139,13 @@ def _as_found(changed: ChangedParameter) -> str:
         share = f" ({'+' if percent > 0.0 else ''}{number(percent, 1)} %)"
     text = f"{spoken(changed.name)} of {changed.found:.4g} instead of {changed.believed:.4g}"
     return f"{text} {changed.unit}".rstrip() + share
+
+
+def _size(size: float, believed: float, unit: str) -> str:
+    """As a share of the believed value, or in its unit where that is zero."""
+    if believed:
+        return f"{100.0 * size / abs(believed):.2g} %"
+    return f"{size:.2g} {unit}".rstrip()
 
 
 def spoken(name: str) -> str:

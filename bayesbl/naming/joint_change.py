@@ -91,13 +91,14 @@ class BlindSpot:
     ----------
     name
         Of the bench parameter, or ``effect.parameter``.
-    size
-        Largest change that passes, in ``unit``.
+    believed, size
+        Its value by the bench, and the largest change of it that passes, in ``unit``.
     error_rad
         By which it would move the change of δ from the first recording to the last; absolute.
     """
 
     name: str
+    believed: float
     size: float
     unit: str
     error_rad: float
@@ -302,5 +303,9 @@ def _largest_hidden(
         hidden *= furthest / size if size > 0.0 else 0.0
         size = furthest
     return BlindSpot(
-        unknown.name.replace("__", "."), size, _unit(unknown.name), abs(float(pull @ hidden))
+        unknown.name.replace("__", "."),
+        float(candidate.neutral[place]),
+        size,
+        _unit(unknown.name),
+        abs(float(pull @ hidden)),
     )

@@ -9,7 +9,7 @@ from bayesbl.presentation.blocks import Block, Sentence
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import BlindSpotSummary, MeasuredSummary
+    from bayesbl.measurement.summary_types import MeasuredSummary
 
 MOST_TOLD = 3
 """Blind spots that are told; all are stored."""
@@ -27,16 +27,27 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         for sentence in (s for s in check["sentences"] if s not in (summary["reason"] or "")):
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
-    for reason in dict.fromkeys(spot["reason"] for spot in spots):
-        told = [_in_words(spot) for spot in spots if spot["reason"] == reason]
-        if len(told) > MOST_TOLD:
-            told[MOST_TOLD:] = [f"{len(told) - MOST_TOLD} more in summary.json"]
-        text = f"{'; '.join(told)} ({reason})."
+    known = [spot for spot in spots if spot["delta_error_rad"] is not None]
+    if known:
+        largest = max(spot["delta_error_rad"] or 0.0 for spot in known)
+        told = _listed([f"{s['change']} ({_mrad(s['delta_error_rad'])})" for s in known])
+        yield Sentence(
+            "The recordings would not show a small change of something else than the gap, which "
+            f"would move the change of δ by up to {_mrad(largest)}: {told}.",
+            "aside",
+            "If nothing else changed",
+        )
+    others = [spot for spot in spots if spot["delta_error_rad"] is None]
+    for reason in dict.fromkeys(spot["reason"] for spot in others):
+        told = _listed([spot["change"] for spot in others if spot["reason"] == reason])
+        text = f"{told} ({reason})."
         yield Sentence(text[0].upper() + text[1:], "aside", "Would pass unseen")
 
 
-def _in_words(spot: BlindSpotSummary) -> str:
-    error = spot["delta_error_rad"]
-    if error is None:
-        return spot["change"]
-    return f"{spot['change']}, which would move the change of δ by {number(1e3 * error, 3)} mrad"
+def _listed(told: list[str]) -> str:
+    more = [f"{len(told) - MOST_TOLD} more in summary.json"] if len(told) > MOST_TOLD else []
+    return "; ".join([*told[:MOST_TOLD], *more])
+
+
+def _mrad(error_rad: float | None) -> str:
+    return f"{number(1e3 * (error_rad or 0.0), 3)} mrad"
