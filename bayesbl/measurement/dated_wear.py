@@ -3,8 +3,7 @@
 Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
 the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
 where the answer is withheld, ``decide_before`` where that was asked, ``relative_sd_per_date`` with
-``drift_widens`` where the gaps drift, and those of :class:`bayesbl.measurement.wear.Fall`,
-``fall_`` before their names.
+``drift_widens`` where the gaps drift.
 
 ``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
@@ -13,7 +12,6 @@ where the answer is withheld, ``decide_before`` where that was asked, ``relative
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, fields
 from datetime import date as Date
 from datetime import timedelta
 
@@ -24,7 +22,6 @@ from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.measurement import Snapshot
 from bayesbl.measurement.summary_types import (
     DateInterval,
-    FallSummary,
     RateInterval,
     WearSummary,
     WithheldWearSummary,
@@ -32,7 +29,6 @@ from bayesbl.measurement.summary_types import (
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
     LONGEST_YEARS,
-    Fall,
     Wear,
     fall,
     probability_before,
@@ -44,6 +40,7 @@ from bayesbl.measurement.wear_laws import LAWS
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, attributes, dataset, table
+from bayesbl.units import number
 
 DAYS_PER_YEAR = 365.25
 
@@ -116,6 +113,15 @@ def wear_of(
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
     start, limit = config.wear.in_service_since, config.joint.limit_rad
     age = None if start is None else max(years_between(start, since[0]), 0.0)
+    fell = fall(drawn)
+    if fell.is_fall:
+        group.attrs["reason"] = (
+            f"{chosen[fell.snapshot].name} lies {number(1e3 * fell.fall_rad, 3)} mrad below the "
+            f"snapshot before it ({fell.standard_deviations:.1f} standard deviations), and wear "
+            "does not heal. If the joint was repaired, mark the first recording after it "
+            "(repaired = true); if not, are files or dates swapped, or did something else change?"
+        )
+        return group
     found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
     if found is None:
         group.attrs["reason"] = (
@@ -125,7 +131,6 @@ def wear_of(
         return group
     slope = trend(drawn, years)
     group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)
-    group.attrs |= {f"fall_{name}": value for name, value in asdict(fall(drawn)).items()}
     if config.wear.relative_sd_per_date > 0.0:
         group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
         group.attrs["drift_widens"] = float(slope.std() / trend(measured, years).std())
@@ -182,7 +187,6 @@ def summarise_wear(
         "rate_now": None,
         "rate_at_most_rad_per_year": None,
         "scatter_rad_per_root_year": None,
-        "fall": None,
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": None if limit is None else float(limit),
@@ -206,7 +210,6 @@ def summarise_wear(
         "rate": _rate(interval(rate, level, kind)),
         "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
         "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
-        "fall": _fall(group, withheld["snapshots"]),
         "reason": None,
     }
     if len(dates) >= FEWEST_FOR_SCATTER:
@@ -228,17 +231,6 @@ def summarise_wear(
 
 def _rate(found: Interval) -> RateInterval:
     return {**found, "unit": "rad/year"}
-
-
-def _fall(group: xr.Dataset, names: Sequence[str]) -> FallSummary:
-    found = Fall(**{f.name: group.attrs[f"fall_{f.name}"] for f in fields(Fall)})
-    return {
-        "is_fall": bool(found.is_fall),
-        "snapshot": names[int(found.snapshot)],
-        "fall_rad": float(found.fall_rad),
-        "standard_deviations": float(found.standard_deviations),
-        "probability": float(found.probability),
-    }
 
 
 def _dates(last: Date, years: Interval) -> DateInterval:

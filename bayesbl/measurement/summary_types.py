@@ -165,16 +165,6 @@ StepSummary = TypedDict(
 """Change between neighbouring snapshots."""
 
 
-class FallSummary(TypedDict):
-    """The surest fall of the gap between neighbouring dates, and whether it is one."""
-
-    is_fall: bool
-    snapshot: str
-    fall_rad: float
-    standard_deviations: float
-    probability: float
-
-
 class RateInterval(Interval):
     """An interval of a rate of wear, with its unit."""
 
@@ -238,7 +228,6 @@ class WearSummary(_DatedSummary):
     rate_now: RateInterval
     rate_at_most_rad_per_year: float
     scatter_rad_per_root_year: Interval | None
-    fall: FallSummary
     years_to_limit: Interval | None
     date_of_limit: DateInterval | None
     not_before: NotBefore | None
@@ -255,7 +244,6 @@ class WithheldWearSummary(_DatedSummary):
     rate_now: None
     rate_at_most_rad_per_year: None
     scatter_rad_per_root_year: None
-    fall: None
     years_to_limit: None
     date_of_limit: None
     not_before: None

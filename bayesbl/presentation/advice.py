@@ -142,8 +142,6 @@ def _by_forecast(found: WearSummary, last: SnapshotSummary) -> Advice | None:
     earliest = wear.not_before(found)
     if earliest is None:
         return Advice("fine", "No repair is due for years.", sentences)
-    if wear.fallen(found):
-        return Advice("watch", "Measure again before you plan a repair.", sentences)
     asked = found["probability_before"]
     tone: Tone = "fine" if asked is None or asked["probability"] <= 1.0 - SURE else "watch"
     return Advice(tone, f"Plan the repair for {earliest} or before.", sentences)
@@ -199,8 +197,6 @@ def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Ite
         return
     if found["reason"] is not None:
         yield found["reason"]
-    elif fell := wear.fallen(found):
-        yield fell
     if len(found["snapshots"]) == 2:
         yield "Two snapshots cannot show whether the wear is steady: take a third."
 

@@ -43,9 +43,6 @@ def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) 
     if wear["reason"] is not None:
         yield Sentence(wear["reason"], "warning", "No rate of wear")
         return
-    fell = fallen(wear)
-    if fell:
-        yield Sentence(fell, "warning", "Warning")
     for sentence in sentences(wear):
         yield Sentence(sentence)
     yield _table(wear)
@@ -150,21 +147,6 @@ def law(wear: WearSummary) -> str:
     ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
     told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
     return f"If the joint wears, its wear is: {told}."
-
-
-def fallen(wear: WearSummary) -> str | None:
-    """That the gap fell between two dates, which no wear explains."""
-    from bayesbl.measurement.wear import FALSE_ALARM
-
-    fall = wear["fall"]
-    if not fall["is_fall"]:
-        return None
-    return (
-        f"{fall['snapshot']} lies {words.significant(1e3 * fall['fall_rad'])} mrad below the "
-        f"snapshot before it ({fall['standard_deviations']:.1f} standard deviations; a test that "
-        f"errs in {100.0 * FALSE_ALARM:g} % of cases), and wear does not heal: the joint was "
-        "repaired (repaired = true) or a recording is off. Do not rely on the rate or any date."
-    )
 
 
 def notes(wear: WearSummary) -> Iterator[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict
 from datetime import date
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,7 +16,7 @@ from quick import without_figures
 
 from bayesbl import cli
 from bayesbl.measurement.dated_wear import wear_group, years_between
-from bayesbl.measurement.wear import fall, trend
+from bayesbl.measurement.wear import trend
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
@@ -348,7 +347,6 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
         "law": {"linear": 0.5, "power": 0.3, "exponential": 0.1, "running_in": 0.1},
         "rate": interval(*rate),
         "rate_at_most_rad_per_year": 0.95 * rate[1],
-        "fall": {"is_fall": False},
         "limit_rad": limit,
         "years_to_limit": interval(*years) if limit else None,
         "date_of_limit": days if limit else None,
@@ -370,17 +368,6 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
         "wear": wear,
         "curve": "sweep",
     }
-
-
-def test_no_date_is_advised_from_gaps_that_fell():
-    fall = {"is_fall": True, "probability": 1e-5, "snapshot": "s1", "fall_rad": 9e-5}
-    fall["standard_deviations"] = 4.2
-    plain, fell = dated(), dated()
-    fell["wear"] |= {"fall": fall}
-    assert "Plan the repair for" in advice(plain).title
-    assert advice(fell).tone == "watch"
-    assert "Plan the repair for" not in advice(fell).title
-    assert any("4.2 standard deviations" in sentence for sentence in advice(fell).sentences)
 
 
 @pytest.mark.parametrize(("before", "tone"), [(None, "fine"), (0.01, "fine"), (0.4, "watch")])
@@ -438,7 +425,6 @@ def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(
     years = np.array([years_between(days[0], day) for day in days])
     found = wear_in_time(gaps, years, np.random.SeedSequence(1), limit_rad=1.2e-3)
     group = wear_group(days, slice(0, 2), found, trend(gaps, years))
-    group.attrs |= {f"fall_{name}": value for name, value in asdict(fall(gaps)).items()}
     tree["wear"] = xr.DataTree(group)
     wear = summarise(tree)["wear"]
     told = plain(Reader(page(tree, [])).text)
