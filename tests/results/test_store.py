@@ -380,6 +380,20 @@ def test_a_checksum_that_is_no_text_is_refused(tmp_path: Path) -> None:
         read_tree(tmp_path)
 
 
+def test_a_variable_without_its_dimensions_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    """The netCDF library itself crashed on such a file."""
+    h5py = pytest.importorskip("h5py")
+    write_tree(tree(), tmp_path / "result.nc")
+    with h5py.File(tmp_path / "result.nc", "r+") as file:
+        names: list[str] = []
+        file.visititems(lambda name, item: names.append(name) if getattr(item, "ndim", 0) else None)
+        name = next(n for n in names if file[n].attrs.get("CLASS") != b"DIMENSION_SCALE")
+        del file[name]
+        file[name] = np.arange(1.0)
+    with pytest.raises(ResultError, match="lost its dimensions"):
+        read_tree(tmp_path)
+
+
 def test_a_result_that_was_read_can_be_written_again(tmp_path: Path) -> None:
     write_tree(tree(), tmp_path / "first.nc")
     read = read_tree(tmp_path / "first.nc")
