@@ -29,18 +29,16 @@ sys.path.append(str(Path(__file__).parent))
 
 from calibration_statistics import coverage_band
 from independent_bench import Plant, plant, simulate
+from wear_detection import gaps_by_amplitude
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import observed
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
 from bayesbl.measurement.model_check import check_of_comparison, undecided_change
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.ringing.estimator import Estimator
 from bayesbl.sampling.chains import SamplerSettings
 
 CALLED_AT = 0.95
@@ -102,14 +100,14 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         for r in recordings
     ]
     alone = _matched(bench, silent, fit_seed)
-    amplitude, extreme = _by_amplitude(row.curve, recordings, fit_seed)
+    before, after, extreme = gaps_by_amplitude(_curve(row.curve), recordings, fit_seed)
     changed = {*row.multiplied, *row.added}
     return {
         **_columns("direct", full.change_rad, _withheld(full), _listed(full, changed)),
         **_columns("speed", alone.change_rad, _withheld(alone), _listed(alone, changed)),
         **_columns(
             "amplitude",
-            amplitude,
+            after - before,
             extreme or not full.joint.agrees,
             _listed(full, changed),
         ),
@@ -185,24 +183,6 @@ def _listed(found: DirectMatch, changed: set[str]) -> bool:
     named = {c.name for c in found.joint.changed}
     spots = check_of_comparison(found.joint, found.change_rad, LEVEL).blind_spots
     return bool(changed & named) or any(name in s.change for name in changed for s in spots)
-
-
-def _by_amplitude(
-    curve_file: Path, recordings: Sequence[Recording], seed: np.random.SeedSequence
-) -> tuple[FloatArray, bool]:
-    """Draws of the change by the curve, rad, and whether a gap lies outside what it can tell."""
-    curve, estimator = _curve(curve_file), Estimator()
-    *own, draw_seed, gap_seed = seed.spawn(len(recordings) + 2)
-    generator = np.random.default_rng(draw_seed)
-    ringing = []
-    for recording, search_seed in zip(recordings, own, strict=True):
-        point = likeliest_branch(curve, estimator, estimator.estimate(recording, search_seed))
-        centre, covariance = point.ringing
-        draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
-        ringing.append(MeasuredRinging(draws, centre, covariance))
-    before, after = gaps([curve, curve], ringing, gap_seed)
-    outside = before.reason is not None or after.reason is not None
-    return after.delta_rad - before.delta_rad, outside
 
 
 @cache

@@ -292,9 +292,19 @@ def _recorded(row: Row, gap_rad: float, generator: np.random.Generator) -> Recor
 def _by_amplitude(
     row: Row, recordings: Sequence[Recording], seed: np.random.SeedSequence
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Draws of both gaps by the curve, rad, and whether an answer would be withheld."""
+    """Draws of both gaps by the row's curve, rad, and whether an answer would be withheld."""
     assert row.curve is not None
-    curve, estimator = _curve(row.curve), Estimator()
+    return gaps_by_amplitude(_curve(row.curve), recordings, seed)
+
+
+def gaps_by_amplitude(
+    curve: GapCurve, recordings: Sequence[Recording], seed: np.random.SeedSequence
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Draws of two gaps by one curve, shape (2, 2000), rad, and whether either is withheld.
+
+    The posterior of A is taken normal around the optimum.
+    """
+    estimator = Estimator()
     *own, draw_seed, gap_seed = seed.spawn(len(recordings) + 2)
     generator = np.random.default_rng(draw_seed)
     ringing = []

@@ -36,6 +36,7 @@ from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.model_check import (
+    UNEXPLAINED,
     against_the_bench,
     check_of_comparison,
     check_of_snapshot,
@@ -246,6 +247,7 @@ def direct_verdict(
     against = [
         found.posterior.beyond_tolerance(recording.name, level),
         _disagreement_in_words(repeating) if repeating else None,
+        None if repeating or found.joint.explained else UNEXPLAINED,
         against_the_bench(found.joint),
         undecided_gap(found.joint, index, gap, level),
     ]

@@ -35,7 +35,7 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
 
     ``change_rad``: draws of the change of δ from the first to the last.
     """
-    between = [c for c in found.changed if c.recording is not None]
+    between = [] if found.against_bench else found.changed
     sentences = [_sentence(c) for c in between]
     if between:
         sentences[-1] += _others(found, between)
@@ -58,15 +58,25 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
 
 def against_the_bench(found: JointFindings) -> str | None:
     """Why no gap can be trusted where all recordings speak against the bench."""
-    everywhere = [c for c in found.changed if c.recording is None]
-    if not everywhere:
+    if not found.against_bench:
         return None
-    told = _listed([_as_found(c) for c in everywhere], "and")
+    several = len({c.recording for c in found.changed}) > 1
+    told = _listed(
+        [_as_found(c) + (f" in {c.recording or 'all'}" if several else "") for c in found.changed],
+        "and",
+    )
     return (
         f"The recordings speak against the bench: with {told} it would explain them."
-        f"{_others(found, everywhere)} Correct the bench file (`bayesbl diagnose` writes one with "
-        "what is missing), or give what is not known exactly a tolerance."
+        f"{_others(found, found.changed)} Correct the bench file (`bayesbl diagnose` writes one "
+        "with what is missing), or give what is not known exactly a tolerance."
     )
+
+
+UNEXPLAINED = (
+    "Something is off that neither the bench nor any change of it explains, so δ cannot be "
+    "trusted. `bayesbl diagnose` looks for what is missing."
+)
+"""Why δ is withheld where a change was found that leaves something, though little repeats."""
 
 
 def undecided_gap(

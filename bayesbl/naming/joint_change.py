@@ -110,6 +110,8 @@ class JointFindings:
 
     Attributes
     ----------
+    recordings
+        Their names.
     explained
         Whether the bench, with what changed, explains all recordings to within noise.
     changed
@@ -120,6 +122,7 @@ class JointFindings:
         The one that moves the change of δ most first.
     """
 
+    recordings: tuple[str, ...]
     explained: bool
     changed: tuple[ChangedParameter, ...]
     could_be: tuple[str, ...]
@@ -130,6 +133,12 @@ class JointFindings:
     def agrees(self) -> bool:
         """Whether the bench as believed explains all recordings."""
         return self.explained and not self.changed
+
+    @property
+    def against_bench(self) -> bool:
+        """Whether no recording is of the bench as believed: something is off in each."""
+        where = {c.recording for c in self.changed}
+        return None in where or where >= set(self.recordings)
 
 
 def find_changes(
@@ -162,6 +171,7 @@ def find_changes(
     explained = agrees(disagreements(final.fit), false_alarm)
     fit = final.fit if explained else nominal
     findings = JointFindings(
+        tuple(seen.name for seen in nominal.model.recordings),
         explained,
         tuple(_parameters(nominal, final)) if explained else (),
         tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesbl.bench.bench import BenchParameter
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
@@ -26,7 +27,13 @@ SURE = 4.0
 
 
 def nominal_fit(
-    independent, second, seed, gaps_rad=(GAP_RAD, GAP_RAD), speed_alone=False, first=None
+    independent,
+    second,
+    seed,
+    gaps_rad=(GAP_RAD, GAP_RAD),
+    speed_alone=False,
+    first=None,
+    bench=BENCH,
 ):
     """Both recordings fitted together with the bench as believed."""
     rng = np.random.default_rng(seed)
@@ -41,9 +48,9 @@ def nominal_fit(
             start_angle_rad=start,
             motor_start_angle_rad=motor,
         )
-        made = observed(independent.simulate(truth, rng, name=name).recording, BENCH)
+        made = observed(independent.simulate(truth, rng, name=name).recording, bench)
         seen.append(replace(made, signals=made.signals[:1]) if speed_alone else made)
-    return fit_aligned(BENCH, seen, direct_unknowns(BENCH, ["before", "after"], GAP_RANGE_RAD))
+    return fit_aligned(bench, seen, direct_unknowns(bench, ["before", "after"], GAP_RANGE_RAD))
 
 
 def change(fit):
@@ -99,7 +106,18 @@ def test_a_bench_that_is_wrong_for_both_is_no_change_between_them(independent):
     wrong = times(0.9, "shaft_stiffness_nm_per_rad")
     _, found = find_changes(nominal_fit(independent, wrong, seed=3, first=wrong))
     assert [c.recording for c in found.changed] == [None]
+    assert found.against_bench
     assert found.changed[0].name == "shaft_stiffness_nm_per_rad"
+
+
+def test_a_bench_beyond_its_tolerance_in_every_recording_speaks_against_the_bench(independent):
+    """The stiffness is shared within its tolerance, so it can only be freed in each alone."""
+    wrong = times(1.1, "shaft_stiffness_nm_per_rad")
+    value = BELIEVED["shaft_stiffness_nm_per_rad"]
+    known = {**BENCH.parameters, "shaft_stiffness_nm_per_rad": BenchParameter(value, 0.02 * value)}
+    bench = replace(BENCH, parameters=known)
+    _, found = find_changes(nominal_fit(independent, wrong, seed=3, first=wrong, bench=bench))
+    assert found.against_bench
 
 
 def test_without_the_current_two_explanations_of_one_change_are_rivals(independent):
