@@ -21,7 +21,7 @@ FALSE_ALARM = 0.005
 
 CONTRADICTED = (
     "The ringing's frequency and decay are not those of the curve's bench at this amplitude, "
-    "whatever its tolerances: δ belongs to another joint, or something else than the gap changed. "
+    "whatever its tolerances: δ belongs to another joint, or something other than the gap changed. "
     "Correct the bench or widen its tolerances."
 )
 FEWEST_EFFECTIVE = 200.0

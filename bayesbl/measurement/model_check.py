@@ -57,7 +57,7 @@ def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: flo
 
 
 def against_the_bench(found: JointFindings) -> str | None:
-    """Why no gap can be trusted where all recordings speak against the bench."""
+    """Why no gap can be trusted where all recordings contradict the bench."""
     if not found.against_bench:
         return None
     several = len({c.recording for c in found.changed}) > 1
@@ -66,7 +66,7 @@ def against_the_bench(found: JointFindings) -> str | None:
         "and",
     )
     return (
-        f"The recordings speak against the bench: with {told} it would explain them."
+        f"The recordings contradict the bench: with {told} it would explain them."
         f"{_others(found, found.changed)} Correct the bench file (`bayesbl diagnose` writes one "
         "with what is missing), or give what is not known exactly a tolerance."
     )
@@ -111,7 +111,7 @@ def _undecided(
     name, value = max(apart, key=lambda rival: abs(rival[1] - chosen_rad))
     chosen = _listed([spoken(c.name) for c in found.changed], "and")
     return (
-        f"Something else than the gap changed in the joint, and the recordings do not tell what: "
+        f"Something other than the gap changed in the joint, and the recordings do not tell what: "
         f"if it is {chosen}, {what} is {1e3 * chosen_rad:.3g} mrad; if it is "
         f"{spoken(name)}, {1e3 * value:.3g} mrad. Record the motor current too, record a "
         "second speed or direction, or give what is known of the recording in "
@@ -137,7 +137,7 @@ def _item(changed: ChangedParameter) -> CheckItem:
 
 def _sentence(changed: ChangedParameter) -> str:
     return (
-        f"In {changed.recording} something else than the gap has changed: {_as_found(changed)}. "
+        f"In {changed.recording} something other than the gap has changed: {_as_found(changed)}. "
         "The change of δ is given with this allowed for."
     )
 

@@ -54,7 +54,7 @@ class ChangedParameter:
     name
         Of the bench parameter, or ``effect.parameter``.
     recording
-        The only one it has changed in; ``None`` where all recordings speak against the bench.
+        The only one it has changed in; ``None`` where all recordings contradict the bench.
     believed, found
         By the bench, and by the recordings, in ``unit``; ``sd`` is the uncertainty of ``found``.
     """

@@ -32,8 +32,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         largest = max(spot["delta_error_rad"] or 0.0 for spot in known)
         told = _listed([f"{s['change']} ({_mrad(s['delta_error_rad'])})" for s in known])
         yield Sentence(
-            "The recordings would not show a small change of something else than the gap, which "
-            f"would move the change of δ by up to {_mrad(largest)}: {told}.",
+            "A change too small for these recordings to show would move the change of δ by up to "
+            f"{_mrad(largest)}: {told}.",
             "aside",
             "If nothing else changed",
         )
