@@ -43,6 +43,8 @@ GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]
 SpeedSource = Literal["sensor", "encoder"]
 
+LATE_PARAMETERS = ("gravity_angle_rad",)
+
 # Increased when the same bench gives other signals, so that cached results are not mixed.
 _SIGNALS_VERSION = 1
 
@@ -193,10 +195,14 @@ class Bench:
         One number is drawn for each parameter, tolerance or not, so that giving one more
         parameter a tolerance does not change the others' draws.
         """
-        shifts = rng.uniform(-1.0, 1.0, len(self.parameters))
+        # A parameter that came later is drawn last and only where it has a tolerance: what was drawn
+        # of benches without it stays as it was.
+        late = [name for name in LATE_PARAMETERS if self.parameters[name].tolerance]
+        names = [name for name in self.parameters if name not in LATE_PARAMETERS] + late
+        shifts = dict(zip(names, rng.uniform(-1.0, 1.0, len(names)), strict=True))
         drawn = {
-            name: BenchParameter(item.value + item.tolerance * float(shift))
-            for (name, item), shift in zip(self.parameters.items(), shifts, strict=True)
+            name: BenchParameter(item.value + item.tolerance * float(shifts.get(name, 0.0)))
+            for name, item in self.parameters.items()
         }
         return dataclasses.replace(self, parameters=drawn)
 
