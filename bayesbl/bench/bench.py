@@ -16,6 +16,7 @@ import numpy as np
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
+from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
     check_parameters,
@@ -25,6 +26,7 @@ from bayesbl.bench.parameters import (
 from bayesbl.bench.simulation import (
     DEFAULT_ACCURACY_RPM,
     simulate_channels,
+    simulate_motions,
     simulate_speeds,
 )
 from bayesbl.bench.steady import noise_through_loop
@@ -34,6 +36,8 @@ from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
+    REFERENCE_POSITION,
+    REFERENCE_SPEED,
     FloatArray,
     Recording,
 )
@@ -374,6 +378,64 @@ class Bench:
                 "gap_rad": float(gap_rad),
                 "start_angle_rad": float(start_angle_rad),
                 "reference_speed_rpm": reference,
+            },
+        )
+
+    def simulate_motion(
+        self,
+        gap_rad: float,
+        motion: Motion,
+        *,
+        sampling_hz: float = 1000.0,
+        start_angle_rad: float | None = None,
+        motor_start_angle_rad: float | None = None,
+        seed: np.random.Generator | None = None,
+        name: str = "simulated",
+        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    ) -> Recording:
+        """One recording of a motion, with its references as channels.
+
+        Parameters
+        ----------
+        start_angle_rad
+            Load angle at the first sample; the motion's own if ``None``.
+        gap_rad, sampling_hz, motor_start_angle_rad, seed, name, accuracy_rpm
+            As :meth:`simulate`.
+
+        Raises
+        ------
+        BenchError
+            If a parameter makes no sense, the motor cannot follow or the simulation fails.
+        """
+        begin = motion.start_angle_rad if start_angle_rad is None else start_angle_rad
+        parameters = self.vector(
+            gap_rad=gap_rad,
+            start_angle_rad=begin,
+            motor_start_angle_rad=motor_start_angle_rad,
+        )
+        time = np.arange(math.floor(round(motion.duration_s * sampling_hz, 6)) + 1) / sampling_hz
+        position, speed, current = simulate_motions(
+            parameters, motion, time.size, sampling_hz, accuracy_rpm=accuracy_rpm
+        )[0]
+        offset = float(position[0])
+        if motor_start_angle_rad is not None:
+            start = parameters[0, Slot.start_angle_rad]
+            offset = parameters[0, Slot.gear_ratio] * start - motor_start_angle_rad
+        channels = self._measured(
+            position - offset, speed, current, parameters[0], sampling_hz, seed
+        )
+        channels[REFERENCE_SPEED] = motion.speed_rpm(time)
+        channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+        return Recording(
+            name=name,
+            time_s=time,
+            channels=channels,
+            metadata={
+                "simulated": True,
+                "bench": self.fingerprint(),
+                "gap_rad": float(gap_rad),
+                "start_angle_rad": float(parameters[0, Slot.start_angle_rad]),
+                "reference_speed_rpm": None,
             },
         )
 
