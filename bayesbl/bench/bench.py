@@ -199,8 +199,8 @@ class Bench:
         One number is drawn for each parameter, tolerance or not, so that giving one more
         parameter a tolerance does not change the others' draws.
         """
-        # A parameter that came later is drawn last and only where it has a tolerance: what was drawn
-        # of benches without it stays as it was.
+        # A parameter that came later is drawn last and only where it has a tolerance, so that draws
+        # of benches without it stay as they were.
         late = [name for name in LATE_PARAMETERS if self.parameters[name].tolerance]
         names = [name for name in self.parameters if name not in LATE_PARAMETERS] + late
         shifts = dict(zip(names, rng.uniform(-1.0, 1.0, len(names)), strict=True))

@@ -114,7 +114,7 @@ DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
 
 
-# Columns of a piece of a motion: its start, ω_ref as a cubic and θ_ref as a quartic of the time since.
+# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since.
 PIECE_COLUMNS = 10
 
 
@@ -221,7 +221,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
 
 @_jit
 def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
-    """The same constants on one piece of a motion, a row of ``pieces`` (see ``bench/motion.py``)."""
+    """The same constants on one piece of a motion (see ``bench/motion.py``)."""
     row = pieces[number]
     return Constants(
         c.ratio,
@@ -977,7 +977,5 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     c = constants(q, standing_state(-lag, p, begun, y), 0.0)
     stop = (out.shape[1] - 1) * dt + lead + 1e-9
-    status, _, cost = integrate(
-        -lag, y, stop, math.inf, 0.0, dt, out, p, c, accuracy_rpm, pieces
-    )
+    status, _, cost = integrate(-lag, y, stop, math.inf, 0.0, dt, out, p, c, accuracy_rpm, pieces)
     return status, cost

@@ -19,10 +19,11 @@ from bayesbl.recording.types import FloatArray
 class ParameterInfo:
     """What a bench parameter is.
 
-    ``positive``: it must not be zero, and above it unless ``signed``; if not, zero is allowed too. ``default``: value in a bench file that does not give it, ``None`` if it must.
-    ``idle``: value in the file of a rigid bench that does not give it and is only compared with
-    recordings, never driven. ``correctable``: a wrong value of it is an explanation of its own (a
-    parameter error) when recordings and bench disagree.
+    ``positive``: it must not be zero, and above it unless ``signed``; if not, zero is allowed too.
+    ``default``: value in a bench file that does not give it, ``None`` if it must. ``idle``: value
+    in the file of a rigid bench that does not give it and is only compared with recordings, never
+    driven. ``correctable``: a wrong value of it is an explanation of its own (a parameter error)
+    when recordings and bench disagree.
     """
 
     name: str

@@ -74,6 +74,4 @@ class SineMotion(Section):
     _range = field_validator("range_rad")(_two_angles)
 
 
-MotionSection = Annotated[
-    StrokesMotion | CycleMotion | SineMotion, Field(discriminator="kind")
-]
+MotionSection = Annotated[StrokesMotion | CycleMotion | SineMotion, Field(discriminator="kind")]

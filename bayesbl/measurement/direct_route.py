@@ -17,16 +17,15 @@ from scipy.stats import norm
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
-    Observed,
     Unknown,
     drift_unknowns,
     effect_unknowns,
     gap_unknown,
-    observed,
     start_angle_unknown,
     tolerance_unknowns,
 )

@@ -7,6 +7,7 @@ independent would count it twice.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,16 +81,51 @@ def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
             found=f"{max(count, 0)} samples with a counterpart one rotation later",
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
-    d = residual[:, lag:] - residual[:, :-lag]
-    channels = len(d)
-    fits = [_autoregression(d, order) for order in range(HIGHEST_ORDER + 1)]
+    return _noise_of((residual[:, lag:] - residual[:, :-lag]) / math.sqrt(2.0))
+
+
+def estimate_fast_noise(residual: FloatArray, samples: int) -> ChannelNoise:
+    """Noise of all channels where nothing repeats: from what is faster than a running mean.
+
+    What a mean over w samples takes of white noise, 1/w of its power, is given back; of noise that
+    lasts longer than that this sees too little.
+
+    Parameters
+    ----------
+    residual
+        Shape (c, n): recording minus its simulation.
+    samples
+        w, at most a third of n.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is too short.
+    """
+    count = residual.shape[1] - samples + 1
+    if count < FEWEST_DIFFERENCES:
+        raise RecordingError(
+            "The recording is too short to tell noise from motion.",
+            found=f"{residual.shape[1]} samples",
+            expected=f"at least {FEWEST_DIFFERENCES + samples}",
+        )
+    sums = np.cumsum(np.pad(residual, ((0, 0), (1, 0))), axis=1)
+    mean = (sums[:, samples:] - sums[:, :-samples]) / samples
+    middle = residual[:, samples // 2 : samples // 2 + count]
+    return _noise_of((middle - mean) / math.sqrt(1.0 - 1.0 / samples))
+
+
+def _noise_of(noise: FloatArray) -> ChannelNoise:
+    """The process that a stretch of noise, shape (c, n), is of."""
+    channels, count = noise.shape
+    fits = [_autoregression(noise, order) for order in range(HIGHEST_ORDER + 1)]
     determinants = np.array([np.linalg.slogdet(covariance)[1] for _, covariance in fits])
     best = int(np.argmin(bic(determinants, count, channels**2)))
     coefficients, covariance = fits[best]
     return ChannelNoise(
         coefficients,
-        np.asarray(np.linalg.cholesky(0.5 * covariance), dtype=np.float64),
-        np.sqrt(0.5 * np.mean(d**2, axis=1)),
+        np.asarray(np.linalg.cholesky(covariance), dtype=np.float64),
+        np.sqrt(np.mean(noise**2, axis=1)),
         count,
     )
 

@@ -20,12 +20,14 @@ from bayesbl.recording.channels import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
+    REFERENCE_POSITION,
     REFERENCE_SPEED,
     TIME,
     did_you_mean,
 )
 from bayesbl.recording.clipping import require_unclipped, without_rails
 from bayesbl.recording.lost_samples import GRID_TOLERANCE, deviation_from_grid, runs
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
@@ -66,6 +68,8 @@ CONSTANT_RANGE = 1e-6
 def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Recording:
     """The recording as a fit of the speed's disturbance pattern takes it, strays excluded.
 
+    A recording of a motion, with its reference, is asked for neither one speed nor rotations.
+
     Rotations are counted only if the gear ratio is known; otherwise the fit, which finds the
     rotation period itself, asks :func:`require_rotations` with what it found.
 
@@ -77,6 +81,9 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
+    if moves(recording):
+        require_varying(recording, MOTOR_SPEED)
+        return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
     recording = without_rails(recording, MOTOR_SPEED)
     require_varying(recording, MOTOR_SPEED)
     require_alive(recording, (MOTOR_POSITION,))
@@ -276,8 +283,10 @@ def require_one_speed(recording: Recording) -> None:
         file=recording.place,
         where=f"{MOTOR_SPEED} {where} s",
         found=found,
-        expected="one speed; split the file there into one recording per speed, each of two "
-        "load rotations or more",
+        expected="one speed; split the file there into one recording per speed, each of two load "
+        "rotations or more. For a joint that cannot turn round: the speed or position that the "
+        f"controller was asked for as a column {REFERENCE_SPEED} or {REFERENCE_POSITION}, and a "
+        "bench",
     )
 
 

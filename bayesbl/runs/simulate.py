@@ -17,7 +17,7 @@ from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes
 from bayesbl.config.bench import dump_bench, load_bench
-from bayesbl.config.motion import MotionSection
+from bayesbl.config.motion import CycleMotion, MotionSection, SineMotion, StrokesMotion
 from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
@@ -190,7 +190,13 @@ def _simulated(
 def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
     """The motion that a configuration describes, at the motor of a gear of this ratio."""
     settings = section.model_dump(exclude={"kind"})
-    return {"strokes": strokes, "cycle": cycle, "sine": sine}[section.kind](gear_ratio, **settings)
+    match section:
+        case StrokesMotion():
+            return strokes(gear_ratio, **settings)
+        case CycleMotion():
+            return cycle(gear_ratio, **settings)
+        case SineMotion():
+            return sine(gear_ratio, **settings)
 
 
 @contextmanager

@@ -21,13 +21,12 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.signals import (
     START_ANGLE,
-    Observed,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.measurement.task import StageProgress
