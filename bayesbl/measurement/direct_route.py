@@ -42,6 +42,7 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
+from bayesbl.measurement.motion_verdict import motion_notes, unseen_gap
 from bayesbl.measurement.task import StageProgress, Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
@@ -245,30 +246,37 @@ def direct_verdict(
     repeating = found.repeating(recording.name)
     against = [
         found.posterior.beyond_tolerance(recording.name, level),
-        _disagreement_in_words(repeating) if repeating else None,
+        _disagreement_in_words(repeating, recording.motion is not None) if repeating else None,
         None if repeating or found.joint.explained else UNEXPLAINED,
         against_the_bench(found.joint),
         undecided_gap(found.joint, index, gap, level),
     ]
-    if any(against):
+    unseen = unseen_gap(found.posterior, index)
+    if any(against) or unseen:
         outcome = "withheld"
-        reasons = [*filter(None, against), *reasons]
+        # Where δ is not seen, its prior's range decides: that needs no saying.
+        reasons = [*filter(None, against), *([unseen] if unseen else reasons)]
     reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:
         reasons.append(
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
         )
+    reasons += motion_notes(found.posterior.fit, index)
     return Verdict(outcome, (*reasons, *notes), reason)
 
 
-def _disagreement_in_words(entries: Sequence[RepeatingPower]) -> str:
+def _disagreement_in_words(entries: Sequence[RepeatingPower], moving: bool) -> str:
     worst = max(entries, key=lambda entry: entry.ratio)
     others = sorted({f"{e.channel} of {e.recording}" for e in entries})
     which = f"up to load order {worst.highest_order}" if worst.highest_order else "in the mean"
+    repeats = "repeats every rotation"
+    if moving:
+        which = which.replace("load order", "order") + " of the cycle"
+        repeats = "is left"
     return (
         "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
-        f"{worst.channel} of {worst.recording}, {which}, what repeats every rotation has "
+        f"{worst.channel} of {worst.recording}, {which}, what {repeats} has "
         f"{worst.ratio:.3g} times the power that noise would leave (disagreement in "
         f"{', '.join(others)}). The bench file lacks an effect or has wrong "
         "values; `bayesbl diagnose` looks for what is missing."

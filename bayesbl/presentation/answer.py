@@ -231,6 +231,7 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
     alone = ringing.is_alone(summary)
     beside = direct_route.beside(first)
+    repeats = "Motion\ncycles" if "motion" in first else "Load\nrotations"
     columns = (
         *([text("Snapshot")] if compared else []),
         *([] if alone else [numbers("Gap δ\n(mrad)"), numbers(f"{kind}\n(mrad)")]),
@@ -238,7 +239,14 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
         numbers("Ringing A\n(rpm)"),
         *([numbers(f"{kind}\n(rpm)")] if alone else []),
         # Eighty columns hold no more.
-        *([] if beside else [numbers("Load\nrotations"), numbers("Noise sd\n(rpm)")]),
+        *(
+            []
+            if beside
+            else [
+                numbers("Motion\ncycles" if "motion" in first else "Load\nrotations"),
+                numbers("Noise sd\n(rpm)"),
+            ]
+        ),
         text("Outcome"),
     )
     rows = [
