@@ -380,7 +380,7 @@ def _follow(p, side, speed, angle, held, step, each, out):
     start, _, _ = _measured(y, p, phase)
     k, trial, asked = np.empty((4, 10)), np.empty(10), np.zeros((3, 2))
     asked[:, 1] = start
-    for i in range(held):
+    for _ in range(held):
         _step(0.0, y, step, p, phase, asked, math.inf, k, trial)
     shown = np.empty(3)
     for i in range(out.shape[1] * each):

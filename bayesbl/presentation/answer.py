@@ -239,14 +239,7 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
         numbers("Ringing A\n(rpm)"),
         *([numbers(f"{kind}\n(rpm)")] if alone else []),
         # Eighty columns hold no more.
-        *(
-            []
-            if beside
-            else [
-                numbers("Motion\ncycles" if "motion" in first else "Load\nrotations"),
-                numbers("Noise sd\n(rpm)"),
-            ]
-        ),
+        *([] if beside else [numbers(repeats), numbers("Noise sd\n(rpm)")]),
         text("Outcome"),
     )
     rows = [
