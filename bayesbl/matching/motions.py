@@ -21,6 +21,8 @@ that a bench calls free of friction may still hold some per cent."""
 
 ANGLES_SCANNED = 36
 REFINEMENTS = 3
+SCANNED_S = 4.0
+"""Of a motion, behind what is left out, or one cycle if that is longer: enough to start from."""
 
 
 def noise_of(seen: Observed, residual: FloatArray) -> ChannelNoise:
@@ -62,7 +64,9 @@ def start_angles(
     """
     seen, noise = model.recordings[recording], model.noise[recording]
     weight = 1.0 / noise.sd**2
+    scanned = begin_of(seen) + max(seen.cycle or 0, round(SCANNED_S * seen.sampling_hz))
     compared = np.ones(seen.samples) if seen.excluded is None else 1.0 - seen.excluded
+    compared, signals = compared[:scanned], seen.signals[:, :scanned]
     motion = seen.motion
     assert motion is not None
 
@@ -77,13 +81,13 @@ def start_angles(
         simulated = simulate_motions(
             matrix,
             motion,
-            seen.samples,
+            compared.size,
             seen.sampling_hz,
             workers=model.workers,
             failures="nan",
         )[:, [SPEED, CURRENT][: len(seen.signals)]]
-        apart = seen.signals - simulated
-        cost = np.einsum("c,mcn,n->m", weight, apart**2, compared)
+        cost = np.einsum("c,mcn,n->m", weight, (signals - simulated) ** 2, compared)
+        cost *= seen.samples / compared.size
         return np.where(np.isfinite(cost), cost, np.inf)
 
     middle = points[len(points) // 2 : len(points) // 2 + 1]
