@@ -26,7 +26,13 @@ from bayesbl.matching.motions import changes_of
 from bayesbl.matching.observed import Observed, begin_of, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_verdict, fit_directly
-from bayesbl.recording.types import REFERENCE_POSITION, REFERENCE_SPEED
+from bayesbl.recording.types import (
+    REFERENCE_POSITION,
+    REFERENCE_SPEED,
+    BoolArray,
+    FloatArray,
+    Recording,
+)
 from bayesbl.sampling.chains import SamplerSettings
 
 FAST = SamplerSettings(ensembles=2, max_steps=2000)
@@ -148,16 +154,18 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     return line
 
 
-def _inside(below: np.ndarray) -> np.ndarray:
+def _inside(below: FloatArray) -> BoolArray:
     """Whether a 90 % interval holds the truth."""
     return np.abs(below - 0.5) < 0.45
 
 
-def _percent(values: np.ndarray) -> float:
+def _percent(values: BoolArray) -> float:
     return 100.0 * float(np.mean(values)) if values.size else math.nan
 
 
-def _recorded(row: Row, joint: Bench, gap_rad: float, name: str, rng: np.random.Generator):
+def _recorded(
+    row: Row, joint: Bench, gap_rad: float, name: str, rng: np.random.Generator
+) -> Recording:
     reach = math.radians(row.reach_deg)
     ratio = joint.value("gear_ratio")
     speed = 2.0 * reach * ratio / (row.stroke_s * (1.0 - RAMP_SHARE)) * 60.0 / (2.0 * math.pi)
@@ -190,6 +198,7 @@ def _recorded(row: Row, joint: Bench, gap_rad: float, name: str, rng: np.random.
 def _flank_changes(row: Row, joint: Bench, gap_rad: float, seen: Observed) -> int:
     """Of the true joint in what is compared; where the recording is cut, from the bench at rest."""
     start = math.radians(row.posture_deg - row.reach_deg)
+    assert seen.motion is not None
     if row.cut_s > 0.0:
         time = np.arange(seen.samples) / seen.sampling_hz
         start += float(np.ptp(seen.motion.position_rad(time))) / joint.value("gear_ratio")

@@ -60,10 +60,16 @@ class SimulatedFit:
 
     @property
     def bound(self) -> FloatArray:
-        """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,)."""
+        """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,).
+
+        Infinite where nothing depends on a coordinate, as on the angle of an axis without gravity.
+        """
         norms = np.linalg.norm(self.jacobian, axis=0)
-        scaled = self.jacobian / norms
-        return np.asarray(np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms)
+        told = norms > 0.0
+        scaled = self.jacobian[:, told] / norms[told]
+        found = np.full(norms.size, np.inf)
+        found[told] = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms[told]
+        return found
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""
