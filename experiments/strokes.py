@@ -23,7 +23,7 @@ from bayesbl.bench.kernel import TWIST
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.config.bench import load_bench
 from bayesbl.matching.motions import changes_of
-from bayesbl.matching.observed import Observed, begin_of, observed
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_verdict, fit_directly
 from bayesbl.recording.types import (
@@ -206,7 +206,7 @@ def _flank_changes(row: Row, joint: Bench, gap_rad: float, seen: Observed) -> in
     vector = joint.vector(gap_rad=gap_rad, start_angle_rad=start)
     size = seen.samples, seen.sampling_hz
     twist = simulate_motions(vector, seen.motion, *size, states=True)[0, TWIST]
-    return len(changes_of(twist, gap_rad, 1.0 / seen.sampling_hz, begin_of(seen)))
+    return len(changes_of(twist, gap_rad, 1.0 / seen.sampling_hz, seen.excluded))
 
 
 @cache

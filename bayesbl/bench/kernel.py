@@ -114,6 +114,9 @@ DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
 
 
+# Share of gravity's largest torque below which a load at rest stands inside the gap.
+LOOSE_SHARE = 0.01
+
 # Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since.
 PIECE_COLUMNS = 10
 
@@ -942,7 +945,8 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     angle = p[Slot.start_angle_rad]
     load = load_torque(angle, speed * c.per_ratio, p, c)
     load += c.load_inertia * acceleration * c.per_ratio
-    side = math.copysign(1.0, load)
+    # A load that hardly presses may stand anywhere in the gap; so is the start continuous.
+    side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
     y[:] = 0.0
     if not c.rigid:
         y[TWIST] = load / c.stiffness + side * c.gap

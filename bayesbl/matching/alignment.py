@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +43,14 @@ def fit_aligned(
     best = min(fits, key=lambda fit: fit.chi_square)
     for i in undecided_starts(best):
         recordings = _started_later(recordings, i, bench)
+    return refitted(SimulatedSignals(bench, recordings, unknowns, noise, workers), best)
+
+
+def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
+    """The fit of a model from where another one ended, the noise estimated again from it, twice."""
+    best = replace(fit, model=model)
     for _ in range(NOISE_ROUNDS):
-        noise = remaining_noise(best)
-        model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
+        model = replace(model, noise=remaining_noise(best))
         best = fit_simulated(model, best.point, best.steps)
     return with_model(best, model)
 

@@ -13,7 +13,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import FAST_S, Observed, begin_of
 from bayesbl.matching.signals import START_ANGLE, SimulatedSignals
 from bayesbl.noise.channel_noise import ChannelNoise, estimate_channel_noise, estimate_fast_noise
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 
 LOADED_SHARE = 0.05
 """Of gravity's largest torque, that presses the teeth together at a start without doubt: a bearing
@@ -33,10 +33,12 @@ def noise_of(seen: Observed, residual: FloatArray) -> ChannelNoise:
     RecordingError
         If there is too little of it.
     """
-    part = residual[:, begin_of(seen) :]
-    if seen.motion is not None and seen.cycle is None:
-        return estimate_fast_noise(part, round(FAST_S * seen.sampling_hz))
-    return estimate_channel_noise(part, seen.lag)
+    if seen.motion is None:
+        return estimate_channel_noise(residual, seen.lag)
+    kept = None if seen.excluded is None else ~seen.excluded
+    if seen.cycle is None:
+        return estimate_fast_noise(residual, round(FAST_S * seen.sampling_hz), kept)
+    return estimate_channel_noise(residual, seen.cycle, kept)
 
 
 def undecided_starts(fit: SimulatedFit) -> list[int]:
@@ -135,18 +137,18 @@ def flank_changes(fit: SimulatedFit, recording: int) -> list[FlankChange]:
         0, TWIST
     ]
     gap = float(row[0, Slot.gap_rad] + row[0, Slot.backlash__gap_rad])
-    return changes_of(twist, gap, 1.0 / seen.sampling_hz, begin_of(seen))
+    return changes_of(twist, gap, 1.0 / seen.sampling_hz, seen.excluded)
 
 
 def changes_of(
-    twist: FloatArray, gap_rad: float, period_s: float, begin: int = 0
+    twist: FloatArray, gap_rad: float, period_s: float, excluded: BoolArray | None = None
 ) -> list[FlankChange]:
-    """Changes of flank in a twist, shape (n,), rad; those that end before ``begin`` left out."""
+    """Changes of flank in a twist, shape (n,), rad, but for those that end in excluded samples."""
     side = np.where(twist > gap_rad, 1, np.where(twist < -gap_rad, -1, 0))
     touching = np.flatnonzero(side)
     before, after = touching[:-1], touching[1:]
     return [
         FlankChange(period_s * float(i), period_s * float(j), int(side[j]))
         for i, j in zip(before, after, strict=True)
-        if side[i] != side[j] and j >= begin
+        if side[i] != side[j] and (excluded is None or not excluded[j])
     ]

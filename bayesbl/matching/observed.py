@@ -17,7 +17,6 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, recorded_motion
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import RecordingError
-from bayesbl.noise.channel_noise import estimate_fast_noise
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
 from bayesbl.recording.types import (
@@ -39,6 +38,12 @@ FAST_S = 0.25
 more of any ringing, and long beside the noise of sensors."""
 
 SHORTEST_REST_S = 0.05
+STANDSTILL_RPM = 20.0
+"""Twenty times the width over which a bench's friction changes its sign: beyond, it is that of
+motion."""
+
+MEDIAN_OF_NORMAL = 0.6745
+LEAST_NOISE_RPM = 0.01
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -239,11 +244,37 @@ def without_start(seen: Observed, bench: Bench, rest: int) -> Observed:
 
     ``rest``: samples before the first motion, in which the teeth need not touch.
     """
+    begin = min(rest + _recovery(seen, bench), int(MOST_LEFT_OUT * seen.samples))
+    return _without(seen, np.arange(seen.samples) < begin)
+
+
+def without_standstill(seen: Observed, bench: Bench) -> Observed:
+    """The same without every standstill and what still remembers it.
+
+    What friction does at rest (sticking, creep, a brake) is not what it does in motion, and a bench
+    knows it badly.
+    """
+    if seen.motion is None:
+        return seen
+    time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
+    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL_RPM
+    memory = np.ones(_recovery(seen, bench) + 1)
+    remembers = np.convolve(standing, memory)[: seen.samples] > 0.5
+    # The motor lags behind its reference, so it stands a little later too: within the memory.
+    return _without(seen, remembers)
+
+
+def _recovery(seen: Observed, bench: Bench) -> int:
+    """Samples after which the bench has forgotten what it did, to a tenth of the noise."""
     fastest = bench.vector(reference_speed_rpm=seen.reference_speed_rpm)
-    noise = estimate_fast_noise(seen.signals, round(FAST_S * seen.sampling_hz))
-    settled = float(settling_time_s(fastest, max(float(noise.sd[0]), 1e-3))[0])
-    begin = min(rest + math.ceil(settled * seen.sampling_hz), int(MOST_LEFT_OUT * seen.samples))
-    left_out = np.arange(seen.samples) < begin
+    # By second differences, which a motion hardly has; noise that lasts counts as a little less.
+    bends = np.abs(np.diff(seen.signals[0], 2))
+    noise = float(np.median(bends)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+    settled = float(settling_time_s(fastest, max(noise, LEAST_NOISE_RPM))[0])
+    return math.ceil(settled * seen.sampling_hz)
+
+
+def _without(seen: Observed, left_out: BoolArray) -> Observed:
     excluded: BoolArray = left_out if seen.excluded is None else left_out | seen.excluded
     return replace(seen, excluded=excluded)
 

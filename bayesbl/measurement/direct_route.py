@@ -16,8 +16,9 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.matching.alignment import fit_aligned
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.alignment import fit_aligned, refitted
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import Observed, observed, without_standstill
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
@@ -225,11 +226,23 @@ def fit_directly(
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift)
-    fit, joint = find_changes(fit_aligned(bench, recordings, unknowns, workers))
+    fit, joint = find_changes(_believed(fit_aligned(bench, recordings, unknowns, workers)))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)
     posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
+
+
+def _believed(fit: SimulatedFit) -> SimulatedFit:
+    """The fit; without the standstills of its motions where the bench is wrong in them alone."""
+    model = fit.model
+    if agrees(disagreements(fit), FALSE_ALARM) or all(s.motion is None for s in model.recordings):
+        return fit
+    moving = [without_standstill(seen, model.bench) for seen in model.recordings]
+    if any(seen.excluded is not None and seen.excluded.all() for seen in moving):
+        return fit
+    found = refitted(replace(model, recordings=moving), fit)
+    return found if agrees(disagreements(found), FALSE_ALARM) else fit
 
 
 def direct_verdict(
