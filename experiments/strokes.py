@@ -9,13 +9,13 @@ other. The posterior is the surrogate's.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from independent_bench import plant, simulate_moving, strokes
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench
@@ -34,6 +34,10 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.sampling.chains import SamplerSettings
+
+sys.path.append(str(Path(__file__).parent))
+
+from independent_bench import plant, simulate_moving, strokes
 
 FAST = SamplerSettings(ensembles=2, max_steps=2000)
 RANGE_RAD = (1e-4, 1e-2)

@@ -14,7 +14,8 @@ FEWEST_TURNS = 1e-3
 """rad at the load: a way shorter than this is no motion."""
 
 
-def _two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
+def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
+    """A range of load angles, the lower first."""
     if len(angles) != 2 or not angles[1] - angles[0] >= FEWEST_TURNS:
         refuse(
             "A range has a lower and an upper load angle.",
@@ -39,7 +40,7 @@ class StrokesMotion(_Trapezoids):
     kind: Literal["strokes"]
     range_rad: Angles
 
-    _range = field_validator("range_rad")(_two_angles)
+    _range = field_validator("range_rad")(two_angles)
 
 
 class CycleMotion(_Trapezoids):
@@ -71,7 +72,7 @@ class SineMotion(Section):
     period_s: Positive
     duration_s: Positive
 
-    _range = field_validator("range_rad")(_two_angles)
+    _range = field_validator("range_rad")(two_angles)
 
 
 MotionSection = Annotated[StrokesMotion | CycleMotion | SineMotion, Field(discriminator="kind")]

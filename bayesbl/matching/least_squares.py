@@ -145,6 +145,15 @@ def fit_simulated(
     return SimulatedFit(model, point, residual, jacobian, covariance, steps)
 
 
+def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:
+    """A point as it is, with the derivatives there."""
+    residual = model.whitened(point)[0]
+    jacobian, steps = _jacobian(model, point, residual, _first_steps(model, point))
+    precision = np.diag(model.prior_precision())
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
+    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
+
+
 def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, say with new noise."""
     residual = model.whitened(fit.point)[0]
