@@ -228,8 +228,9 @@ def _corners_restored(
             h = float(time[i + 1] - time[i])
             left = float(speed[i] - speed[i - 1]) / h
             right = float(speed[i + 2] - speed[i + 1]) / h
-            at = (float(speed[i + 1] - speed[i]) - right * h) / (left - right)
-            if left != right and 0.0 <= at <= h:
+            rise = float(speed[i + 1] - speed[i]) - right * h
+            at = rise / (left - right) if left != right else -1.0
+            if 0.0 <= at <= h:
                 knots[-1] += at
                 values[-1] += left * at
                 n += 1

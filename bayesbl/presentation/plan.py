@@ -50,8 +50,8 @@ def blocks(summary: PlanSummary) -> Iterator[Block]:
     blind = len(plan["motions"]) - len(shown)
     if blind and shown:
         yield Sentence(
-            f"{blind} of {len(plan['motions'])} motions would show nothing: in them the load never, "
-            "or only just, passes from one tooth flank to the other.",
+            f"{blind} of {len(plan['motions'])} motions would show nothing: in them the load "
+            "never, or only just, passes from one tooth flank to the other.",
             "aside",
         )
     yield Sentence(f"Reckoned for δ about {1e3 * plan['gap_rad']:g} mrad.", "aside")

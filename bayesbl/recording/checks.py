@@ -20,7 +20,6 @@ from bayesbl.recording.channels import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
-    REFERENCE_POSITION,
     REFERENCE_SPEED,
     TIME,
     did_you_mean,
@@ -60,6 +59,11 @@ DRIFT_OVER_SCATTER = 3.0
 
 UNIT_AGREEMENT = 0.02
 """Relative difference that another unit must leave to be the likely one."""
+
+WHAT_A_MOTION_NEEDS = (
+    "what the controller was asked for over time, as a column reference_speed_rpm or "
+    "reference_position_rad of the motor, and a bench"
+)
 
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
@@ -284,9 +288,7 @@ def require_one_speed(recording: Recording) -> None:
         where=f"{MOTOR_SPEED} {where} s",
         found=found,
         expected="one speed; split the file there into one recording per speed, each of two load "
-        "rotations or more. For a joint that cannot turn round: the speed or position that the "
-        f"controller was asked for as a column {REFERENCE_SPEED} or {REFERENCE_POSITION}, and a "
-        "bench",
+        f"rotations or more. If the joint cannot turn round: {WHAT_A_MOTION_NEEDS}",
     )
 
 
@@ -312,7 +314,7 @@ def _require_a_speed(recording: Recording, means: FloatArray) -> None:
         where=MOTOR_SPEED,
         found=f"{means.min():.5g} to {means.max():.5g} in means over {BLOCK_S:g} s",
         expected="the motor's speed; are columns exchanged, or is the wrong one named under "
-        "[columns]?",
+        f"[columns]? If the joint moves to and fro: {WHAT_A_MOTION_NEEDS}",
     )
 
 
