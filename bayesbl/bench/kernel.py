@@ -54,6 +54,7 @@ class Slot(IntEnum):
     gap_rad = auto()
     start_angle_rad = auto()
     motor_start_angle_rad = auto()
+    reference_delay_s = auto()  # of a motion: the loop is given its reference that much later
     backlash__gap_rad = auto()
     motor_coulomb_friction__torque_nm = auto()
     motor_viscous_friction__coefficient_nm_s_per_rad = auto()
@@ -976,6 +977,8 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     lag = max(0.0, p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
     y = np.empty(STATES if p[FIRST_EFFECT:FIRST_SKEW].any() else STATES - 3)
+    pieces = pieces.copy()
+    pieces[:, 0] += p[Slot.reference_delay_s]
     q = p.copy()
     q[Slot.reference_speed_rpm] = np.max(np.abs(pieces[:, 1])) * RPM
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)

@@ -26,6 +26,7 @@ from bayesbl.matching.signals import (
     SimulatedSignals,
     effect_unknowns,
     gap_unknown,
+    reference_delay_unknown,
     start_angle_unknown,
     tolerance_unknowns,
 )
@@ -230,6 +231,7 @@ def _told(
     unknowns = [
         gap_unknown(0.01 * gap_rad, 100.0 * gap_rad),
         start_angle_unknown(NAME),
+        reference_delay_unknown(NAME),
         *effect_unknowns(bench, [NAME]),
         *tolerance_unknowns(bench),
     ]

@@ -28,6 +28,9 @@ from bayesbl.recording.types import FloatArray
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
+REFERENCE_DELAY = "reference_delay_s"
+MOST_DELAY_S = 0.02
+"""Some cycles of the slowest usual bus."""
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
@@ -94,6 +97,14 @@ def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
 def start_angle_unknown(recording: str) -> Unknown:
     """Start angle of one recording, flat."""
     return Unknown(START_ANGLE, recording=recording)
+
+
+def reference_delay_unknown(recording: str) -> Unknown:
+    """How much later a motion's loop was given its reference than the recording says, flat.
+
+    A controller holds its reference from sample to sample and gets it over a bus.
+    """
+    return Unknown(REFERENCE_DELAY, -MOST_DELAY_S, MOST_DELAY_S, recording=recording)
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:

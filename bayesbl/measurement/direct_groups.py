@@ -20,7 +20,7 @@ from bayesbl.matching.observed import begin_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower
 from bayesbl.matching.signals import GAP as GAP_UNKNOWN
-from bayesbl.matching.signals import Unknown
+from bayesbl.matching.signals import REFERENCE_DELAY, Unknown
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.other_route import AMPLITUDE_ROUTE
 from bayesbl.recording.types import Recording
@@ -48,6 +48,8 @@ def unit_and_meaning(name: str) -> tuple[str, str]:
         return unit, f"change since the first snapshot of: {meaning}"
     if name == DELTA:
         return shared.DELTA.unit, shared.DELTA.meaning
+    if name == REFERENCE_DELAY:
+        return "s", "how much later the controller was given its reference than is recorded"
     if name in PARAMETER_INFO:
         return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
     if "__" in name:

@@ -27,6 +27,7 @@ from bayesbl.matching.signals import (
     drift_unknowns,
     effect_unknowns,
     gap_unknown,
+    reference_delay_unknown,
     start_angle_unknown,
     tolerance_unknowns,
 )
@@ -193,14 +194,17 @@ def direct_unknowns(
     names: Sequence[str],
     gap_rad: tuple[float, float],
     may_drift: Mapping[str, float] = NO_DRIFT,
+    moving: Sequence[str] = (),
 ) -> list[Unknown]:
     """A gap and a start angle for each recording, and what is not known of their bench.
 
-    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it.
+    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it; ``moving``: names of
+    those that are of motions.
     """
     return [
         *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
         *(start_angle_unknown(name) for name in names),
+        *(reference_delay_unknown(name) for name in moving),
         *effect_unknowns(bench, names),
         *tolerance_unknowns(bench),
         *drift_unknowns(bench, may_drift, names),
@@ -225,7 +229,8 @@ def fit_directly(
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift)
+    moving = [r.name for r in recordings if r.motion is not None]
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
     fit, joint = find_changes(_believed(fit_aligned(bench, recordings, unknowns, workers)))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)

@@ -18,8 +18,8 @@ from bayesbl.matching.motions import changes_of, flank_changes
 from bayesbl.matching.observed import begin_of, observed
 from bayesbl.matching.planning import MotionLimits, ranked_motions
 from bayesbl.matching.predictive_check import agrees, disagreements
-from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import direct_verdict, fit_directly
+from bayesbl.matching.signals import GAP, REFERENCE_DELAY
+from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.moving import cycle_of, moves
@@ -64,13 +64,13 @@ def cut(recording: Recording, begin: int, end: int | None = None) -> Recording:
 
 def fitted(recording: Recording, bench: Bench = BENCH) -> SimulatedFit:
     """The optimum of gap and start angle."""
-    unknowns = [gap_unknown(*RANGE_RAD), start_angle_unknown(recording.name)]
+    unknowns = direct_unknowns(bench, ["r"], RANGE_RAD, moving=["r"])
     return fit_aligned(bench, [observed(recording, bench)], unknowns)
 
 
 def z_of(fit: SimulatedFit) -> float:
     """Error of ln δ in posterior standard deviations."""
-    return (math.log(fit.value(GAP)) - math.log(GAP_RAD)) / fit.sd(GAP)
+    return (math.log(fit.value(GAP, "r")) - math.log(GAP_RAD)) / fit.sd(GAP, "r")
 
 
 def test_only_a_reference_that_varies_is_a_motion() -> None:
@@ -117,9 +117,21 @@ def test_the_gap_is_recovered_and_the_check_passes(name: str) -> None:
     # Normal errors are beyond 4 in one of 16,000; the check's false alarms are one in a thousand.
     fit = fitted(*RECORDINGS[name])
     assert abs(z_of(fit)) < 4.0
-    assert fit.sd(GAP) == pytest.approx(fit.bound[fit.model.index(GAP)], rel=0.01)
+    assert fit.sd(GAP, "r") == pytest.approx(fit.bound[fit.model.index(GAP, "r")], rel=0.01)
     assert agrees(disagreements(fit), 1e-3)
     assert flank_changes(fit, 0)
+
+
+def test_a_reference_that_is_held_and_late_is_found_so() -> None:
+    # As a digital drive has it: four samples late, and held for a millisecond each.
+    recording = recorded(seed=10, sampling_hz=1000.0)
+    late = {
+        name: np.r_[values[4:], np.full(4, values[-1])] if name.startswith("reference") else values
+        for name, values in recording.channels.items()
+    }
+    fit = fitted(replace(recording, channels=late))
+    assert fit.value(REFERENCE_DELAY, "r") == pytest.approx(4e-3, abs=1e-4)
+    assert abs(z_of(fit)) < 4.0
 
 
 def test_what_begins_unknown_is_left_out() -> None:
@@ -190,7 +202,7 @@ def test_a_plan_expects_what_a_fit_then_finds() -> None:
             120.0, planned.range_rad, planned.speed_rpm, planned.acceleration_rpm_per_s, 0.1, 3.0
         )
         found.append(
-            (planned.expected_relative_sd, fitted(recorded(motion, sampling_hz=250.0)).sd(GAP))
+            (planned.expected_relative_sd, fitted(recorded(motion, sampling_hz=250.0)).sd(GAP, "r"))
         )
     # At one gap of the three that a plan goes by; the order is held, and the size roughly.
     ratios = np.array([sd / promised for promised, sd in found if promised])
