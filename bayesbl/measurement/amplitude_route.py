@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
 from bayesbl.measurement.amplitude_summary import summarise_amplitude
@@ -19,7 +20,7 @@ from bayesbl.measurement.fits import FitJob, earlier_of, gaps_of_fits, run_fits
 from bayesbl.measurement.joint_check import NOTHING_COMPARED
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.same_joint import change_reason, same_joint
-from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Fit
@@ -41,6 +42,8 @@ class AmplitudeMeasurer:
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The curve, and what else a run needs: an earlier optimum, the second sampler."""
+        estimator = self.estimator
+        yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
         yield "curve", self.source.describe
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
@@ -55,6 +58,10 @@ class AmplitudeMeasurer:
                 "Without [joint] gear_ratio the load's rotations are counted only by the run, "
                 "which refuses a recording of fewer than two."
             )
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
 
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""

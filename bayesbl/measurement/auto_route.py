@@ -15,13 +15,14 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
 from bayesbl.measurement.measurement import Measurement, Snapshot
 from bayesbl.measurement.other_route import OTHER, other_route
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.task import Task, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import FloatArray, Recording
 
@@ -58,6 +59,10 @@ class AutoMeasurer:
     def notes(self) -> Iterator[str]:
         """Those of the amplitude."""
         return self.amplitude.notes()
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
 
     def require_usable(self, recording: Recording) -> None:
         """The amplitude can be measured; where only the direct route cannot, it is left out."""

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
@@ -43,7 +44,7 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
-from bayesbl.measurement.task import StageProgress, Task, estimator_of
+from bayesbl.measurement.task import StageProgress, Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
@@ -124,6 +125,10 @@ class DirectMeasurer:
     def notes(self) -> Iterator[str]:
         """Nothing that only a run can find out."""
         return iter(())
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
 
     def require_usable(self, recording: Recording) -> None:
         """The bench can be compared with it."""

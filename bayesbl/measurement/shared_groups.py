@@ -54,6 +54,7 @@ OBSERVED = Group(
         time_s (sample) | s | time
         excluded? (sample) | 1 | sample that was lost or cannot be trusted (1), bridged and left
             out of the fit
+        file? (sample) | 1 | number of the file, of a snapshot of several
     """),
     named=_channel,
 )

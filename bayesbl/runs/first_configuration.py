@@ -12,6 +12,7 @@ from bayesbl.config.fields import name_of, names_of
 from bayesbl.config.files import require_text_names
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
+from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
 from bayesbl.recording.readers import read_table
 from bayesbl.results.inputs import require_apart
@@ -39,10 +40,10 @@ def start_config(
         recording.
     """
     first = Path(recordings[0])
-    path = Path(out) if out is not None else Path(f"{name_of(first.stem)}.toml")
+    path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
     require_text_names([Path(file) for file in recordings])
     require_apart([path], [Path(file) for file in recordings])
-    if path.suffix.lower() in formats():
+    if suffix_of(path) in formats():
         raise ConfigError(
             "A configuration under this name would be taken for a recording.",
             file=path,
