@@ -90,9 +90,9 @@ Route = Annotated[
     str | None,
     _option(
         "--route",
-        "auto|amplitude|direct",
-        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both. "
-        "[default: auto with a bench]",
+        "auto|amplitude|direct|torque_ramp",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; or "
+        "by ramps of torque with the output held. [default: auto with a bench]",
     ),
 ]
 StartFrom = Annotated[

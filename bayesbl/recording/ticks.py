@@ -36,6 +36,6 @@ def spread_ticks(time_s: FloatArray) -> tuple[FloatArray, str | None]:
     within = np.arange(time_s.size) - np.repeat(starts, counts)
     spread = time_s + within / np.repeat(counts, counts) * np.repeat(lengths, counts)
     return spread, (
-        f"The clock ticks in {1e3 * usual:.3g} ms, with {time_s.size / starts.size:.1f} samples "
-        "a tick: they are spread evenly within it."
+        f"The clock ticks in {1e3 * usual:.2g} ms, with several samples a tick: they are spread "
+        "evenly within it."
     )
