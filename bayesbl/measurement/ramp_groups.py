@@ -1,6 +1,6 @@
 """Groups of ``result.nc`` by which the route of torque ramps stores a snapshot.
 
-``cycles`` holds what every cycle left, ``loop`` the path of one cycle of each file with its model.
+``cycles`` holds what every cycle left, ``loop`` the path of each file's cycles with its model.
 """
 
 from __future__ import annotations
@@ -73,10 +73,11 @@ CYCLES = Group(
 LOOP = Group(
     "loop",
     table("""
-        torque_nm (point) | N m | averaged torque of one cycle of each file, at the output
+        torque_nm (point) | N m | averaged torque along the cycles of each file, at the output
         position_rad (point) | rad | averaged position
         model_rad (point) | rad | position by play, compliance and friction
         file (point) | 1 | number of the file, from 0
+        last (point) | 1 | whether the point is of the file's last cycle to and fro (1)
         model_misfit_rad (position) | rad | root mean square of position less model, by file
         left_low_rad (position) | rad | mean position left by torque below zero
         left_high_rad (position) | rad | mean position left by torque above zero
@@ -159,22 +160,27 @@ def _loop(answer: RampAnswer) -> xr.Dataset:
     level = answer.flanks.level
     assert level is not None
     parts: dict[str, list[FloatArray]] = {
-        name: [] for name in ("torque_nm", "position_rad", "model_rad", "file")
+        name: [] for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
     }
     misfit, low, high = [], [], []
     for n, (ramps, cycles) in enumerate(zip(answer.files, level.files, strict=True)):
         if not cycles:
             continue
-        torque, position = _path(ramps, cycles)
-        model = LoopModel.of(cycles)
+        torque, position, last = _path(ramps, cycles)
+        model = LoopModel.fitted(cycles, torque, position)
         modelled = model.follow(torque, position[0])
+        left = {
+            side: [e.left_rad for c in cycles for e in (c.first, c.last) if e.side == side]
+            for side in (-1, 1)
+        }
         parts["torque_nm"].append(torque)
         parts["position_rad"].append(position)
         parts["model_rad"].append(modelled)
         parts["file"].append(np.full(torque.size, float(n)))
+        parts["last"].append(last)
         misfit.append(float(np.sqrt(np.mean((position - modelled) ** 2))))
-        low.append(model.left_rad(-1))
-        high.append(model.left_rad(1))
+        low.append(float(np.mean(left[-1])))
+        high.append(float(np.mean(left[1])))
     return dataset(
         LOOP,
         {
@@ -186,9 +192,10 @@ def _loop(answer: RampAnswer) -> xr.Dataset:
     )
 
 
-def _path(ramps: Ramps, cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray]:
-    """Torque and position of all cycles of a file in order, thinned."""
+def _path(ramps: Ramps, cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Torque and position of all cycles of a file in order, thinned, and which are of the last."""
     path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
     torque, position = ramps.torque_nm[path], ramps.position_rad[path]
     step = max(1, -(-torque.size // MOST_POINTS))
-    return torque[::step], position[::step]
+    last = np.arange(path.start, path.stop) >= cycles[-1].first.begin
+    return torque[::step], position[::step], last[::step].astype(float)

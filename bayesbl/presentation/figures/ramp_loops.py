@@ -29,19 +29,20 @@ from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 def ramp_loops(tree: xr.DataTree) -> Figure:
     """A panel per snapshot: its files from their middles; the band is the play, 2δ."""
     parts = snapshots(tree)
-    figure, axes = layout.one_panel_each(len(parts), 2.6, above=2.2 * layout.LINE_IN)
+    figure, axes = layout.one_panel_each(len(parts), 2.6, above=1.2 * layout.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw(panel, tree, snapshot, index)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
     handles, labels = most.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=3)
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
     return figure
 
 
 def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
-    torque, position, model, file = (
-        snapshot.values("loop", name) for name in ("torque_nm", "position_rad", "model_rad", "file")
+    torque, position, model, file, last = (
+        snapshot.values("loop", name)
+        for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
     )
     low, high = snapshot.values("loop", "left_low_rad"), snapshot.values("loop", "left_high_rad")
     play = credible_interval(tree, 2e3 * snapshot.values("posterior", GAP))
@@ -63,15 +64,16 @@ def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> Non
             torque[own], 1e3 * (position[own] - middle), color=style.MEASURED, linewidth=0.5,
             alpha=0.8, label="measured, every position and cycle" if place == 0 else None,
         )  # fmt: skip
+        once = own & (last > 0.5)
         panel.plot(
-            torque[own], 1e3 * (model[own] - middle), color=style.MODEL, linewidth=0.6, alpha=0.9,
+            torque[once], 1e3 * (model[once] - middle), color=style.MODEL, linewidth=0.9,
             linestyle=style.look(place).dashes,
-            label=f"model of position {place + 1}",
+            label="model, the last cycle of each" if place == 0 else None,
         )  # fmt: skip
         panel.plot(
             [0.0, 0.0], 1e3 * (np.array([low[place], high[place]]) - middle), color=style.NEUTRAL,
             marker=style.look(place).marker, markersize=3.0, linestyle="none", zorder=5.0,
-            label=f"left at zero torque, {place + 1}",
+            label="left at zero torque" if place == 0 else None,
         )  # fmt: skip
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.5)
     panel.set_xlabel("Torque at the output (N m)")
