@@ -37,6 +37,8 @@ POSTERIOR = Group(
                 | between the middles of the loop of the largest ramps at the stated torques
             compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output
             friction_torque_nm (chain, draw) | N m | at the output, over the range of the ramps
+            held_windup_rad (chain, draw) | rad
+                | of the gap: compliance that friction holds at zero torque, if flanks do not harden
             preload_torque_nm (chain, draw) | N m
                 | torque up to which both flanks carry the joint at least; 0 with play
         """),
@@ -64,8 +66,8 @@ CYCLES = Group(
         elastic_nm (cycle) | N m | torque without friction between the positions left
         friction_nm (cycle) | N m | half the mean height of the loop
         used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks
-        relative_compliance | 1 | between the flanks over that over the largest ramps
-        play | 1 | whether there is play (1) or not (0)
+        relative_compliance | 1 | between the positions left over that of larger ramps
+        probability_of_play | 1 | that it is above one
         lost_motion_torque_nm | N m | torque, both ways, at which lost motion is stated
     """),
 )
@@ -150,7 +152,7 @@ def _cycles(answer: RampAnswer) -> xr.Dataset:
             **{name: np.array([getattr(c, name) for _, c in each]) for name in names},
             "used": np.array([any(c is other for other in used) for _, c in each], dtype=float),
             "relative_compliance": answer.flanks.relative_compliance,
-            "play": float(answer.flanks.finding == "play"),
+            "probability_of_play": answer.flanks.probability_of_play,
             "lost_motion_torque_nm": answer.lost_motion_torque_nm,
         },
     )

@@ -135,10 +135,10 @@ class RampMeasurer:
         generator = np.random.default_rng(seed)
         width, scatter = play.width_rad[recording.name], play.scatter_rad[recording.name]
         delta = 0.5 * width
-        if flanks.finding == "preloaded":
-            # What is left between the flanks is compliance held by friction: play is a part of it
-            # that nothing shows.
-            delta = delta * generator.uniform(size=width.shape)
+        # Without play, what is left between the flanks is compliance held by friction: a gap is a
+        # part of it that nothing shows.
+        none = generator.uniform(size=width.shape) > flanks.probability_of_play
+        delta = np.where(none, delta * generator.uniform(size=width.shape), delta)
         stated_nm = LOST_MOTION_SHARE * self._rated(flanks)
         draws = {
             "delta_rad": delta,
@@ -236,12 +236,17 @@ def _described(
     assert level is not None
     assert largest is not None
     width = float(np.mean([c.width_rad for c in level.cycles]))
+    # Ramps that hardly go beyond the friction do not tell it.
+    compliance = largest.compliance_over_all if largest is not level else 0.0
     held = {
         "lost_motion_rad": lost_motion(files, largest, stated_nm),
         "compliance_rad_per_nm": of_cycles(
             largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
         ),
         "friction_torque_nm": of_cycles(level, lambda c: c.friction_nm),
+        "held_windup_rad": of_cycles(
+            level, lambda c: 0.5 * min(c.elastic_nm * compliance, max(c.width_rad, 0.0))
+        ),
     }
     draws = {name: _mean_draws(found, shape, generator) for name, found in held.items()}
     draws["preload_torque_nm"] = np.zeros(shape)
@@ -281,8 +286,7 @@ def _budget(
     shares = {"repeated_ramps": within if len(found) > 1 else float(np.var(width))}
     if len(found) > 1:
         shares["positions_round_the_turn"] = max(float(np.var(width)) - within, 0.0)
-    if flanks.finding == "preloaded":
-        shares["whether_any_play"] = 4.0 * float(np.var(delta))
+    shares["whether_any_play"] = max(4.0 * float(np.var(delta)) - float(np.var(width)), 0.0)
     total = sum(shares.values())
     return {name: value / total for name, value in shares.items()} if total else {}
 

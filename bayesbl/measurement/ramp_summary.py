@@ -11,6 +11,7 @@ QUANTITIES = (
     "lost_motion_rad",
     "compliance_rad_per_nm",
     "friction_torque_nm",
+    "held_windup_rad",
     "preload_torque_nm",
 )
 
@@ -30,8 +31,10 @@ def summarise_ramps(stored: StoredSnapshot) -> SnapshotSummary:
         "lost_motion_torque_nm": float(cycles["lost_motion_torque_nm"]),
         "compliance_rad_per_nm": found["compliance_rad_per_nm"],
         "friction_torque_nm": found["friction_torque_nm"],
+        "held_windup_rad": found["held_windup_rad"],
         "preload_torque_nm": found["preload_torque_nm"],
-        "preloaded": not bool(cycles["play"]) and not stored.withheld,
+        "preloaded": float(cycles["probability_of_play"]) <= 0.5 and not stored.withheld,
+        "probability_of_play": float(cycles["probability_of_play"]),
         "relative_compliance": float(cycles["relative_compliance"]),
         "ramps": {
             "positions": int(np.unique(file[used]).size),

@@ -11,6 +11,10 @@ from bayesbl.ramps.flanks import Flanks
 from bayesbl.recording.types import FloatArray
 
 
+UNSURE = 0.05
+"""Probability of play, and of none, from which both are told."""
+
+
 def against(flanks: Flanks) -> str | None:
     """Why δ is withheld; ``None`` where it is not."""
     level = flanks.level
@@ -41,10 +45,17 @@ def notes_on(
     if flanks.finding == "preloaded":
         carried = level.amplitude_nm - level.friction_nm
         yield (
-            f"No play: up to {carried:.2g} N m the joint is stiffer than under load (its compliance "
-            f"is {flanks.relative_compliance:.2g} of that over the largest ramps), as one is that "
-            f"is preloaded. The {1e3 * float(np.median(width_rad)):.2g} mrad that ramps leave "
+            f"No play: up to {carried:.2g} N m the joint is stiffer than beyond (its compliance is "
+            f"{flanks.relative_compliance:.2g} of that), as one is that is preloaded. The "
+            f"{1e3 * float(np.median(width_rad)):.2g} mrad that ramps leave "
             "between the flanks are compliance held by friction; δ is at most half of them."
+        )
+    if UNSURE < flanks.probability_of_play < 1.0 - UNSURE:
+        yield (
+            "Whether there is play is not certain (probability "
+            f"{100.0 * flanks.probability_of_play:.0f} %): around zero torque the joint is "
+            f"{flanks.relative_compliance:.2g} times as soft as beyond, but not alike at all "
+            "positions. δ includes that there may be none."
         )
     if flanks.skipped_nm and flanks.answered:
         held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)

@@ -131,14 +131,17 @@ class _FromRamps(TypedDict, total=False):
 
     ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: there is no play, and
     ``preload_torque_nm`` is what the joint bears at least before there is; 0 with play.
+    ``held_windup_rad``: what of δ is compliance that friction holds at zero torque.
     """
 
     lost_motion_rad: Interval
     lost_motion_torque_nm: float
     compliance_rad_per_nm: Interval
     friction_torque_nm: Interval
+    held_windup_rad: Interval
     preload_torque_nm: Interval
     preloaded: bool
+    probability_of_play: float
     relative_compliance: float
     ramps: RampsSummary
 

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 RELATIVE_EXPLAINED = (
-    "Relative compliance: between the positions that ramps leave at zero torque, over that of the "
-    "largest ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
-    "preloaded one is below, as both flanks carry it there."
+    "Relative compliance: between the positions that ramps leave at zero torque, over that of larger "
+    "ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a preloaded "
+    "one is below, as both flanks carry it there."
 )
 
 
@@ -78,6 +78,14 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             f"Half the width at zero torque{whose}, at {where} round the turn: {each} mrad "
             f"({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
         )
+    for name, part in parts:
+        held = part["held_windup_rad"]["median"]
+        if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
+            whose = f" of {name}" if name else ""
+            yield (
+                f"Of the gap{whose}, about {words.significant(1e3 * held)} mrad may be compliance "
+                "that friction holds at zero torque, more if the flanks are softer at small torque."
+            )
 
 
 def blocks(part: SnapshotSummary) -> Iterator[Block]:
@@ -89,6 +97,7 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
         "lost_motion_rad": ("lost motion", 1e3, "mrad"),
         "compliance_rad_per_nm": ("compliance", 1e3, "mrad/N m"),
         "friction_torque_nm": ("friction", 1.0, "N m"),
+        "held_windup_rad": ("held windup in δ", 1e3, "mrad"),
         "preload_torque_nm": ("preload, at least", 1.0, "N m"),
     }
     rows = []
@@ -97,7 +106,10 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
         rows.append((label, _median(found, scale), words.bounds(found, scale), unit))
     columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
     yield table(columns, rows)
-    yield Sentence(words.significant(part["relative_compliance"]), label="Relative compliance")
+    relative = part["relative_compliance"]
+    shown = "not known, without larger ramps" if relative != relative else words.significant(relative)
+    sure = words.probability(part["probability_of_play"])
+    yield Sentence(f"{shown}; probability of play {sure}", label="Relative compliance")
     yield Sentence(RELATIVE_EXPLAINED, "aside")
     yield Sentence(words.sampling(part), label="Sampling")
 

@@ -1,8 +1,10 @@
 """Which ramps of a snapshot reach both flanks, and whether there is play between them.
 
-A joint with play is softer around zero torque than under load, as it crosses the play there at
-nearly no torque. A preloaded one is stiffer, as both flanks carry it. So the compliance between
-the positions that small ramps leave is held against that over the largest ones.
+A joint with play is softest around zero torque, as it crosses the play there at nearly no torque.
+A preloaded one is stiffer there than beyond, as both flanks carry it; one that is neither is as
+stiff there as elsewhere. So the compliance between the positions that small ramps leave is held
+against that of larger ones: just beyond the small ones, as flanks harden, and over all, as a
+preload may reach beyond them.
 """
 
 from __future__ import annotations
@@ -12,12 +14,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from bayesbl.ramps.cycles import Cycle, Ramps, crossing
 from bayesbl.recording.types import FloatArray
 
 SAME_LEVEL = 1.5
 """Ratio of neighbouring amplitudes from which ramps are of another level."""
+
+BEYOND = 3.0
+"""Times their amplitude: just beyond small ramps is from one to that."""
 
 LARGER = 2.0
 """Times the amplitude from which larger ramps tell how stiff the loaded joint is."""
@@ -112,6 +118,11 @@ class Flanks:
         Amplitudes of smaller ramps, which friction held.
     needed_nm
         Torque that ramps should reach where they are too small.
+    relative_compliance
+        Between the positions left over that of larger ramps: above one with play. NaN without
+        larger ramps.
+    probability_of_play
+        That it is above one, by its scatter round the turn (by that of cycles, of one file).
     """
 
     finding: Finding
@@ -119,18 +130,13 @@ class Flanks:
     largest: Level | None
     skipped_nm: tuple[float, ...] = ()
     needed_nm: float = 0.0
+    relative_compliance: float = np.nan
+    probability_of_play: float = 1.0
 
     @property
     def answered(self) -> bool:
         """Whether there is an answer."""
         return self.finding in ("play", "preloaded")
-
-    @property
-    def relative_compliance(self) -> float:
-        """Between the flanks over that over the largest ramps: above one with play."""
-        if self.level is None or self.largest is None:
-            return np.nan
-        return self.level.compliance_between / self.largest.compliance_over_all
 
 
 def levels_of(files: Sequence[Ramps]) -> list[Level]:
@@ -165,10 +171,17 @@ def find_flanks(files: Sequence[Ramps]) -> Flanks:
     for level in levels:
         if largest.amplitude_nm < LARGER * level.amplitude_nm:
             break
-        relative = level.compliance_between / largest.compliance_over_all
-        if relative >= STUCK:
-            finding: Finding = "play" if relative > 1.0 else "preloaded"
-            return Flanks(finding, level, largest, tuple(skipped))
+        if level.compliance_between >= STUCK * largest.compliance_over_all:
+            relative = _log_relative(files, level, largest)
+            probability = _probability_positive(relative)
+            return Flanks(
+                "play" if probability > 0.5 else "preloaded",
+                level,
+                largest,
+                tuple(skipped),
+                relative_compliance=float(np.exp(relative.mean())),
+                probability_of_play=probability,
+            )
         skipped.append(level.amplitude_nm)
     arrived = level.width_over_range > ON_THE_FLANK
     if skipped:
@@ -178,6 +191,40 @@ def find_flanks(files: Sequence[Ramps]) -> Flanks:
     if arrived or level.compliance_between > level.compliance_over_all:
         return Flanks("play", level, largest)
     return Flanks("too_small", level, largest, needed_nm=3.0 * level.amplitude_nm)
+
+
+def _log_relative(files: Sequence[Ramps], level: Level, largest: Level) -> FloatArray:
+    """ln of the relative compliance, by file with both kinds of ramps; of one file by cycle.
+
+    Where no file has both, that of all together, once.
+    """
+    small = level.amplitude_nm
+    high = min(BEYOND * small, 0.9 * largest.amplitude_nm)
+    found: list[FloatArray] = []
+    for ramps, cycles, larger in zip(files, level.files, largest.files, strict=True):
+        if not (cycles and larger):
+            continue
+        slopes = [
+            abs(_lost(ramps, c, high) - _lost(ramps, c, small)) / (2.0 * (high - small))
+            for c in larger
+        ]
+        over_all = Level((larger,)).compliance_over_all
+        reference = max(float(np.mean(slopes)), over_all)
+        own = np.array([max(c.width_rad, 0.0) / c.elastic_nm for c in cycles if c.elastic_nm])
+        if own.size and reference > 0.0:
+            found.append(np.log(np.maximum(own / reference, 1e-6)))
+    if not found:
+        return np.array([np.log(level.compliance_between / largest.compliance_over_all)])
+    return found[0] if len(found) == 1 else np.array([each.mean() for each in found])
+
+
+def _probability_positive(values: FloatArray) -> float:
+    """Of the mean of values, by Student's t; 0 or 1 where there is one."""
+    mean = float(values.mean())
+    error = float(values.std(ddof=1)) / np.sqrt(values.size) if values.size > 1 else 0.0
+    if error == 0.0:
+        return float(mean > 0.0)
+    return float(student_t.cdf(mean / error, values.size - 1))
 
 
 def lost_motion(files: Sequence[Ramps], level: Level, torque_nm: float) -> list[FloatArray]:
