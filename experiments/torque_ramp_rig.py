@@ -37,7 +37,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gearbox:
-    """One state of a gearbox; ``pattern`` is how far δ goes up and down round the turn, of 1."""
+    """One state of a gearbox at one position of the turn.
+
+    ``pattern``: how far δ goes up and down round the turn, of 1. ``surface``: seed of the part of
+    the friction's variation that stays.
+    """
 
     play_rad: float = 8e-3
     stiffness_nm_per_rad: float = 600.0
@@ -49,10 +53,13 @@ class Gearbox:
     presliding_rad: float = 2e-4
     inertia_kg_m2: float = 0.05
     pattern: float = 0.0
+    surface: int = 0
 
     def at(self, angle_rad: float) -> Gearbox:
         """The same at a position of the turn."""
-        return replace(self, play_rad=self.play_rad * (1.0 + self.pattern * np.sin(angle_rad)))
+        play_rad = self.play_rad * (1.0 + self.pattern * np.sin(angle_rad))
+        surface = self.surface + int(1e6 * (angle_rad % (2.0 * np.pi)))
+        return replace(self, play_rad=play_rad, surface=surface)
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,7 @@ def simulate(box: Gearbox, ramps: Ramps, generator: np.random.Generator) -> tupl
     """True torque and position every ``RECORDED_EVERY`` steps."""
     torque, half = torque_of(ramps)
     # A pattern of the position that stays, and as much again that changes from ramp to ramp.
-    fixed = _smooth(generator.standard_normal((1, KNOTS)))
+    fixed = _smooth(np.random.default_rng(box.surface).standard_normal((1, KNOTS)))
     fresh = _smooth(generator.standard_normal((int(half[-1]) + 1, KNOTS)))
     variation = box.variation * (0.8 * fixed + 0.6 * fresh)
     span = abs(box.play_rad) + 0.02

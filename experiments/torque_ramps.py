@@ -11,18 +11,23 @@ the simulator's dead zone, which is smaller by the compliance that friction hold
 from __future__ import annotations
 
 import math
+import sys
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import binom
-from torque_ramp_rig import Gearbox, Ramps, measured, reading, simulate
 
 from bayesbl.ramps.cycles import find_ramps
 from bayesbl.ramps.flanks import find_flanks
 from bayesbl.ramps.play import Widths, sample_play
 from bayesbl.sampling.chains import SamplerSettings
+
+sys.path.append(str(Path(__file__).parent))
+
+from torque_ramp_rig import Gearbox, Ramps, measured, reading, simulate
 
 LEVEL = 0.9
 RESOLUTION_RAD = 9.6e-5
@@ -66,6 +71,7 @@ def drawn(row: Row, generator: np.random.Generator) -> tuple[Gearbox, Ramps]:
         load_friction=generator.uniform(0.0, 0.2),
         variation=generator.uniform(0.05, 0.25),
         pattern=generator.uniform(0.05, 0.5) if row.positions > 1 else 0.0,
+        surface=int(generator.integers(1 << 30)),
     )
     if row.stiff:
         stiffness = friction / (0.02 * box.play_rad)
@@ -92,7 +98,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
     for angle in angles:
         _, torque, position = measured(*simulate(box.at(angle), ramps, generator), generator)
         files.append(find_ramps(torque, position))
-    flanks = find_flanks(files)
+    flanks = find_flanks(files, RESOLUTION_RAD)
     nothing = {name: math.nan for name in COLUMNS}
     if not flanks.answered or flanks.level is None:
         return {**nothing, "answered": 0.0}

@@ -76,7 +76,7 @@ class RampMeasurer:
 
     def require_usable(self, recording: Recording) -> None:
         """The torque goes to both sides of zero and back at least once."""
-        if find_flanks(self._ramps(recording)).level is not None:
+        if self._flanks(recording).level is not None:
             return
         torque = self._output_torque(recording)
         raise RecordingError(
@@ -90,7 +90,7 @@ class RampMeasurer:
 
     def doubts(self, recording: Recording) -> Iterator[str]:
         """Why δ will be withheld."""
-        why = against(find_flanks(self._ramps(recording)))
+        why = against(self._flanks(recording))
         return iter(()) if why is None else iter((why,))
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
@@ -100,7 +100,10 @@ class RampMeasurer:
     def measure(self, task: Task) -> Measurement:
         """The play of all snapshots together."""
         files = [self._ramps(recording) for recording in task.recordings]
-        flanks = [find_flanks(each) for each in files]
+        flanks = [
+            find_flanks(each, self._resolution(r))
+            for each, r in zip(files, task.recordings, strict=True)
+        ]
         widths = [
             Widths(r.name, tuple(found.level.widths()), self._resolution(r))
             for r, found in zip(task.recordings, flanks, strict=True)
@@ -190,6 +193,9 @@ class RampMeasurer:
         """The smallest step of the position at the output, rad."""
         steps = np.abs(np.diff(recording.channels[MOTOR_POSITION]))
         return float(steps[steps > 0.0].min()) / self._ratio
+
+    def _flanks(self, recording: Recording) -> Flanks:
+        return find_flanks(self._ramps(recording), self._resolution(recording))
 
     def _ramps(self, recording: Recording) -> tuple[Ramps, ...]:
         torque = self._output_torque(recording)

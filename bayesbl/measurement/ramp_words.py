@@ -23,7 +23,7 @@ def against(flanks: Flanks) -> str | None:
     if flanks.skipped_nm:
         held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)
         return (
-            f"The ramps of {held} N m do not overcome the friction, and those of "
+            f"The ramps of {held} N m hardly move the joint, and those of "
             f"±{level.amplitude_nm:.3g} N m bend the joint so far that its play is a small part "
             f"of what they leave. Add ramps to about {flanks.needed_nm:.2g} N m, twice the "
             "friction."
@@ -60,7 +60,7 @@ def notes_on(
     if flanks.skipped_nm and flanks.answered:
         held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)
         yield (
-            f"The ramps of {held} N m do not overcome the friction; those of "
+            f"The ramps of {held} N m hardly move the joint, as friction holds it; those of "
             f"±{level.amplitude_nm:.3g} N m were used."
         )
     if not ratio_given:

@@ -36,6 +36,9 @@ they harden: half its compliance. Half of that again is left for compliance that
 turn (by up to 1.3 each way on the gearboxes of the stand).
 """
 
+FEWEST_STEPS = 5.0
+"""Of the encoder, that ramps must move the joint by: the width of fewer is rounding."""
+
 ON_THE_FLANK = 0.7
 """Width over range from which ramps of one level have arrived.
 
@@ -68,6 +71,11 @@ class Level:
         return float(np.mean([c.friction_nm for c in self.cycles]))
 
     @property
+    def range_rad(self) -> float:
+        """Mean over all cycles."""
+        return float(np.mean([c.range_rad for c in self.cycles]))
+
+    @property
     def compliance_between(self) -> float:
         """Between the positions left, rad per N m without friction."""
         elastic = sum(c.elastic_nm for c in self.cycles)
@@ -77,9 +85,8 @@ class Level:
     @property
     def compliance_over_all(self) -> float:
         """Range over the torque that is left of the ramps behind the friction, rad per N m."""
-        reach = float(np.mean([c.range_rad for c in self.cycles]))
         beyond = self.amplitude_nm - self.friction_nm
-        return reach / (2.0 * beyond) if beyond > 0.0 else np.inf
+        return self.range_rad / (2.0 * beyond) if beyond > 0.0 else np.inf
 
     @property
     def width_over_range(self) -> float:
@@ -160,8 +167,14 @@ def levels_of(files: Sequence[Ramps]) -> list[Level]:
     ]
 
 
-def find_flanks(files: Sequence[Ramps]) -> Flanks:
-    """The smallest ramps that reach both flanks, and whether there is play between them."""
+def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
+    """The smallest ramps that reach both flanks, and whether there is play between them.
+
+    Parameters
+    ----------
+    resolution_rad
+        The encoder's step at the output.
+    """
     levels = levels_of(files)
     if not levels:
         reached = [e.torque_nm for file in files for e in file.excursions]
@@ -171,6 +184,9 @@ def find_flanks(files: Sequence[Ramps]) -> Flanks:
     for level in levels:
         if largest.amplitude_nm < LARGER * level.amplitude_nm:
             break
+        if level.range_rad < FEWEST_STEPS * resolution_rad:
+            skipped.append(level.amplitude_nm)
+            continue
         if level.compliance_between >= STUCK * largest.compliance_over_all:
             relative = _log_relative(files, level, largest)
             probability = _probability_positive(relative)
@@ -183,6 +199,8 @@ def find_flanks(files: Sequence[Ramps]) -> Flanks:
                 probability_of_play=probability,
             )
         skipped.append(level.amplitude_nm)
+    if largest.range_rad < FEWEST_STEPS * resolution_rad:
+        return Flanks("too_small", largest, largest, needed_nm=3.0 * largest.amplitude_nm)
     arrived = level.width_over_range > ON_THE_FLANK
     if skipped:
         # The smaller ones were held: how large these must be to leave the flanks is known.
