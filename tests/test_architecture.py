@@ -24,6 +24,7 @@ ROOMS = (
     "noise",
     "bench",
     "sampling",
+    "ramps",
     "ringing",
     "matching",
     "naming",

@@ -10,7 +10,6 @@ from bayesbl.ramps.cycles import Ramps
 from bayesbl.ramps.flanks import Flanks
 from bayesbl.recording.types import FloatArray
 
-
 UNSURE = 0.05
 """Probability of play, and of none, from which both are told."""
 

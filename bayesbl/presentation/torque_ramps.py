@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 RELATIVE_EXPLAINED = (
-    "Relative compliance: between the positions that ramps leave at zero torque, over that of larger "
-    "ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a preloaded "
-    "one is below, as both flanks carry it there."
+    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
+    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
+    "preloaded one is below, as both flanks carry it there."
 )
 
 
@@ -107,7 +107,9 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
     columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
     yield table(columns, rows)
     relative = part["relative_compliance"]
-    shown = "not known, without larger ramps" if relative != relative else words.significant(relative)
+    shown = (
+        "not known, without larger ramps" if relative != relative else words.significant(relative)
+    )
     sure = words.probability(part["probability_of_play"])
     yield Sentence(f"{shown}; probability of play {sure}", label="Relative compliance")
     yield Sentence(RELATIVE_EXPLAINED, "aside")

@@ -172,7 +172,7 @@ def sample_play(
 
     def bounds(chains: Sequence[FloatArray]) -> FloatArray:
         whole = np.concatenate([chain.reshape(-1, chain.shape[-1]) for chain in chains])
-        return np.quantile(whole, (tail, 1.0 - tail), axis=0)
+        return np.asarray(np.quantile(whole, (tail, 1.0 - tail), axis=0))
 
     found = walk(ensembles, settings, bounds, 0.3 * (high - low), progress)
     kept = np.stack([thinned(chain) for chain in found.chains])

@@ -12,8 +12,8 @@ from bayesbl.config.fields import name_of, names_of
 from bayesbl.config.files import require_text_names
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
-from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
+from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.inputs import require_apart
 from bayesbl.results.store import write_text
@@ -93,7 +93,8 @@ seed = 1                # same seed, same numbers
 output = {_text(f"results/{name_of(path.stem)}")}
 
 [joint]
-{_RAMPS_JOINT if ramps else _JOINT}# limit_rad = 1.2e-3    # repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad);
+{_RAMPS_JOINT if ramps else _JOINT}\
+# limit_rad = 1.2e-3    # repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad);
                         # δ is half the total play
 {before if kind == "compare" else ""}
 # Each channel with the column that holds it. These are guesses: names and units decide the answer.
@@ -115,12 +116,10 @@ gear_ratio = 1.0        # motor turns per turn of the output; 1.0 where position
 # rated_torque_nm = 50  # at the output: lost motion is stated at 3 % of it
 """
 
-_ASKED_SPEED = (
-    "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
-)
+_ASKED_SPEED = "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
 
 _MORE_FILES = (
-    "# files = [\"…\", \"…\"]          # in place of file: ramps at several positions round the turn\n"
+    '# files = ["…", "…"]          # in place of file: ramps at several positions round the turn\n'
 )
 
 _ESTIMATOR = """\
