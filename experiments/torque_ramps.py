@@ -31,7 +31,8 @@ from torque_ramp_rig import Gearbox, Ramps, measured, reading, simulate
 
 LEVEL = 0.9
 RESOLUTION_RAD = 9.6e-5
-TURN_POSITIONS, TURN_CYCLES = 8, 12
+TURN_POSITIONS, TURN_CYCLES = 6, 6
+STEPS = 250
 
 COLUMNS = {
     "answered": ("1", "1 where δ is given"),
@@ -103,7 +104,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
     if not flanks.answered or flanks.level is None:
         return {**nothing, "answered": 0.0}
     widths = Widths("case", tuple(flanks.level.widths()), RESOLUTION_RAD)
-    settings = SamplerSettings(ensembles=2, level=LEVEL)
+    settings = SamplerSettings(ensembles=2, max_steps=STEPS, level=LEVEL)
     width = sample_play([widths], settings, sampler_seed).width_rad["case"]
     none = generator.uniform(size=width.shape) > flanks.probability_of_play
     delta = 0.5 * width * np.where(none, generator.uniform(size=width.shape), 1.0)
@@ -116,7 +117,12 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
     truth = float(
         np.mean(
             [
-                reading(box.at(a), ramps.torque_nm[0], generator, TURN_CYCLES * (8 // len(places)))
+                reading(
+                    box.at(a),
+                    ramps.torque_nm[0],
+                    generator,
+                    TURN_CYCLES * (TURN_POSITIONS // len(places)),
+                )
                 for a in places
             ]
         )

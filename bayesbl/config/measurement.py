@@ -176,7 +176,7 @@ class Estimator(Section):
             )
         if self.route != "amplitude" and self.search.start_from is not None:
             refuse(
-                "Only the amplitude's search can start from an earlier result.",
+                "This route has no search, and cannot start from an earlier result.",
                 found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )

@@ -243,7 +243,9 @@ def _described(
     assert largest is not None
     width = float(np.mean([c.width_rad for c in level.cycles]))
     # Ramps that hardly go beyond the friction do not tell it.
-    compliance = largest.compliance_over_all if largest is not level else 0.0
+    flank = max(largest.range_rad - width, 0.0)
+    beyond = 2.0 * (largest.amplitude_nm - level.friction_nm)
+    compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
     held = {
         "lost_motion_rad": lost_motion(files, largest, stated_nm),
         "compliance_rad_per_nm": of_cycles(

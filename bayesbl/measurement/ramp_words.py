@@ -28,9 +28,10 @@ def against(flanks: Flanks) -> str | None:
             "friction."
         )
     return (
-        f"The ramps of ±{level.amplitude_nm:.3g} N m do not show that they reach both flanks: a "
-        "joint held by friction, or preloaded, would move as they show. Add ramps to at least "
-        f"{flanks.needed_nm:.2g} N m."
+        f"The ramps of ±{level.amplitude_nm:.3g} N m alone do not show the play: most of what they "
+        "move goes back with the torque, as in a joint that friction or a preload holds, or one "
+        f"that is bent far. Add ramps to at least {flanks.needed_nm:.2g} N m; and, if these are "
+        "far above the friction, small ramps just beyond it."
     )
 
 

@@ -40,9 +40,10 @@ FEWEST_STEPS = 5.0
 """Of the encoder, that ramps must move the joint by: the width of fewer is rounding."""
 
 ON_THE_FLANK = 0.7
-"""Width over range from which ramps of one level have arrived.
+"""Width over range from which ramps of one level are believed.
 
-Ramps that friction holds bend the joint in its presliding, and back: by Dahl's law they leave 0.26
+Ramps far beyond the friction leave less, as they bend the flanks: up to four times the play on the
+gearboxes of the stand. Ramps that friction holds bend the joint in its presliding, and back: by Dahl's law they leave 0.26
 of their range at half of the friction, 0.46 at 0.8 and 0.64 at 0.95 of it.
 """
 
@@ -201,14 +202,10 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
         skipped.append(level.amplitude_nm)
     if largest.range_rad < FEWEST_STEPS * resolution_rad:
         return Flanks("too_small", largest, largest, needed_nm=3.0 * largest.amplitude_nm)
-    arrived = level.width_over_range > ON_THE_FLANK
-    if skipped:
-        # The smaller ones were held: how large these must be to leave the flanks is known.
-        found: Finding = "play" if arrived else "too_small"
-        return Flanks(found, level, largest, tuple(skipped), 2.0 * largest.friction_nm)
-    if arrived or level.compliance_between > level.compliance_over_all:
-        return Flanks("play", level, largest)
-    return Flanks("too_small", level, largest, needed_nm=3.0 * level.amplitude_nm)
+    # Nothing larger tells whether friction or a preload holds the joint, or how far it bends.
+    arrived = largest.width_over_range > ON_THE_FLANK
+    needed = 2.0 * largest.friction_nm if skipped else 3.0 * largest.amplitude_nm
+    return Flanks("play" if arrived else "too_small", largest, largest, tuple(skipped), needed)
 
 
 def _log_relative(files: Sequence[Ramps], level: Level, largest: Level) -> FloatArray:
