@@ -113,6 +113,13 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
     sure = words.probability(part["probability_of_play"])
     yield Sentence(f"{shown}; probability of play {sure}", label="Relative compliance")
     yield Sentence(RELATIVE_EXPLAINED, "aside")
+    stated = part["lost_motion_torque_nm"]
+    if stated < first["median"]:
+        yield Sentence(
+            f"Lost motion is stated at ±{words.significant(stated)} N m, less than the friction: "
+            "the middles of the loop there say little of the joint.",
+            "aside",
+        )
     yield Sentence(words.sampling(part), label="Sampling")
 
 
