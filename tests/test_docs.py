@@ -12,7 +12,7 @@ from places import ROOT
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
 DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))
-PAGES = ("README.md", "CHANGELOG.md", *DOCS)
+PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS)
 
 
 def headings(text: str) -> set[str]:
