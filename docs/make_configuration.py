@@ -25,12 +25,12 @@ Schema = Mapping[str, Any]
 HEAD = """# Every key of a configuration
 
 Made by `python docs/make_configuration.py` from the models that validate the files. A file is TOML
-with `schema = 1` and its `kind`. An unknown key is refused with the nearest known one, and paths are
-relative to the file. `bayesbl init` writes a first file, `bayesbl check CONFIG` asks of it whatever
-can be asked without running it.
+with `schema = 1` and its `kind`. An unknown key is refused with the nearest known one, and paths
+are relative to the file. `bayesbl init` writes a first file, `bayesbl check CONFIG` asks of it
+whatever can be asked without running it.
 
-For completion in an editor, [schema](schema) holds a JSON Schema of each kind; Taplo, for one, takes
-`#:schema docs/schema/compare.json` in the first line.
+For completion in an editor, [schema](schema) holds a JSON Schema of each kind; Taplo, for one,
+takes `#:schema docs/schema/compare.json` in the first line.
 """
 
 
