@@ -35,8 +35,8 @@ _COMPRESS_FROM_BYTES = 4096
 def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     """Write a tree as NetCDF, large variables compressed; the file appears whole or not at all.
 
-    The root attributes gain the mark of our format, the file ends in its seal; :data:`OUTCOME` among
-    the attributes makes it a finished result.
+    The root attributes gain the mark of our format, and the file ends in its seal; :data:`OUTCOME`
+    among the attributes makes it a finished result.
 
     Raises
     ------

@@ -77,4 +77,5 @@ def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> Non
         )  # fmt: skip
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.5)
     panel.set_xlabel("Torque at the output (N m)")
-    panel.set_ylabel("Position at the output (mrad)")
+    if index % layout.MOST_COLUMNS == 0:  # the axes are shared
+        panel.set_ylabel("Position at the output (mrad)")
