@@ -42,9 +42,10 @@ FEWEST_STEPS = 5.0
 ON_THE_FLANK = 0.7
 """Width over range from which ramps of one level are believed.
 
-Ramps far beyond the friction leave less, as they bend the flanks: up to four times the play on the
-gearboxes of the stand. Ramps that friction holds bend the joint in its presliding, and back: by Dahl's law they leave 0.26
-of their range at half of the friction, 0.46 at 0.8 and 0.64 at 0.95 of it.
+Ramps far beyond the friction leave less, as they bend the flanks (and what they leave is up to four
+times the play on the gearboxes of the stand). Ramps that friction holds bend the joint in its
+presliding, and back: by Dahl's law they leave 0.26 of their range at half of the friction, 0.46 at
+0.8 and 0.64 at 0.95 of it.
 """
 
 Finding = Literal["play", "preloaded", "too_small", "one_sided"]

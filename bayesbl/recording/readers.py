@@ -18,7 +18,7 @@ from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
-from bayesbl.recording.lost_samples import bridge
+from bayesbl.recording.lost_samples import bridge, without_lost
 from bayesbl.recording.ticks import spread_ticks
 from bayesbl.recording.types import FloatArray, Recording, Source
 
@@ -34,6 +34,7 @@ def read_recording(
     *,
     name: str | None = None,
     columns: Mapping[str, ColumnSpec] | None = None,
+    even: bool = True,
 ) -> Recording:
     """Read and check one recording.
 
@@ -46,6 +47,9 @@ def read_recording(
     columns
         Channel to the column that holds it, where name or unit differ from the package's own.
         Columns that already have a channel's name need no entry.
+    even
+        Whether the samples are to be even in time: then lost ones are bridged, and too long a loss
+        refused. Otherwise rows that lack a value are left out, and holes stay.
 
     Raises
     ------
@@ -68,7 +72,8 @@ def read_recording(
         return table.place(int(rows[row]), index)
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
-        bridged = bridge(path, time_s, values[rows], place)
+        joined = bridge if even else without_lost
+        bridged = joined(path, time_s, values[rows], place)
     series = {column.channel: bridged.values[:, i].copy() for i, column in enumerate(others)}
     used = {time_column.index, *(column.index for column in others)}
     return Recording(

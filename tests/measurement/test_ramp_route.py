@@ -96,6 +96,22 @@ def test_one_repeated_stamp_is_still_an_error(tmp_path: Path) -> None:
         read_recording(path)
 
 
+def test_pauses_and_lost_samples_between_ramps_do_no_harm(tmp_path: Path) -> None:
+    time, torque, position = ramps()
+    time = np.arange(time.size) * 0.0025
+    columns = {"time_s": time, "motor_position_rad": position, "motor_torque_nm": torque}
+    whole = write_csv(tmp_path / "a.csv", columns)
+    columns["time_s"] = time + 20.0 * (np.arange(time.size) >= 1800)
+    columns["motor_position_rad"] = np.where(np.arange(time.size) % 97 == 5, np.nan, position)
+    holes = write_csv(tmp_path / "b.csv", columns)
+    found = []
+    for file in (whole, holes):
+        code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp")
+        assert code == 0
+        found.append(summary["delta_rad"]["median"])
+    assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
 def test_the_motors_side_and_the_outputs_give_one_answer(tmp_path: Path) -> None:
     at_output = write(tmp_path / "a.csv")
     at_motor = write(tmp_path / "b.csv", ratio=50.0)
