@@ -17,8 +17,10 @@ import numpy as np
 from bayesbl.recording.types import FloatArray
 
 SMOOTHED_SHARE = 1.0 / 2000.0
-"""Of a file: what torque and position are averaged over. A cycle in a file of ten is 200 of them.
-"""
+"""Of a file: what torque and position are averaged over, if its ramps are few."""
+
+FEWEST_WINDOWS = 40
+"""Of these averages in an excursion: the largest torque of a triangle is then 1 % low at most."""
 
 OVER_NOISE = 4.0
 """Standard deviations of the averaged torque that are no excursion: 6e-5 by chance, each sample."""
@@ -107,11 +109,16 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
         At the output, in the order of time, shape (n,).
     """
     window = max(1, round(SMOOTHED_SHARE * torque_nm.size))
-    torque, position = _averaged(torque_nm, window), _averaged(position_rad, window)
-    noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
-    threshold = max(OVER_NOISE * noise, SMALLEST_EXCURSION * float(np.abs(torque).max()))
-    found = [_excursion(torque, position, *run) for run in _runs(torque, threshold)]
-    excursions = tuple(e for e in found if e is not None)
+    while True:
+        torque, position = _averaged(torque_nm, window), _averaged(position_rad, window)
+        noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
+        threshold = max(OVER_NOISE * noise, SMALLEST_EXCURSION * float(np.abs(torque).max()))
+        found = [_excursion(torque, position, threshold, *run) for run in _runs(torque, threshold)]
+        excursions = tuple(e for e in found if e is not None)
+        lengths = [e.back - e.begin for e in excursions]
+        if window == 1 or not lengths or np.median(lengths) >= FEWEST_WINDOWS * window:
+            break
+        window = max(1, window // 2)
     pairs = [
         (a, b)
         for a, b in pairwise(excursions)
@@ -169,17 +176,17 @@ def _ringing(runs: Sequence[tuple[int, int, int]]) -> int | None:
 
 
 def _excursion(
-    torque: FloatArray, position: FloatArray, side: int, first: int, last: int
+    torque: FloatArray, position: FloatArray, threshold: float, side: int, first: int, last: int
 ) -> Excursion | None:
-    """``None`` where the torque does not come back to zero, or did not come from there."""
+    """``None`` where the torque does not come back to zero, or at the end nearly so."""
     beyond = np.flatnonzero(side * torque[:first] <= 0.0)
     begin = int(beyond[-1]) if beyond.size else first
     peak = float(np.max(side * torque[first : last + 1]))
     unloads = first + int(np.flatnonzero(side * torque[first : last + 1] >= 0.5 * peak)[-1])
     home = np.flatnonzero(side * torque[unloads:] <= 0.0)
-    if home.size == 0:
+    if home.size == 0 and side * torque[-1] > threshold:
         return None
-    back = unloads + int(home[0])
+    back = unloads + int(home[0]) if home.size else torque.size - 1
     reached = side * float(np.max(side * position[first : back + 1]))
     return Excursion(side, begin, back, peak, reached, float(position[back]))
 

@@ -84,6 +84,16 @@ def test_the_answer_goes_with_units_and_not_with_direction_or_origin(sign, scale
     assert other.level.friction_nm == pytest.approx(scale * plain.level.friction_nm, rel=1e-6)
 
 
+@pytest.mark.parametrize("cycles", [1, 4, 300])
+def test_few_ramps_and_many_are_read_alike(cycles):
+    torque = triangles(*[SMALL] * cycles)
+    ramps = find_ramps(*noisy(torque, operator(torque)))
+    assert len(ramps.cycles) >= 2 * cycles - 2
+    width = np.mean([c.width_rad for c in ramps.cycles])
+    assert width == pytest.approx(2.0 * (GAP + COMPLIANCE * FRICTION), rel=0.01)
+    assert ramps.cycles[-1].amplitude_nm == pytest.approx(SMALL, rel=0.04)
+
+
 def test_a_steady_drift_moves_no_width():
     torque = triangles(*[SMALL] * 6)
     drift = np.linspace(0.0, GAP, torque.size)
