@@ -30,8 +30,9 @@ def against(flanks: Flanks) -> str | None:
     return (
         f"The ramps of ±{level.amplitude_nm:.3g} N m alone do not show the play: most of what they "
         "move goes back with the torque, as in a joint that friction or a preload holds, or one "
-        f"that is bent far. Add ramps to at least {flanks.needed_nm:.2g} N m; and, if these are "
-        "far above the friction, small ramps just beyond it."
+        f"that is bent far. Add ramps of another size: to at least {flanks.needed_nm:.2g} N m, or, "
+        "if these are far beyond the friction already, small ones to about "
+        f"{2.0 * level.friction_nm:.2g} N m."
     )
 
 

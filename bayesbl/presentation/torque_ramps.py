@@ -70,6 +70,8 @@ def _cells(part: SnapshotSummary, places: int) -> Iterator[str]:
 def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
     """A sentence for each snapshot on the widths that its positions round the turn have."""
     for name, part in parts:
+        if part["delta_rad"] is None:
+            continue
         found = part["ramps"]
         each = ", ".join(words.significant(500.0 * w, 3) for w in found["width_rad"])
         whose = f" of {name}" if name else ""

@@ -181,7 +181,7 @@ def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path
     code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
     assert code == 3
     assert summary["delta_rad"] is None
-    assert "Add ramps to at least" in summary["reason"]
+    assert "to at least 45 N m" in summary["reason"]
 
 
 def test_a_torque_that_goes_one_way_is_refused(tmp_path: Path, capsys) -> None:

@@ -29,13 +29,14 @@ from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 def ramp_loops(tree: xr.DataTree) -> Figure:
     """A panel per snapshot: its files from their middles; the band is the play, 2δ."""
     parts = snapshots(tree)
-    figure, axes = layout.one_panel_each(len(parts), 2.6, above=1.2 * layout.LINE_IN)
+    lines = 2 if len(parts) == 1 else 1
+    figure, axes = layout.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * layout.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw(panel, tree, snapshot, index)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
     handles, labels = most.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4 // lines)
     return figure
 
 
