@@ -280,3 +280,15 @@ def test_gearboxes_of_a_test_stand_have_the_play_that_their_author_read():
     assert grew["baseline_pc_cf"] < 0.7
     assert [p for p, _ in by_preload] == sorted((p for p, _ in by_preload), reverse=True)
     assert [play > 0.5 for _, play in by_preload] == [True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("kind", "answered", "none"), [("preloaded", 1.0, 1), ("too_small", 0.0, 0)]
+)
+def test_gearboxes_of_the_study_are_called_what_they_are(rig, kind, answered, none):
+    study = import_module("torque_ramps")
+    row = study.Row(kind=kind, positions=3 if none else 1, cases=3)
+    for number in range(3):
+        found = study.run_case(row, number, np.random.SeedSequence([11, number]))
+        assert found["answered"] == answered
+        assert not none or found["none"] > 0.5
