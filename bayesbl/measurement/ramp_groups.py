@@ -121,7 +121,9 @@ class RampAnswer:
 def ramp_groups(answer: RampAnswer, recording: Recording) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension."""
     shape = answer.log_density.shape
-    observed = shared.observed_group(recording)
+    lengths = [ramps.torque_nm.size for ramps in answer.files]
+    file = np.repeat(np.arange(len(lengths), dtype=float), lengths)
+    observed = shared.observed_group(recording, file=file)
     return {
         "posterior": dataset(POSTERIOR, answer.draws, shared.numbered(shape)),
         "sample_stats": dataset(
