@@ -73,6 +73,17 @@ class RampMeasurer:
         for part in parts:
             require_channels(part, [MOTOR_POSITION, MOTOR_TORQUE])
             require_alive(part, [MOTOR_POSITION, MOTOR_TORQUE])
+        seen: dict[str, str] = {}
+        for source in (part.source for part in parts if part.source is not None):
+            if source.sha256 in seen:
+                raise RecordingError(
+                    "Two files of a snapshot are alike to the last byte: one position would count "
+                    "twice.",
+                    file=source.file,
+                    found=f"the content of {seen[source.sha256]}",
+                    expected="a file for each position round the turn",
+                )
+            seen[source.sha256] = source.file
         return _joined(entry.name, parts)
 
     def require_usable(self, recording: Recording) -> None:

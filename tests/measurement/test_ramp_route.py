@@ -184,6 +184,19 @@ def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path
     assert "to at least 45 N m" in summary["reason"]
 
 
+def test_one_position_does_not_count_twice(tmp_path: Path, capsys) -> None:
+    content = write(tmp_path / "a.csv", amplitudes=(3.0, 3.0)).read_bytes()
+    (tmp_path / "b.csv").write_bytes(content)
+    config = tmp_path / "c.toml"
+    config.write_text(
+        'schema = 1\nkind = "fit"\n[estimator]\nroute = "torque_ramp"\n'
+        '[[recordings]]\nfiles = ["a.csv", "b.csv"]\n'
+    )
+    code, _ = run(tmp_path, "run", str(config))
+    assert code == 2
+    assert "alike to the last byte" in capsys.readouterr().err
+
+
 def test_a_torque_that_goes_one_way_is_refused(tmp_path: Path, capsys) -> None:
     time, torque, position = ramps()
     columns = {
