@@ -6,7 +6,7 @@ row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its resu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 
 import xarray as xr
@@ -18,10 +18,11 @@ from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
-from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
+from bayesbl.measurement.task import NO_OPTIMA, Seeds, StageProgress, Task, recording_of
 from bayesbl.measurement.tree import measurement_tree
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.ringing.warm_start import EarlierOptimum
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
@@ -79,6 +80,8 @@ def measure(
     work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
     swept: WorkStore = NOTHING_KEPT,
+    seeds: Seeds | None = None,
+    earlier: Mapping[str, EarlierOptimum] = NO_OPTIMA,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -90,6 +93,10 @@ def measure(
         Called with a sentence on what each search started from, if from an earlier optimum.
     swept
         Keeps swept benches for this run and others.
+    seeds
+        Those of the configuration by default.
+    earlier
+        Optima to start searches from, by recording, where the configuration names no result.
 
     Returns
     -------
@@ -108,6 +115,6 @@ def measure(
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)
-    seeds = Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say, swept)
+    seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
+    task = Task(config, recordings, seeds, progress, work, say, swept, earlier)
     return measurement_tree(measurer.measure(task), task)

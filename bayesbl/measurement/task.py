@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,10 +16,13 @@ from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.symbols import DisturbanceModel
+from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.sampling.chains import SamplerSettings
 
 StageProgress = Callable[[str, int, int], None]
 """Called with (recording, steps made, steps allowed)."""
+
+NO_OPTIMA: Mapping[str, EarlierOptimum] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +54,8 @@ class Task:
         Called with a sentence on what each search started from, if from an earlier optimum.
     swept
         Keeps swept benches for this run and others.
+    earlier
+        Optima to start searches from, by recording, where the configuration names no result.
     """
 
     config: SnapshotConfig
@@ -59,6 +65,7 @@ class Task:
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
     swept: WorkStore = NOTHING_KEPT
+    earlier: Mapping[str, EarlierOptimum] = NO_OPTIMA
 
     @property
     def names(self) -> list[str]:
