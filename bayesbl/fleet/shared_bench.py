@@ -54,7 +54,7 @@ class MatchedAlone:
     @cached_property
     def mean(self) -> FloatArray:
         """m."""
-        return self.bench.mean(axis=1)
+        return np.asarray(self.bench.mean(axis=1))
 
     @cached_property
     def covariance(self) -> FloatArray:
