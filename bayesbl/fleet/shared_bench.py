@@ -32,6 +32,9 @@ LEARNT = 0.5
 """Share of the prior's variance below which a recording says where a direction of z lies: half of
 it leaves the other half of what is compared to the prior, which all recordings have in common."""
 
+BEYOND_CHANCE = 3.0
+"""Standard deviations of a variance of finite draws."""
+
 _EDGE = 1e-4
 """Shares of a flat prior beyond which draws count as at its edge (3.7 standard deviations)."""
 
@@ -62,10 +65,17 @@ class MatchedAlone:
         return np.atleast_2d(np.cov(self.bench))
 
     @cached_property
-    def precision(self) -> FloatArray:
-        """S⁻¹, without the excess that the inverse of a covariance of n draws has."""
-        count, draws = self.bench.shape
-        return np.asarray((draws - count - 2.0) / (draws - 1.0) * np.linalg.inv(self.covariance))
+    def learnt(self) -> tuple[FloatArray, FloatArray]:
+        """Λ and S⁻¹m in the directions in which S is narrower than the prior beyond chance.
+
+        What finite draws scatter by would add up over the recordings of a joint to knowledge that
+        none of them has.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        scatter = np.sqrt(2.0 / self.bench.shape[1])
+        kept = vectors[:, values < 1.0 - BEYOND_CHANCE * scatter]
+        inverse = (kept / values[: kept.shape[1]]) @ kept.T
+        return inverse - kept @ kept.T, inverse @ self.mean
 
     def at(self, bench: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Draws of the gap on given benches, shape (draw,)."""
@@ -78,12 +88,9 @@ class MatchedAlone:
 
 def shared_bench(alone: Sequence[MatchedAlone]) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance of z by all these recordings; the prior's where there are none."""
-    count = alone[0].mean.size
-    precision = np.eye(count) + sum(one.precision - np.eye(count) for one in alone)
-    values, vectors = np.linalg.eigh(precision)
-    # No recording widens the prior: what lies below 1 is the scatter of finite draws.
-    covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T
-    return covariance @ sum(one.precision @ one.mean for one in alone), covariance
+    precision = np.eye(alone[0].mean.size) + sum(one.learnt[0] for one in alone)
+    covariance = np.linalg.inv(precision)
+    return covariance @ sum(one.learnt[1] for one in alone), covariance
 
 
 def paired_gaps(
@@ -127,10 +134,12 @@ def _difference(
 ) -> tuple[FloatArray, FloatArray]:
     """What the recording's mean differs by from what the others say, and the covariance of that."""
     mean, covariance = others
-    told = np.eye(one.mean.size) - one.covariance
-    own = one.covariance @ told
-    scatter = one.covariance / one.bench.shape[1]
-    return one.mean - told @ mean, told @ covariance @ told.T + 0.5 * (own + own.T) + scatter
+    values, vectors = np.linalg.eigh(one.covariance)
+    left = np.minimum(values, 1.0)
+    told = (vectors * (1.0 - left)) @ vectors.T
+    # What finite draws scatter by comes on top of what the recording's noise does.
+    own = (vectors * (left * (1.0 - left) + values / one.bench.shape[1])) @ vectors.T
+    return one.mean - told @ mean, told @ covariance @ told + own
 
 
 def _probability(one: MatchedAlone, others: tuple[FloatArray, FloatArray]) -> float:

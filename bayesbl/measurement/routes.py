@@ -18,7 +18,7 @@ from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
-from bayesbl.measurement.task import NO_OPTIMA, Seeds, StageProgress, Task, recording_of
+from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
 from bayesbl.measurement.tree import measurement_tree
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
@@ -81,7 +81,7 @@ def measure(
     say: Callable[[str], None] = lambda sentence: None,
     swept: WorkStore = NOTHING_KEPT,
     seeds: Seeds | None = None,
-    earlier: Mapping[str, EarlierOptimum] = NO_OPTIMA,
+    earlier: Mapping[str, EarlierOptimum] | None = None,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -116,5 +116,5 @@ def measure(
     for recording in recordings:
         measurer.require_usable(recording)
     seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say, swept, earlier)
+    task = Task(config, recordings, seeds, progress, work, say, swept, earlier or {})
     return measurement_tree(measurer.measure(task), task)

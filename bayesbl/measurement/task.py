@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,8 +20,6 @@ from bayesbl.sampling.chains import SamplerSettings
 
 StageProgress = Callable[[str, int, int], None]
 """Called with (recording, steps made, steps allowed)."""
-
-NO_OPTIMA: Mapping[str, EarlierOptimum] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +62,7 @@ class Task:
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
     swept: WorkStore = NOTHING_KEPT
-    earlier: Mapping[str, EarlierOptimum] = NO_OPTIMA
+    earlier: Mapping[str, EarlierOptimum] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

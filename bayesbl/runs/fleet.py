@@ -87,6 +87,7 @@ class FleetSummary(Head):
     alarms: list[str]
     most_urgent: list[dict[str, Any]]
     level: float
+    interval_kind: str
     pool_by: str | None
     decide_before: str | None
 
@@ -389,6 +390,7 @@ def _summary(
         "alarms": [str(row["joint"]) for row in joints if row["alarm"]],
         "most_urgent": [dict(row) for row in joints[:MOST_URGENT]],
         "level": level.level,
+        "interval_kind": level.kind,
         "pool_by": config.fleet.pool_by,
         "decide_before": None if before is None else before.isoformat(),
     }
