@@ -177,14 +177,12 @@ def joint_rows(
 
 
 def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    """By the date of the limit; then what is nearest to it; what nobody knows comes last."""
+    """What is past its limit, by how far; then by date, by share; what nobody knows comes last."""
     share = (row["delta_rad_median"] or 0.0) / (row["limit_rad"] or float("inf"))
-    return (
-        row["limit_date_median"] or "9999",
-        row["limit_date_low"] or "9999",
-        -share,
-        row["joint"],
-    )
+    date = row["limit_date_median"] or "9999"
+    passed = date <= (row["last_date"] or "")
+    low = row["limit_date_low"] or "9999"
+    return (not passed, "" if passed else date, "" if passed else low, -share, row["joint"])
 
 
 def _joint_row(

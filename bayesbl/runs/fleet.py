@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import date as Date
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -332,7 +333,10 @@ def _write(
     of_joints = joint_rows(measured, chosen, level, config.fleet.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
-    summary = _summary(config, rows, of_joints, types, level)
+    asked = config.fleet
+    summary = summary_of(
+        rows, of_joints, types, level, config.run.seed, asked.pool_by, asked.decide_before
+    )
     write_json(summary, folder / SUMMARY_FILE)
     write_text(dump_config(config), folder / CONFIG_FILE)
     return summary
@@ -357,14 +361,16 @@ def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
     draws.put(job.joint.name, arrays, {"reason": answer.reason or "", "route": answer.route})
 
 
-def _summary(
-    config: FleetConfig,
+def summary_of(
     rows: Sequence[Mapping[str, Any]],
     joints: Sequence[Mapping[str, Any]],
     types: Mapping[str, TypeRates],
     level: Level,
+    seed: int,
+    pool_by: str | None,
+    before: Date | None,
 ) -> FleetSummary:
-    before = config.fleet.decide_before
+    """``summary.json`` of the rows of both tables."""
     counted = Counter(str(row["outcome"]) for row in rows)
     any_gap = any(row["delta_rad_median"] is not None for row in rows)
     rates = {
@@ -382,7 +388,7 @@ def _summary(
         "warnings": [],
         "version": bayesbl.__version__,
         "commit": git_commit(),
-        "seed": config.run.seed,
+        "seed": seed,
         "joints": len(joints),
         "with_rate": sum(row["rate_rad_per_year_median"] is not None for row in joints),
         "recordings": dict(counted),
@@ -391,7 +397,7 @@ def _summary(
         "most_urgent": [dict(row) for row in joints[:MOST_URGENT]],
         "level": level.level,
         "interval_kind": level.kind,
-        "pool_by": config.fleet.pool_by,
+        "pool_by": pool_by,
         "decide_before": None if before is None else before.isoformat(),
     }
 

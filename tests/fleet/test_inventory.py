@@ -50,15 +50,16 @@ def test_an_inventory_is_read_with_its_own_columns(plant):
 
 def test_toml_and_parquet_say_the_same(plant):
     pyarrow = pytest.importorskip("pyarrow")
-    import pyarrow.parquet
-
+    parquet = pytest.importorskip("pyarrow.parquet")
     rows = {"joint": ["R1-J2"], "gearbox": ["RV-80"], "limit_rad": [1.2e-3], "payload_kg": [50.0]}
-    pyarrow.parquet.write_table(pyarrow.table(rows), plant / "joints.parquet")
+    parquet.write_table(pyarrow.table(rows), plant / "joints.parquet")
     (plant / "joints.toml").write_text(
         '[[joints]]\njoint = "R1-J2"\ngearbox = "RV-80"\nlimit_rad = 1.2e-3\npayload_kg = 50.0\n'
     )
     read = [
-        read_joints(section(plant, f'joints = "joints.{end}"\nrecordings = "{{joint}}/{{date}}.csv"'))
+        read_joints(
+            section(plant, f'joints = "joints.{end}"\nrecordings = "{{joint}}/{{date}}.csv"')
+        )
         for end in ("parquet", "toml")
     ]
     assert read[0] == read[1]

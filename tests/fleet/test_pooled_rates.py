@@ -78,7 +78,7 @@ def test_two_joints_are_no_type():
 
 
 def test_of_the_joints_called_no_more_are_wrong_than_said():
-    """500 fleets of 40 joints whose probabilities are right: on average at most 5 % of the calls."""
+    """500 fleets of 40 joints whose probabilities are right: on average 5 % of the calls."""
     generator = np.random.default_rng(9)
     shares = []
     for _ in range(500):

@@ -73,7 +73,9 @@ def test_a_change_is_as_wide_as_by_the_joint_posterior(count):
         width = np.sqrt((slope**2 * sd**2).sum() + 2.0 * OWN_SD**2)
         ratios.append(change.std() / width)
         apart.append((change.mean() - expected) / width)
-        blunt.append(np.hypot(np.log(made[0].gap_rad).std(), np.log(made[-1].gap_rad).std()) / width)
+        blunt.append(
+            np.hypot(np.log(made[0].gap_rad).std(), np.log(made[-1].gap_rad).std()) / width
+        )
     assert 0.97 < np.mean(ratios) < 1.1
     assert np.abs(np.mean(apart)) < 0.1
     assert np.std(apart) < 0.25

@@ -204,12 +204,12 @@ def _in_mrad(row: Row, name: str, summary: Row) -> Cell:
 
 
 def _limit(row: Row) -> Cell:
-    """When the limit is reached."""
+    """When the limit is reached; sorted as the table is ranked."""
     if row["rate_rad_per_year_median"] is None or row["limit_rad"] is None:
         return Cell("–", "", "9999-99")
     middle = row["limit_date_median"]
     if middle is not None and middle <= row["last_date"]:
-        return Cell("passed", f"by {month(row['last_date'])}", middle)
+        return Cell("passed", f"by {month(row['last_date'])}", "0000")
     low, high = (row[f"limit_date_{end}"] for end in ("low", "high"))
     later = "later" if high is None else month(high)
     text = "not in sight" if middle is None else month(middle)
@@ -223,7 +223,9 @@ def _probability(value: float | None) -> Cell:
 def _state(row: Row) -> str:
     if row["rate_rad_per_year_median"] is not None:
         left = row["withheld"] + row["broken"]
-        return "measured" if not left else f"measured, {left} left out"
+        unsure = row["probability_wear"] < words.SURE
+        notes = ["not shown to grow"] * unsure + [f"{left} left out"] * bool(left)
+        return ", ".join(["measured", *notes])
     return "no rate" if row["delta_rad_median"] is not None else "no gap"
 
 
