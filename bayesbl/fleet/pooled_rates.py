@@ -2,7 +2,7 @@
 
 The rate of a joint of type g is log-normal,
 
-    ln r_j ~ N(μ_g, τ_g²),    flat priors on μ and ln τ
+    ln r_j ~ N(μ_g, τ_g²),    flat priors on μ and τ
 
 Each joint enters by draws of its own posterior, as they are. Their prior is flat in the growth, so
 with draws r_js the likelihood of (μ, τ) is Π_j mean_s LN(r_js; μ, τ) (Hogg, Myers and Bovy 2010),
@@ -27,7 +27,8 @@ FEWEST_JOINTS = 3
 """Of a type: two rates say nothing of a spread that is not mostly its prior."""
 
 SPREAD = (0.03, 3.0)
-"""Range of τ: from joints that wear alike within 3 % to those that differ twentyfold."""
+"""Range of τ: from joints that wear alike within 3 % to those that differ twentyfold. Its prior is
+flat (Gelman 2006): flat in ln τ, few joints are taken for more alike than they are."""
 
 GRID = (28, 20)
 """Points of μ and τ."""
@@ -95,7 +96,7 @@ def pooled(rates: Sequence[FloatArray], generator: np.random.Generator) -> Poole
             _closer(spreads, share.T, np.geomspace),
         )
         levels = (np.arange(count) + 0.5) / count
-        likely = np.zeros(GRID)
+        likely = np.tile(np.log(spreads), (GRID[0], 1))  # flat in τ on a grid of ln τ
         for draws in logs:
             likely += _log_mean_density(np.quantile(draws, levels), centres, spreads)
         share = np.exp(likely - likely.max())

@@ -1,4 +1,4 @@
-"""``bayesbl fleet``: each recording once, a broken one a row, the same numbers however it is run."""
+"""``bayesbl fleet``: each recording once, a broken one a row, the same however it is run."""
 
 from __future__ import annotations
 
@@ -158,6 +158,7 @@ def test_a_new_file_touches_its_joint_only_and_a_copied_one_is_told(plant):
 def test_another_limit_measures_no_recording_again(plant):
     inventory = plant / "joints.csv"
     text = inventory.read_text()
+    start(configure(plant))
     inventory.write_text(text.replace("1.2e-3", "8e-4"))
     try:
         assert start(configure(plant)) == ["0 recordings to measure, 1 of 2 joints to look at."]
