@@ -85,7 +85,8 @@ def headline(summary: MeasuredSummary) -> str:
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
-            return f"{by}{change_in_words(change)}; {grew(growth)}."
+            unless = joint_check.UNLESS if joint_check.could_be_unseen(summary, change) else ""
+            return f"{by}{change_in_words(change)}; {grew(growth)}{unless}."
     elif summary["delta_rad"] is not None:
         return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     what = "change of the gap" if summary["kind"] == "compare" else "gap"
