@@ -68,7 +68,7 @@ Scheduler = Annotated[
     _option(
         "--scheduler",
         "ADDRESS",
-        "Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
+        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]

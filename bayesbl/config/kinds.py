@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.measurement import CompareConfig, FitConfig
 from bayesbl.config.sections import RunConfig
 from bayesbl.config.study import StudyConfig
@@ -18,6 +19,7 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
         "sweep": SweepConfig,
         "diagnose": DiagnoseConfig,
         "study": StudyConfig,
+        "fleet": FleetConfig,
     }
 )
 """Kind to the model of its configuration."""
@@ -30,6 +32,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "sweep": "a bench to be swept over its gap",
         "diagnose": "recordings, and the bench that should describe them",
         "study": "an experiment and its rows",
+        "fleet": "an inventory of joints, and where their recordings are",
         "bench": "a virtual bench",
     }
 )

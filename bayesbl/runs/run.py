@@ -30,6 +30,7 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "sweep": "sweep",
         "diagnose": "diagnose",
         "study": "study",
+        "fleet": "fleet",
         "simulate": "simulate",
         "bench": "bench",
     }

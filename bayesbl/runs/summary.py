@@ -10,11 +10,17 @@ if TYPE_CHECKING:
 
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.runs.fleet import FleetSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
     Summary: TypeAlias = (
-        FitSummary | ComparisonSummary | SweepSummary | DiagnosisSummary | StudySummary
+        FitSummary
+        | ComparisonSummary
+        | SweepSummary
+        | DiagnosisSummary
+        | StudySummary
+        | FleetSummary
     )
 
 _SUMMARISE = {
