@@ -68,7 +68,7 @@ Scheduler = Annotated[
     _option(
         "--scheduler",
         "ADDRESS",
-        "Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
+        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
@@ -90,9 +90,9 @@ Route = Annotated[
     str | None,
     _option(
         "--route",
-        "auto|amplitude|direct",
-        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both. "
-        "[default: auto with a bench]",
+        "auto|amplitude|direct|torque_ramp",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; or "
+        "by ramps of torque with the output held. [default: auto with a bench]",
     ),
 ]
 StartFrom = Annotated[

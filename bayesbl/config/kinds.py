@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.measurement import CompareConfig, FitConfig
 from bayesbl.config.plan import PlanConfig
 from bayesbl.config.sections import RunConfig
@@ -20,6 +21,7 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
         "plan": PlanConfig,
         "diagnose": DiagnoseConfig,
         "study": StudyConfig,
+        "fleet": FleetConfig,
     }
 )
 """Kind to the model of its configuration."""
@@ -33,6 +35,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "plan": "a bench whose motions are to be ranked",
         "diagnose": "recordings, and the bench that should describe them",
         "study": "an experiment and its rows",
+        "fleet": "an inventory of joints, and where their recordings are",
         "bench": "a virtual bench",
     }
 )

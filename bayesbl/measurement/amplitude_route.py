@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import RecordingError
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
@@ -16,11 +17,18 @@ from bayesbl.measurement.change import Gap
 from bayesbl.measurement.compatibility import unsuited
 from bayesbl.measurement.curves import curve_source
 from bayesbl.measurement.earlier import read_earlier
-from bayesbl.measurement.fits import FitJob, earlier_of, gaps_of_fits, run_fits
-from bayesbl.measurement.joint_check import NOTHING_COMPARED
+from bayesbl.measurement.fits import (
+    FitJob,
+    earlier_of,
+    gaps_of_fits,
+    measured_ringing,
+    run_fits,
+)
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.ringing_check import ringing_check
 from bayesbl.measurement.same_joint import change_reason, same_joint
-from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import Recording
@@ -43,6 +51,8 @@ class AmplitudeMeasurer:
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The curve, and what else a run needs: an earlier optimum, the second sampler."""
+        estimator = self.estimator
+        yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
         yield "curve", self.source.describe
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
@@ -57,6 +67,10 @@ class AmplitudeMeasurer:
                 "Without [joint] gear_ratio the load's rotations are counted only by the run, "
                 "which refuses a recording of fewer than two."
             )
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
 
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
@@ -105,6 +119,7 @@ class AmplitudeMeasurer:
                         self.source.question(recording),
                     ),
                     amplitude_groups(fit, gap, task.config.interval.level),
+                    model_check=_model_check(curve, fit, gap),
                 )
                 for recording, fit, gap, curve in zip(
                     task.recordings, fits, found, of_each, strict=True
@@ -119,7 +134,7 @@ class AmplitudeMeasurer:
     def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         start_from = task.config.estimator.search.start_from
-        earlier = {} if start_from is None else read_earlier(start_from)
+        earlier = task.earlier if start_from is None else read_earlier(start_from)
         check = task.config.posterior.check_sampler
         if check:
             require_second_sampler()
@@ -141,6 +156,12 @@ class AmplitudeMeasurer:
                 strict=True,
             )
         ]
+
+
+def _model_check(curve: GapCurve | None, fit: Fit, gap: Gap | None) -> JointCheck:
+    if curve is None or gap is None:
+        return NOTHING_COMPARED
+    return ringing_check(curve, measured_ringing(fit), gap)
 
 
 def _earlier_in_words(path: Path) -> str:

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.matching.alignment import fit_aligned, refitted
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed, without_standstill
@@ -41,11 +42,12 @@ from bayesbl.measurement.model_check import (
     against_the_bench,
     check_of_comparison,
     check_of_snapshot,
+    feature_items,
     undecided_change,
     undecided_gap,
 )
 from bayesbl.measurement.motion_verdict import motion_notes, unseen_gap
-from bayesbl.measurement.task import StageProgress, Task, estimator_of
+from bayesbl.measurement.task import StageProgress, Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
@@ -102,7 +104,11 @@ class DirectMatch:
         return replace(
             check,
             agrees=check.agrees and not self.repeating(recording) and beyond is None,
-            items=[*check.items, *(_item(e) for e in self.check if e.recording == recording)],
+            items=[
+                *check.items,
+                *feature_items(self.posterior.fit, recording),
+                *(_item(e) for e in self.check if e.recording == recording),
+            ],
         )
 
 
@@ -126,6 +132,10 @@ class DirectMeasurer:
     def notes(self) -> Iterator[str]:
         """Nothing that only a run can find out."""
         return iter(())
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
 
     def require_usable(self, recording: Recording) -> None:
         """The bench can be compared with it."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, ringing, wear
+from bayesbl.presentation import answer, diagnosis, ringing, torque_ramps, wear
 from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
@@ -79,13 +79,16 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
     if ringing.is_alone(summary):
         return _of_ringing(summary)
     if last["delta_rad"] is None:
+        again = "longer and at one constant speed"
+        if torque_ramps.is_by_ramps(summary):
+            again = "with the ramps that are asked for"
         return Advice(
             "withheld",
             "Do not decide from these recordings.",
             (
                 *(why for label, why in answer.reasons(summary) if label == "Withheld"),
-                "Fix this, or record again, longer and at one constant speed; until then decide "
-                "as you would without this measurement.",
+                f"Fix this, or record again, {again}; until then decide as you would without this "
+                "measurement.",
             ),
         )
     compared = summary if summary["kind"] == "compare" else None

@@ -14,6 +14,7 @@ from bayesbl.presentation import (
     cards,
     diagnosis,
     estimates,
+    fleet,
     plan,
     study,
     sweep,
@@ -96,6 +97,13 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
         ),
         "study": Subject(
             "Study", study.headline, study.blocks, advice.of_study, assumptions.of_study
+        ),
+        "fleet": Subject(
+            "Backlash gaps of a plant",
+            fleet.headline,
+            fleet.blocks,
+            fleet.advice,
+            fleet.assumptions,
         ),
         "compare": _measured("Backlash gap of a joint and its change"),
         "fit": _measured("Backlash gap of a joint"),

@@ -31,6 +31,7 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "plan": "plan",
         "diagnose": "diagnose",
         "study": "study",
+        "fleet": "fleet",
         "simulate": "simulate",
         "bench": "bench",
     }

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.runs.fleet import FleetSummary
     from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
         | PlanSummary
         | DiagnosisSummary
         | StudySummary
+        | FleetSummary
     )
 
 _SUMMARISE = {
