@@ -20,9 +20,9 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import binom
 
-from bayesbl.ramps.cycles import find_ramps
 from bayesbl.ramps.flanks import find_flanks
 from bayesbl.ramps.play import Widths, sample_play
+from bayesbl.ramps.torque_cycles import find_ramps
 from bayesbl.sampling.chains import SamplerSettings
 
 sys.path.append(str(Path(__file__).parent))

@@ -9,6 +9,7 @@ imported, so that ``bayesbl check`` answers at once.
 from __future__ import annotations
 
 import os
+import re
 from datetime import date as Date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -54,6 +55,20 @@ class Run(Section):
     seed: int = Field(default=1, ge=0, lt=2**63)
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=1024)
     output: OutputPath
+
+
+def _scheduler(address: str) -> str:
+    if not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:\d+", address):
+        refuse(
+            "This is not the address of a Dask scheduler.", expected="one such as tcp://host:8786"
+        )
+    return address
+
+
+class ClusterRun(Run):
+    """``[run]`` of a study or a fleet: with a scheduler, work is done on its Dask cluster."""
+
+    scheduler: Annotated[str, AfterValidator(_scheduler)] | None = None
 
 
 class RunConfig(Section):

@@ -9,6 +9,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.errors import RecordingError
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
 from bayesbl.measurement.amplitude_summary import summarise_amplitude
 from bayesbl.measurement.bench_of import bench_of
@@ -29,6 +30,7 @@ from bayesbl.measurement.ringing_check import ringing_check
 from bayesbl.measurement.same_joint import change_reason, same_joint
 from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.second_sampler import require_second_sampler
@@ -72,6 +74,14 @@ class AmplitudeMeasurer:
 
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
+        if moves(recording):
+            raise RecordingError(
+                "This joint does not turn at one speed, and no gap curve belongs to the ringing of "
+                "a motion.",
+                file=recording.place,
+                found="a reference that varies over time",
+                expected="the direct route, which needs a bench: --bench FILE",
+            )
         self.source.require_usable(recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
@@ -124,7 +134,7 @@ class AmplitudeMeasurer:
     def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         start_from = task.config.estimator.search.start_from
-        earlier = {} if start_from is None else read_earlier(start_from)
+        earlier = task.earlier if start_from is None else read_earlier(start_from)
         check = task.config.posterior.check_sampler
         if check:
             require_second_sampler()

@@ -12,9 +12,9 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.ramps.cycles import Cycle, Ramps
 from bayesbl.ramps.flanks import Flanks
 from bayesbl.ramps.loop import LoopModel
+from bayesbl.ramps.torque_cycles import Cycle, Ramps
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics

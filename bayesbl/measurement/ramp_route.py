@@ -21,9 +21,9 @@ from bayesbl.measurement.ramp_summary import summarise_ramps
 from bayesbl.measurement.ramp_words import against, notes_on
 from bayesbl.measurement.task import Task
 from bayesbl.measurement.verdict import Verdict
-from bayesbl.ramps.cycles import Ramps, find_ramps
 from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, of_cycles
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
+from bayesbl.ramps.torque_cycles import Ramps, find_ramps
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bayesbl.ramps.cycles import Ramps
 from bayesbl.ramps.flanks import Flanks
+from bayesbl.ramps.torque_cycles import Ramps
 from bayesbl.recording.types import FloatArray
 
 UNSURE = 0.05

@@ -6,7 +6,7 @@ row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its resu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 
 import xarray as xr
@@ -22,6 +22,7 @@ from bayesbl.measurement.task import Seeds, StageProgress, Task
 from bayesbl.measurement.tree import measurement_tree
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.ringing.warm_start import EarlierOptimum
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
@@ -80,6 +81,8 @@ def measure(
     work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
     swept: WorkStore = NOTHING_KEPT,
+    seeds: Seeds | None = None,
+    earlier: Mapping[str, EarlierOptimum] | None = None,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -91,6 +94,10 @@ def measure(
         Called with a sentence on what each search started from, if from an earlier optimum.
     swept
         Keeps swept benches for this run and others.
+    seeds
+        Those of the configuration by default.
+    earlier
+        Optima to start searches from, by recording, where the configuration names no result.
 
     Returns
     -------
@@ -109,6 +116,6 @@ def measure(
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)
-    seeds = Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say, swept)
+    seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
+    task = Task(config, recordings, seeds, progress, work, say, swept, earlier or {})
     return measurement_tree(measurer.measure(task), task)

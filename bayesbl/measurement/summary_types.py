@@ -109,12 +109,25 @@ class _FromRinging(TypedDict, total=False):
     sampler_check: SamplerCheckSummary
 
 
+class MotionSummary(TypedDict):
+    """Of a joint that follows a reference over time.
+
+    ``cycle_s`` and ``cycles`` are ``None`` where the motion does not repeat.
+    """
+
+    cycle_s: float | None
+    cycles: float | None
+    flank_changes: int
+    compared_from_s: float
+
+
 class _FromSimulation(TypedDict, total=False):
     """Of the simulated bench."""
 
     cramer_rao_sd: dict[str, float]
     posterior_sd: dict[str, float]
     predictive_check: list[PredictiveCheckEntry]
+    motion: MotionSummary
 
 
 class RampsSummary(TypedDict):

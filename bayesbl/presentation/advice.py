@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         SnapshotSummary,
         WearSummary,
     )
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
@@ -45,6 +46,20 @@ def of_sweep(_: SweepSummary) -> Advice:
         (
             "Give it to a comparison: bayesbl compare FIRST SECOND --curve result.nc. "
             "It holds for a joint like the simulated bench, and for no other.",
+        ),
+    )
+
+
+def of_plan(summary: PlanSummary) -> Advice:
+    """What to record."""
+    if summary["reason"]:
+        return Advice("withheld", "Widen the limits.", (summary["reason"],))
+    return Advice(
+        "note",
+        "Record the first motion of the table.",
+        (
+            "With the motor's speed and current, and the speed or position that the controller was "
+            "asked for, at 1 kHz or so. Then: bayesbl fit RECORDING --bench FILE.",
         ),
     )
 

@@ -243,6 +243,7 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
     kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
     alone = ringing.is_alone(summary)
     beside = direct_route.beside(first)
+    repeats = "Motion\ncycles" if "motion" in first else "Load\nrotations"
     columns = (
         *([text("Snapshot")] if compared else []),
         *([] if alone else [numbers("Gap δ\n(mrad)"), numbers(f"{kind}\n(mrad)")]),
@@ -250,7 +251,7 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
         numbers("Ringing A\n(rpm)"),
         *([numbers(f"{kind}\n(rpm)")] if alone else []),
         # Eighty columns hold no more.
-        *([] if beside else [numbers("Load\nrotations"), numbers("Noise sd\n(rpm)")]),
+        *([] if beside else [numbers(repeats), numbers("Noise sd\n(rpm)")]),
         text("Outcome"),
     )
     rows = [

@@ -11,6 +11,7 @@ from bayesbl.presentation.words import interval_kind
 if TYPE_CHECKING:
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
@@ -29,6 +30,12 @@ def of_diagnosis(_: DiagnosisSummary) -> Iterator[str]:
     yield "The bench's other parameters have the values in its file, within their tolerances."
 
 
+def of_plan(_: PlanSummary) -> Iterator[str]:
+    """Assumptions of a plan."""
+    yield "The joint behaves as its bench file says, within the tolerances given there."
+    yield "Its noise is that of the bench file, and it starts from rest."
+
+
 def of_study(_: StudySummary) -> Iterator[str]:
     """Assumptions of a study."""
     yield "Each case has random numbers of its own, from the seed, the row and its number."
@@ -41,7 +48,12 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
         yield from _of_ramps(summary)
         yield from _of_interval(last)
         return
-    yield "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
+    if "motion" in last:
+        yield "The joint was asked for the motion that its reference channel shows."
+    else:
+        yield (
+            "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
+        )
     if direct_route.is_direct(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
     elif ringing.is_alone(summary):
@@ -51,7 +63,8 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
         yield "The paper's test bench turned at 2000 rpm, which the paper does not state."
     else:
         yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
-    yield "Noise is what does not repeat from one rotation to the next, and is steady."
+    again = "cycle" if "motion" in last else "rotation"
+    yield f"Noise is what does not repeat from one {again} to the next, and is steady."
     if not ringing.is_alone(summary):
         yield "Before the recording every gap is equally likely in ln δ."
     if summary["kind"] == "compare":

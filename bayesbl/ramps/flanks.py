@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import t as student_t
 
-from bayesbl.ramps.cycles import Cycle, Ramps, crossing
+from bayesbl.ramps.torque_cycles import Cycle, Ramps, crossing
 from bayesbl.recording.types import FloatArray
 
 SAME_LEVEL = 1.5

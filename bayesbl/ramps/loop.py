@@ -23,7 +23,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayesbl.ramps.cycles import Cycle
+from bayesbl.ramps.torque_cycles import Cycle
 from bayesbl.recording.types import FloatArray
 
 POINTS_FITTED = 400

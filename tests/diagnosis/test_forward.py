@@ -27,14 +27,13 @@ from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import (
     GAP,
     START_ANGLE,
-    Observed,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.naming.motor_orders import order_peaks
