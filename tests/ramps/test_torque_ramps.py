@@ -88,10 +88,10 @@ def test_the_answer_goes_with_units_and_not_with_direction_or_origin(sign, scale
 def test_few_ramps_and_many_are_read_alike(cycles):
     torque = triangles(*[SMALL] * cycles)
     ramps = find_ramps(*noisy(torque, operator(torque)))
-    assert len(ramps.torque_cycles) >= 2 * cycles - 2
-    width = np.mean([c.width_rad for c in ramps.torque_cycles])
+    assert len(ramps.cycles) >= 2 * cycles - 2
+    width = np.mean([c.width_rad for c in ramps.cycles])
     assert width == pytest.approx(2.0 * (GAP + COMPLIANCE * FRICTION), rel=0.01)
-    assert ramps.torque_cycles[-1].amplitude_nm == pytest.approx(SMALL, rel=0.04)
+    assert ramps.cycles[-1].amplitude_nm == pytest.approx(SMALL, rel=0.04)
 
 
 def test_a_steady_drift_moves_no_width():
