@@ -37,9 +37,17 @@ def against(flanks: Flanks) -> str | None:
 
 
 def notes_on(
-    files: Sequence[Ramps], flanks: Flanks, width_rad: FloatArray, ratio_given: bool
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    width_rad: FloatArray,
+    *,
+    ratio_given: bool,
+    elsewhere: bool,
 ) -> Iterator[str]:
-    """What a reader should know of how δ came about."""
+    """What a reader should know of how δ came about.
+
+    ``elsewhere``: one file a snapshot, and not at the same position of the turn.
+    """
     level, largest = flanks.level, flanks.largest
     assert level is not None
     assert largest is not None
@@ -72,7 +80,13 @@ def notes_on(
             f"{missing} of {len(files)} files have no cycle of ±{level.amplitude_nm:.3g} N m, and "
             "do not count for δ."
         )
-    if len(files) - missing == 1:
+    if elsewhere:
+        yield (
+            "One position round the turn in each snapshot, and not the same one: the intervals "
+            "allow for a gap that changes round the turn by up to 70 %. Give ramps at three "
+            "positions or more (files = […])."
+        )
+    elif len(files) - missing == 1:
         yield (
             "One position round the turn: δ is the gap there. How it changes round the turn is not "
             "known, nor in the interval; give ramps at three positions or more (files = […])."
