@@ -74,8 +74,8 @@ class MatchedAlone:
         values, vectors = np.linalg.eigh(self.covariance)
         scatter = np.sqrt(2.0 / self.bench.shape[1])
         kept = vectors[:, values < 1.0 - BEYOND_CHANCE * scatter]
-        inverse = (kept / values[: kept.shape[1]]) @ kept.T
-        return inverse - kept @ kept.T, inverse @ self.mean
+        inverse = np.asarray((kept / values[: kept.shape[1]]) @ kept.T, dtype=float)
+        return inverse - kept @ kept.T, np.asarray(inverse @ self.mean)
 
     def at(self, bench: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Draws of the gap on given benches, shape (draw,)."""
