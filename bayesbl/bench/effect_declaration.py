@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from bayesbl.bench.kernel import MOTOR_SIGN_WIDTH, Slot
+from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import ComplexArray, FloatArray
@@ -135,6 +135,10 @@ class RigidMotion(Protocol):
     def sway(self) -> ComplexArray:
         """d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²."""
 
+    @property
+    def friction_width(self) -> float:
+        """Motor speed over which dry friction changes its sign, rad/s."""
+
 
 class RigidBench(Protocol):
     """What a law may ask of the bench it acts in."""
@@ -163,8 +167,9 @@ class RigidLaw:
         The parameter that is zero when the effect is absent.
     linear
         Parameters beside the amplitude that the signal is linear in.
-    scanned, grid
-        A parameter to scan, and the values to try; an order gets its own grid.
+    scanned, grid, grid_unit
+        A parameter to scan, and the values to try in units of the recordings' own: RMS ``speed`` of
+        the motor, ``travel`` of the load. An order gets its own grid.
     same_as
         Effects that are the same law in this comparison, only named for another place.
     contains
@@ -180,6 +185,7 @@ class RigidLaw:
     linear: tuple[str, ...] = ()
     scanned: str | None = None
     grid: tuple[float, ...] = ()
+    grid_unit: Literal["speed", "travel"] = "travel"
     same_as: tuple[str, ...] = ()
     contains: str | None = None
     not_negative: bool = False
@@ -288,4 +294,6 @@ class Effect:
 
 def direction(motion: RigidMotion) -> FloatArray:
     """sign ω_m smoothed as tanh(ω_m / width), as the simulator's friction has it."""
-    return np.tanh(motion.speed / MOTOR_SIGN_WIDTH)
+    if motion.friction_width == 0.0:
+        return np.sign(motion.speed)
+    return np.tanh(motion.speed / motion.friction_width)
