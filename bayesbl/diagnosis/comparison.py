@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -39,6 +39,15 @@ class Piece:
         """Values of the samples that count, (n, …) to (k, …)."""
         return values if self.excluded is None else values[~self.excluded]
 
+    def half(self, second: bool) -> Piece:
+        """The first or the second half."""
+        middle = self.time_s.size // 2
+        rows = slice(middle, None) if second else slice(None, middle)
+        excluded = None if self.excluded is None else self.excluded[rows]
+        return replace(
+            self, time_s=self.time_s[rows], measured=self.measured[rows], excluded=excluded
+        )
+
     @property
     def period_s(self) -> float:
         """Sampling period, s."""
@@ -61,6 +70,8 @@ class TestedEffect:
         A simpler effect that this one holds as a special case, and replaces.
     not_negative
         The amplitude has a sign: friction brakes.
+    is_plain
+        Linear in one amplitude, without a shape to be found, and no special case of another.
     """
 
     name: str
@@ -69,6 +80,7 @@ class TestedEffect:
     same_as: tuple[str, ...] = ()
     contains: str | None = None
     not_negative: bool = False
+    is_plain: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +104,8 @@ class EffectsFit:
         Effect to the number of independent shapes that were tried to find it.
     at_edge
         Effects with a parameter at the end of its range: not an optimum, so not to be believed.
+    shared
+        Shapes that belong to no single effect.
     """
 
     effects: Mapping[str, Mapping[str, float]]
@@ -101,6 +115,7 @@ class EffectsFit:
     names: tuple[str, ...]
     trials: Mapping[str, float] = field(default_factory=dict)
     at_edge: frozenset[str] = frozenset()
+    shared: Mapping[str, float] = field(default_factory=dict)
 
 
 class Comparison(Protocol):
@@ -116,6 +131,9 @@ class Comparison(Protocol):
 
     def fit(self, effects: tuple[str, ...], start: EffectsFit | None) -> EffectsFit:
         """Fit on the used pieces; what ``start`` has found is where the search starts."""
+
+    def folds(self) -> Sequence[Comparison]:
+        """The used pieces alone, some to fit on and some to predict, each predicted once."""
 
 
 def residuals_of_pieces(

@@ -1,18 +1,24 @@
-"""Effects named one by one, by evidence and by prediction of what was held out.
+"""Effects named in sets, by evidence and by prediction of what they were not fitted on.
 
 For comparisons that are cheap least squares; the closed loop has a search of its own
 (:mod:`bayesbl.naming.search`).
 
-One effect at a time: every candidate is fitted beside those named already. It is believed if
+Effects that are linear in one amplitude and have no shape to be found (Coulomb and viscous
+friction, an offset, an asymmetry, …) are much alike in most recordings: alone each would take what
+belongs to another. They are therefore fitted together, and the smallest of their sets is taken that
+all the rest adds nothing to. The others are tried one at a time beside that set, and the set is
+chosen again whenever one of them is named. An effect is believed if
 
 - its amplitude stands out of the noise: Wald's χ² under the sandwich covariance, corrected for
   the number of candidates and of shapes tried, below the false-alarm rate;
-- held-out pieces are predicted better with it than without, beyond what the noise does to that;
+- the used pieces are predicted better with it than without, each from a fit on the others, beyond
+  what the noise does to that;
 - it has the sign that physics gives it.
 
-Of those, the one that closes most of the disagreement is named; an earlier one that no longer
-stands out is dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the
-effective samples.
+Of those tried one at a time, the one that closes most of the disagreement is named; an earlier one
+that no longer stands out is dropped. Nothing here looks at held-out pieces: their disagreement is
+that of data which no decision has seen. Evidence is Schwarz's approximation, ½χ² − ½k ln n −
+ln(trials), n the effective samples.
 """
 
 from __future__ import annotations
@@ -20,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import chi2
@@ -51,7 +58,7 @@ from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
 BETTER = 2.0
-"""Standard errors by which held-out pieces must be predicted better."""
+"""Standard errors by which pieces must be predicted better."""
 
 SURE_PARAMETER = 3.0
 
@@ -60,7 +67,7 @@ SURE_PARAMETER = 3.0
 class Settings:
     """``most``: effects named at the end; ``false_alarm``: of one step with nothing missing."""
 
-    most: int = 3
+    most: int = 6
     false_alarm: float = 0.01
 
 
@@ -95,6 +102,31 @@ class BySelection:
         return f"{self.name}, {comparison.pieces[0].channel}; candidates {names}"
 
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = task.config.candidates
+        settings = Settings(asked.max_effects, asked.false_alarm)
+        return diagnose(self.problem(task), task.bench, settings, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """A candidate tried beside ``base``."""
+
+    candidate: TestedEffect
+    base: EffectsFit
+    fit: EffectsFit
+    log_p: float
+    squares: float
+
+    def stands_out(self, threshold: float) -> bool:
+        """Of the noise, with the sign of physics."""
+        amplitude = self.fit.effects[self.candidate.name][self.candidate.amplitude]
+        physical = amplitude >= 0.0 or not self.candidate.not_negative
+        physical = physical and self.candidate.name not in self.fit.at_edge
+        return physical and self.log_p < math.log(threshold)
+
+
+def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
         """The answer."""
         asked = task.config.candidates
         settings = Settings(asked.max_effects, asked.false_alarm)
@@ -164,6 +196,7 @@ def _select(
     """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
     current, dropped = before, set[str]()
+    current = _with_set(comparison, current, dropped, settings.most, threshold)
     while len(current.effects) < settings.most:
         trials = []
         open_ones = _open(comparison.candidates, current, dropped)
@@ -171,7 +204,8 @@ def _select(
             trials.append(_trial(comparison, current, candidate))
             if progress is not None:
                 progress(f"effect {len(current.effects) + 1}", done + 1, len(open_ones))
-        good = [trial for trial in trials if trial.believed(threshold)]
+        good = [trial for trial in trials if trial.stands_out(threshold)]
+        good = [trial for trial in good if _predicts(comparison, trial.base, trial.fit)]
         if not good:
             break
         best = _simplest(comparison, good)
@@ -181,7 +215,99 @@ def _select(
             if _wald(comparison, current, candidate)[1] > math.log(threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
+        current = _with_set(comparison, current, dropped, settings.most, threshold)
     return current
+
+
+def _with_set(
+    comparison: Comparison,
+    current: EffectsFit,
+    dropped: set[str],
+    most: int,
+    threshold: float,
+) -> EffectsFit:
+    """The fit with the best set of the plain effects beside those others that are named.
+
+    What does not help to predict is dropped, and the set chosen again.
+    """
+    while True:
+        inside = {_by_name(comparison, name).contains for name in current.effects}
+        plain = [
+            c
+            for c in comparison.candidates
+            if c.is_plain and c.name not in dropped and c.name not in inside
+        ]
+        others = tuple(e for e in current.effects if not _by_name(comparison, e).is_plain)
+        if not plain:
+            return current
+        every = comparison.fit((*others, *(c.name for c in plain)), current)
+        chosen = _smallest_set(comparison, every, plain, most - len(others), threshold)
+        fit = comparison.fit((*others, *chosen), every)
+        idle = []
+        for name in chosen:
+            without = comparison.fit(tuple(e for e in fit.effects if e != name), fit)
+            if _wald(comparison, fit, _by_name(comparison, name))[1] > math.log(
+                threshold
+            ) or not _predicts(comparison, without, fit):
+                idle.append(name)
+        if not idle:
+            return fit
+        dropped.update(idle[:1])
+
+
+def _smallest_set(
+    comparison: Comparison,
+    every: EffectsFit,
+    plain: list[TestedEffect],
+    most: int,
+    threshold: float,
+) -> tuple[str, ...]:
+    """Of the sets of plain effects, the smallest that the rest adds nothing to.
+
+    Around the fit with all of them the problem is linear: with X the columns of a set and Z those
+    of the rest, cleared of X, s = Zᵀr of the residual r without the rest has covariance ZᵀΣZ, and
+    sᵀ(ZᵀΣZ)⁻¹s is χ² if the rest is not there. Sets in which friction would push are not physical.
+    Among sets of one size the one with the smallest residual is looked at first; within noise of
+    it, the one that comes first in the catalogue.
+    """
+    noises = _noises(comparison, every)
+    keys = [f"{c.name}.{c.amplitude}" for c in plain]
+    places = [every.names.index(key) for key in keys]
+    ends = np.cumsum([part.shape[0] for part in every.columns])[:-1]
+    matrix = np.vstack(every.columns)
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    matrix = matrix / np.where(scale > 0.0, scale, 1.0)
+    amplitudes = [every.effects[c.name][c.amplitude] for c in plain]
+    rest = np.concatenate(residuals(comparison, every, "used"))
+    target = rest + matrix[:, places] @ (np.array(amplitudes) * scale[places])
+    common = [k for k in range(matrix.shape[1]) if k not in places]
+    for size in range(min(most, len(plain)) + 1):
+        fitted = []
+        for members in combinations(range(len(plain)), size):
+            kept = matrix[:, common + [places[m] for m in members]]
+            coefficients = np.linalg.lstsq(kept, target, rcond=1e-10)[0]
+            values = coefficients[len(common) :]
+            if any(v < 0.0 and plain[m].not_negative for m, v in zip(members, values, strict=True)):
+                continue
+            left = target - kept @ coefficients
+            fitted.append((float(left @ left), members, kept, left))
+        for _, members, kept, left in sorted(fitted, key=lambda item: item[0]):
+            others = matrix[:, [p for m, p in enumerate(places) if m not in members]]
+            if others.shape[1] == 0:
+                return tuple(plain[m].name for m in members)
+            cleared = others - kept @ np.linalg.lstsq(kept, others, rcond=1e-10)[0]
+            parts = np.split(cleared, ends)
+            spread = sum(
+                part.T @ noise.covariance_times(part)
+                for part, noise in zip(parts, noises, strict=True)
+            )
+            score = cleared.T @ left
+            inverse = np.linalg.pinv(spread, rcond=1e-10, hermitian=True)
+            rank = int(np.linalg.matrix_rank(spread, rtol=1e-10, hermitian=True))
+            if rank == 0 or chi2.sf(float(score @ inverse @ score), rank) > threshold:
+                return tuple(plain[m].name for m in members)
+    best = min(fitted, key=lambda item: item[0], default=None)
+    return tuple(plain[m].name for m in best[1]) if best is not None else ()
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
@@ -235,9 +361,8 @@ def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect)
     kept = tuple(name for name in current.effects if name != candidate.contains)
     fit = comparison.fit((*kept, candidate.name), current)
     _, log_p, _ = _wald(comparison, fit, candidate)
-    held_out_z, closed = _held_out(comparison, current, fit)
     squares = sum_of_squares(residuals(comparison, fit, "used"))
-    return _Trial(candidate, fit, log_p, held_out_z, closed, squares)
+    return _Trial(candidate, current, fit, log_p, squares)
 
 
 def _wald(
@@ -258,22 +383,20 @@ def _wald(
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
-def _held_out(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> tuple[float, float]:
-    """How surely held-out pieces are predicted better: z, and the share of the RMS closed.
+def _predicts(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> bool:
+    """Whether pieces are predicted surely better by a fit of the others with the new effects.
 
     ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
     """
-    first = residuals(comparison, old, "held_out")
-    last = residuals(comparison, new, "held_out")
-    gain = sum_of_squares(first) - sum_of_squares(last)
-    spread = 0.0
-    for a, b in zip(first, last, strict=True):
-        d = a - b
-        spread += float(d @ ResidualNoise.of(b).covariance_times(d))
-    if spread <= 0.0:
-        return 0.0, 0.0
-    closed = 1.0 - math.sqrt(sum_of_squares(last) / sum_of_squares(first))
-    return gain / (2.0 * math.sqrt(spread)), closed
+    gain = spread = 0.0
+    for fold in comparison.folds():
+        first = residuals(fold, fold.fit(tuple(old.effects), old), "held_out")
+        last = residuals(fold, fold.fit(tuple(new.effects), new), "held_out")
+        gain += sum_of_squares(first) - sum_of_squares(last)
+        for a, b in zip(first, last, strict=True):
+            d = a - b
+            spread += float(d @ ResidualNoise.of(b).covariance_times(d))
+    return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
 
 
 def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.motion import Motion, motion_of, reach, settled, widened
+from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
     compared_channel,
     even_recordings,
-    pieces_of,
     require_rigid,
     unknown_parameters,
 )
@@ -26,8 +25,9 @@ from bayesbl.diagnosis.rigid.terms import (
     uncomputable,
     without_load_angle,
 )
+from bayesbl.diagnosis.rigid.view import View, compared_rows, noise_of, sharper, standstill
 from bayesbl.diagnosis.selection import BySelection, Problem
-from bayesbl.diagnosis.task import Task, notes_of, refused, rows_of, wanted
+from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError
 from bayesbl.recording.types import (
     LOAD_POSITION,
@@ -66,7 +66,10 @@ def inverse_problem(task: Task) -> Problem:
     # A joint may rest at the end of its way: only what drives it is asked not to stand still.
     driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
-    pieces, parts, motions = _moved(task, recordings, channel)
+    cutoff = compared.cutoff_hz
+    found = compare(task, recordings, channel, cutoff)
+    pieces = tuple(item.piece for item in found)
+    motions = tuple(item.motion for item in found)
     _require_position(config, motions, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
     if channel == MOTOR_CURRENT and "torque_constant_nm_per_a" in bench.assumed:
@@ -78,10 +81,6 @@ def inverse_problem(task: Task) -> Problem:
             expected="torque_constant_nm_per_a = {value = …}",
         )
     unit = bench.value("torque_constant_nm_per_a") if channel == MOTOR_CURRENT else 1.0
-    known = tuple(
-        sum((part.channels[n] for n in compared.known_torque), np.zeros(part.samples))
-        for part in parts
-    )
     every = POSITION_TERMS if load else TORQUE_TERMS
     if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
@@ -91,7 +90,8 @@ def inverse_problem(task: Task) -> Problem:
     comparison = InverseComparison(
         pieces,
         motions,
-        known,
+        tuple(item.known for item in found),
+        tuple(item.view for item in found),
         bench,
         {candidate.name: terms[candidate.name] for candidate in chosen},
         unknown,
@@ -102,8 +102,8 @@ def inverse_problem(task: Task) -> Problem:
     )
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += [
-        f"Speed and acceleration come from the {source} behind a zero-phase Butterworth low pass "
-        f"of order 4 at {compared.cutoff_hz:g} Hz."
+        f"Speed and acceleration come from the {source}; both sides are compared behind a "
+        f"zero-phase Butterworth low pass of order 4 at {cutoff:.3g} Hz."
         for source in sorted({motion.source for motion in motions})
     ]
     if any(motion.source == "speed" for motion in motions):
@@ -124,27 +124,56 @@ def inverse_problem(task: Task) -> Problem:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A piece, its motion and known torque over the whole recording, and what is seen of them."""
+
+    piece: Piece
+    motion: Motion
+    known: FloatArray
+    view: View
+
+
 def _read(recording: Recording, channel: str) -> tuple[str, ...]:
     """What is compared, and what the motion is taken from."""
     moved = [c for c in (MOTOR_POSITION, MOTOR_SPEED) if c in recording.channels]
     return (channel, *moved[:1])
 
 
-def _moved(
-    task: Task, recordings: list[Recording], channel: str
-) -> tuple[tuple[Piece, ...], list[Recording], tuple[Motion, ...]]:
-    """Pieces with their motion, without the ends that the filter disturbs.
-
-    The motion is that of the whole recording: both halves of a split one have one angle.
-    """
-    cutoff = task.config.comparison.cutoff_hz
-    inside = [settled(recording, cutoff) for recording in recordings]
-    whole = [motion_of(r, cutoff).part(rows) for r, rows in zip(recordings, inside, strict=True)]
-    # A bridge is no motion, and the filter spreads it.
-    wary = [replace(r, excluded=widened(r.excluded, reach(r, cutoff))) for r in recordings]
-    kept = [rows_of(r, rows) for r, rows in zip(wary, inside, strict=True)]
-    pieces, places, parts = pieces_of(task, kept, channel)
-    return pieces, parts, tuple(whole[i].part(rows) for i, rows in places)
+def compare(
+    task: Task, recordings: Sequence[Recording], channel: str, cutoff_hz: float
+) -> list[Compared]:
+    """Every piece with the motion of its whole recording; halves of a split one have one angle."""
+    found = []
+    for entry, recording in zip(task.config.recordings, recordings, strict=True):
+        period = recording.sampling_period_s
+        sharp = sharper(cutoff_hz, period)
+        motion = motion_of(recording, sharp)
+        # A bridge is no motion, and the filter spreads it.
+        out = widened(recording.excluded, reach(recording, sharp))
+        require_enough(recording, channel, out)
+        if channel != LOAD_POSITION and motion.source == "position":
+            noise = noise_of(recording.channels[MOTOR_POSITION])
+            resting = standstill(motion, noise, cutoff_hz)
+            out = resting if out is None else out if resting is None else out | resting
+        window = None if out is None else 1.0 - out
+        rows = compared_rows(recording, cutoff_hz)
+        view = View(LowPass(cutoff_hz, period), window, rows)
+        measured = view(LowPass(sharp, period)(recording.channels[channel]))
+        excluded = None if out is None or not out[rows].any() else out[rows]
+        whole = Piece(recording.name, channel, "used", recording.time_s[rows], measured, excluded)
+        known = sum(
+            (recording.channels[n] for n in task.config.comparison.known_torque),
+            np.zeros(recording.samples),
+        )
+        shares: list[tuple[Piece, View]] = [(whole, view)]
+        if entry.use == "split":
+            shares = [(whole.half(h), view.half(h)) for h in (False, True)]
+        held_out = [entry.use == "hold_out"] if len(shares) == 1 else [False, True]
+        for (piece, part), held in zip(shares, held_out, strict=True):
+            piece = replace(piece, use="held_out" if held else "used")
+            found.append(Compared(piece, motion, LowPass(sharp, period)(known), part))
+    return found
 
 
 def _require_position(config: DiagnoseConfig, motions: tuple[Motion, ...], load: bool) -> None:

@@ -6,14 +6,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import unit_of
 
 FEWEST_CYCLES = 3.0
+FEWEST_SAMPLES = 20
+"""That an order must pass in to be judged: below, its score is no χ²."""
 MOST_REMAINING = 5
 _STEPS_PER_CYCLE = 5.0
 _MOST_ORDERS = 40_000
@@ -95,7 +98,12 @@ class OrderScan:
 
 
 def scan_orders(
-    angles: list[FloatArray], rests: list[FloatArray], shared: bool, low: float, high: float
+    angles: list[FloatArray],
+    rests: list[FloatArray],
+    shared: bool,
+    low: float,
+    high: float,
+    highest: list[FloatArray],
 ) -> OrderScan:
     """Scan residuals over motor angles (rad), one array each per recording.
 
@@ -105,6 +113,9 @@ def scan_orders(
         Whether all recordings have one phase, because their angle is absolute.
     low, high
         Orders looked at; none with fewer than three cycles in the longest recording.
+    highest
+        At every sample, the highest order that its filter passes: one as fast as that is not there
+        to be seen.
     """
     ends = [(float(a.min()), float(a.max())) for a in angles]
     turns = max(last - first for first, last in ends) / (2.0 * math.pi)
@@ -119,30 +130,40 @@ def scan_orders(
     orders, knots = np.linspace(low, high, count), np.linspace(low, high, _NOISE_KNOTS)
     total, size = np.zeros(count, dtype=complex), np.zeros(count)
     scores, spread = np.zeros(count), np.zeros(count)
-    for angle, rest in zip(angles, rests, strict=True):
-        found = _transform(angle, rest, orders)
+    samples = np.zeros(count)
+    for angle, rest, passed in zip(angles, rests, highest, strict=True):
+        slowest_first = np.argsort(-passed)
+        ends = np.searchsorted(-passed[slowest_first], -orders)
+        found = _transform(angle[slowest_first], rest[slowest_first], orders, ends)
+        samples += ends
         noise = ResidualNoise.of(rest)
-        waves = np.exp(1j * np.outer(angle, knots))
+        waves = np.exp(1j * np.outer(angle, knots)) * (passed[:, None] > knots)
         power = 0.5 * sum(
             (part * noise.covariance_times(part)).sum(axis=0) for part in (waves.real, waves.imag)
         )
-        here = np.exp(np.interp(orders, knots, np.log(power)))
+        here = np.exp(np.interp(orders, knots, np.log(np.maximum(power, 1e-300))))
         total += found
         size += np.abs(found)
         spread += here
         scores += np.abs(found) ** 2 / here
-    samples = sum(rest.size for rest in rests)
     if shared:
         scores, size = np.abs(total) ** 2 / spread, np.abs(total)
-    return OrderScan(orders, scores, 2.0 * size / samples, max(1.0, (high - low) * turns), freedom)
+    scores = np.where(samples < FEWEST_SAMPLES, 0.0, scores)
+    amplitudes = 2.0 * size / np.maximum(samples, 1.0)
+    return OrderScan(orders, scores, amplitudes, max(1.0, (high - low) * turns), freedom)
 
 
-def _transform(angle: FloatArray, rest: FloatArray, orders: FloatArray) -> np.ndarray:
-    """Σ r exp(i n θ) for evenly spaced orders, by turning one wave on from order to order."""
+def _transform(
+    angle: FloatArray, rest: FloatArray, orders: FloatArray, ends: NDArray[np.intp]
+) -> ComplexArray:
+    """Σ r exp(i n θ) over the first samples, for evenly spaced orders.
+
+    One wave is turned on from order to order.
+    """
     wave = rest * np.exp(1j * orders[0] * angle)
     turn = np.exp(1j * (orders[1] - orders[0]) * angle)
     out = np.empty(orders.size, dtype=complex)
-    for k in range(orders.size):
-        out[k] = wave.sum()
-        wave *= turn
+    for k, end in enumerate(ends):
+        out[k] = wave[:end].sum()
+        wave = wave[:end] * turn[:end]
     return out

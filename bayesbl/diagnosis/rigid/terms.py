@@ -52,6 +52,9 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
         contains=law.contains,
         not_negative=law.not_negative
         or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
+        is_plain=not (
+            effect.is_periodic or law.scanned or law.linear or law.contains or effect.name == SKEW
+        ),
     )
     return Term(candidate, law, effect.is_periodic)
 

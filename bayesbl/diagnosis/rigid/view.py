@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening
 
-from bayesbl.diagnosis.rigid.motion import END_PERIODS, LowPass, Motion
-from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.diagnosis.rigid.motion import LowPass, Motion, reach
+from bayesbl.recording.types import BoolArray, FloatArray, Recording
 
 SHARPER = 3.0
 """Cut-off of the filter that the motion is taken from, over the one that both sides pass.
@@ -58,7 +58,8 @@ class View:
         """The first or the second half of what is compared."""
         first, end, step = self.rows.start, self.rows.stop, self.rows.step
         middle = first + step * (len(range(first, end, step)) // 2)
-        return View(self.low_pass, self.window, slice(*((middle, end) if second else (first, middle)), step))
+        rows = slice(middle, end, step) if second else slice(first, middle, step)
+        return View(self.low_pass, self.window, rows)
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
@@ -66,11 +67,11 @@ def sharper(cutoff_hz: float, period_s: float) -> float:
     return max(cutoff_hz, min(SHARPER * cutoff_hz, 0.4 / period_s))
 
 
-def compared_rows(samples: int, cutoff_hz: float, period_s: float) -> slice:
+def compared_rows(recording: Recording, cutoff_hz: float) -> slice:
     """Samples that are compared: not those that the filter's ends reach, and thinned out."""
-    ends = math.ceil(END_PERIODS / cutoff_hz / period_s)
-    step = max(1, math.floor(1.0 / (SAMPLES_PER_PERIOD * cutoff_hz * period_s)))
-    return slice(ends, max(samples - ends, ends), step)
+    ends = reach(recording, cutoff_hz)
+    step = max(1, math.floor(1.0 / (SAMPLES_PER_PERIOD * cutoff_hz * recording.sampling_period_s)))
+    return slice(ends, max(recording.samples - ends, ends), step)
 
 
 def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolArray | None:
@@ -90,7 +91,7 @@ def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolA
     slow = np.abs(motion.speed) < max(
         3.0 * noise, REST_SHARE * math.sqrt(float(np.mean(motion.speed**2)))
     )
-    shortest = max(2, math.ceil(0.5 / cutoff_hz / period))
+    shortest = math.ceil(0.5 / cutoff_hz / period) | 1
     resting = binary_opening(slow, np.ones(shortest, dtype=bool))
     if not resting.any():
         return None
