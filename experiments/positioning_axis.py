@@ -136,6 +136,8 @@ def recorded(
         0.3 * bandwidth,
         axis.inertia_kg_m2 * bandwidth,
     )
+    # Held from one sample to the next, and measured as its mean around a sample.
+    torque = 0.5 * (torque + np.concatenate((torque[:1], torque[:-1])))
     torque = torque + axis.torque_noise_nm * rng.standard_normal(time.size)
     return Recording(name, time, {MOTOR_POSITION: position, MOTOR_TORQUE: torque})
 

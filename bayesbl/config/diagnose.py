@@ -97,10 +97,13 @@ class DiagnosedRecording(SnapshotRecording):
 
 
 class Candidates(Section):
-    """``[candidates]``: effects that may be named, how many, and the rate of false alarms."""
+    """``[candidates]``: effects that may be named, how many, and the rate of false alarms.
+
+    Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
+    """
 
     effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(_effects)] = "all"
-    max_effects: int = Field(default=3, ge=1, le=10)
+    max_effects: int | None = Field(default=None, ge=1, le=10)
     false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -70,6 +71,8 @@ class TestedEffect:
         A simpler effect that this one holds as a special case, and replaces.
     not_negative
         The amplitude has a sign: friction brakes.
+    at_most
+        Largest amplitude that makes sense, of one without a unit.
     is_plain
         Linear in one amplitude, without a shape to be found, and no special case of another.
     """
@@ -80,7 +83,12 @@ class TestedEffect:
     same_as: tuple[str, ...] = ()
     contains: str | None = None
     not_negative: bool = False
+    at_most: float = math.inf
     is_plain: bool = False
+
+    def is_physical(self, amplitude: float) -> bool:
+        """Whether it can have this size."""
+        return amplitude <= self.at_most and (amplitude >= 0.0 or not self.not_negative)
 
 
 @dataclass(frozen=True, slots=True)

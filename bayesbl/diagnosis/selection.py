@@ -24,7 +24,7 @@ ln(trials), n the effective samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -57,6 +57,8 @@ from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
+MOST_EFFECTS = 6
+
 BETTER = 2.0
 """Standard errors by which pieces must be predicted better."""
 
@@ -67,7 +69,7 @@ SURE_PARAMETER = 3.0
 class Settings:
     """``most``: effects named at the end; ``false_alarm``: of one step with nothing missing."""
 
-    most: int = 6
+    most: int = MOST_EFFECTS
     false_alarm: float = 0.01
 
 
@@ -104,7 +106,7 @@ class BySelection:
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
         """The answer."""
         asked = task.config.candidates
-        settings = Settings(asked.max_effects, asked.false_alarm)
+        settings = Settings(asked.max_effects or MOST_EFFECTS, asked.false_alarm)
         return diagnose(self.problem(task), task.bench, settings, progress)
 
 
@@ -115,38 +117,10 @@ class _Trial:
     candidate: TestedEffect
     base: EffectsFit
     fit: EffectsFit
-    log_p: float
-    squares: float
 
-    def stands_out(self, threshold: float) -> bool:
-        """Of the noise, with the sign of physics."""
-        amplitude = self.fit.effects[self.candidate.name][self.candidate.amplitude]
-        physical = amplitude >= 0.0 or not self.candidate.not_negative
-        physical = physical and self.candidate.name not in self.fit.at_edge
-        return physical and self.log_p < math.log(threshold)
-
-
-def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer."""
-        asked = task.config.candidates
-        settings = Settings(asked.max_effects, asked.false_alarm)
-        return diagnose(self.problem(task), task.bench, settings, progress)
-
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    candidate: TestedEffect
-    fit: EffectsFit
-    log_p: float
-    held_out_z: float
-    closed: float
-    squares: float
-
-    def believed(self, threshold: float) -> bool:
-        amplitude = self.fit.effects[self.candidate.name][self.candidate.amplitude]
-        physical = amplitude >= 0.0 or not self.candidate.not_negative
-        physical = physical and self.candidate.name not in self.fit.at_edge
-        return physical and self.held_out_z > BETTER and self.log_p < math.log(threshold)
+    def squares(self, comparison: Comparison) -> float:
+        """Of the residual on the used pieces."""
+        return sum_of_squares(residuals(comparison, self.fit, "used"))
 
 
 def diagnose(
@@ -195,8 +169,9 @@ def _select(
 ) -> EffectsFit:
     """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
-    current, dropped = before, set[str]()
-    current = _with_set(comparison, current, dropped, settings.most, threshold)
+    folds = comparison.folds()
+    dropped = set[str]()
+    current = _with_set(comparison, folds, before, dropped, settings.most, threshold)
     while len(current.effects) < settings.most:
         trials = []
         open_ones = _open(comparison.candidates, current, dropped)
@@ -204,8 +179,8 @@ def _select(
             trials.append(_trial(comparison, current, candidate))
             if progress is not None:
                 progress(f"effect {len(current.effects) + 1}", done + 1, len(open_ones))
-        good = [trial for trial in trials if trial.stands_out(threshold)]
-        good = [trial for trial in good if _predicts(comparison, trial.base, trial.fit)]
+        good = [t for t in trials if _stands_out(comparison, t.fit, t.candidate, threshold)]
+        good = [trial for trial in good if _predicts(folds, trial.base, trial.fit)]
         if not good:
             break
         best = _simplest(comparison, good)
@@ -215,12 +190,13 @@ def _select(
             if _wald(comparison, current, candidate)[1] > math.log(threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
-        current = _with_set(comparison, current, dropped, settings.most, threshold)
+        current = _with_set(comparison, folds, current, dropped, settings.most, threshold)
     return current
 
 
 def _with_set(
     comparison: Comparison,
+    folds: Sequence[Comparison],
     current: EffectsFit,
     dropped: set[str],
     most: int,
@@ -246,9 +222,10 @@ def _with_set(
         idle = []
         for name in chosen:
             without = comparison.fit(tuple(e for e in fit.effects if e != name), fit)
-            if _wald(comparison, fit, _by_name(comparison, name))[1] > math.log(
-                threshold
-            ) or not _predicts(comparison, without, fit):
+            if not (
+                _stands_out(comparison, fit, _by_name(comparison, name), threshold)
+                and _predicts(folds, without, fit)
+            ):
                 idle.append(name)
         if not idle:
             return fit
@@ -262,52 +239,90 @@ def _smallest_set(
     most: int,
     threshold: float,
 ) -> tuple[str, ...]:
-    """Of the sets of plain effects, the smallest that the rest adds nothing to.
+    """Of the sets of plain effects, the smallest that the best set adds nothing to.
 
-    Around the fit with all of them the problem is linear: with X the columns of a set and Z those
-    of the rest, cleared of X, s = Zᵀr of the residual r without the rest has covariance ZᵀΣZ, and
-    sᵀ(ZᵀΣZ)⁻¹s is χ² if the rest is not there. Sets in which friction would push are not physical.
-    Among sets of one size the one with the smallest residual is looked at first; within noise of
-    it, the one that comes first in the catalogue.
+    Around the fit with all of them the problem is linear. The best set has the smallest residual of
+    those in which every size is physical. With X the columns of a set and Z those that the best one
+    has besides, cleared of X, s = Zᵀr of the set's residual r has covariance ZᵀΣZ, and sᵀ(ZᵀΣZ)⁻¹s
+    is χ² if they are not there. Of several such sets that look alike the first in the catalogue.
     """
+    sets = _plain_sets(comparison, every, plain, most)
     noises = _noises(comparison, every)
-    keys = [f"{c.name}.{c.amplitude}" for c in plain]
-    places = [every.names.index(key) for key in keys]
     ends = np.cumsum([part.shape[0] for part in every.columns])[:-1]
+
+    def spread(values: FloatArray) -> FloatArray:
+        """Columns times the noise's covariance, shape (p, p)."""
+        pairs = zip(np.split(values, ends), noises, strict=True)
+        return np.asarray(sum(part.T @ noise.covariance_times(part) for part, noise in pairs))
+
+    best = min(sets, key=lambda made: made.squares)
+    adequate: list[_PlainSet] = []
+    for made in sets:
+        if adequate and len(made.members) > len(adequate[0].members):
+            break
+        more = [best.columns[m] for m in best.members if m not in made.members]
+        if not more:
+            adequate.append(made)
+            continue
+        others = np.column_stack(more)
+        kept = made.matrix
+        if kept.shape[1]:
+            others = others - kept @ np.linalg.lstsq(kept, others, rcond=1e-10)[0]
+        noise = spread(others)
+        rank = int(np.linalg.matrix_rank(noise, rtol=1e-10, hermitian=True))
+        score = others.T @ made.left
+        if rank == 0 or (
+            chi2.sf(float(score @ np.linalg.pinv(noise, 1e-10, True) @ score), rank) > threshold
+        ):
+            adequate.append(made)
+    nearest = min(adequate, key=lambda made: made.squares)
+    for made in adequate:
+        apart = made.left - nearest.left
+        size = float(apart @ apart)
+        if size == 0.0 or size < ALIKE * math.sqrt(float(spread(apart[:, None])[0, 0])):
+            return tuple(plain[m].name for m in made.members)
+    raise AssertionError("the nearest set is like itself")
+
+
+@dataclass(frozen=True, slots=True)
+class _PlainSet:
+    """Least squares with some plain effects, by number, beside all else that is fitted.
+
+    ``matrix``: columns of the fit, (n, p); ``columns``: those of every plain effect, by number;
+    ``left``: residual, (n,).
+    """
+
+    members: tuple[int, ...]
+    matrix: FloatArray
+    columns: Sequence[FloatArray]
+    left: FloatArray
+    squares: float
+
+
+def _plain_sets(
+    comparison: Comparison, every: EffectsFit, plain: list[TestedEffect], most: int
+) -> list[_PlainSet]:
+    """All sets of at most so many effects in which every size is physical, small ones first."""
+    places = [every.names.index(f"{c.name}.{c.amplitude}") for c in plain]
     matrix = np.vstack(every.columns)
     scale = np.sqrt((matrix**2).sum(axis=0))
-    matrix = matrix / np.where(scale > 0.0, scale, 1.0)
-    amplitudes = [every.effects[c.name][c.amplitude] for c in plain]
-    rest = np.concatenate(residuals(comparison, every, "used"))
-    target = rest + matrix[:, places] @ (np.array(amplitudes) * scale[places])
+    scale = np.where(scale > 0.0, scale, 1.0)
+    matrix = matrix / scale
+    columns = [matrix[:, place] for place in places]
+    target = np.concatenate(residuals(comparison, every, "used"))
+    for c, place in zip(plain, places, strict=True):
+        target = target + matrix[:, place] * scale[place] * every.effects[c.name][c.amplitude]
     common = [k for k in range(matrix.shape[1]) if k not in places]
+    found = []
     for size in range(min(most, len(plain)) + 1):
-        fitted = []
         for members in combinations(range(len(plain)), size):
             kept = matrix[:, common + [places[m] for m in members]]
-            coefficients = np.linalg.lstsq(kept, target, rcond=1e-10)[0]
-            values = coefficients[len(common) :]
-            if any(v < 0.0 and plain[m].not_negative for m, v in zip(members, values, strict=True)):
-                continue
-            left = target - kept @ coefficients
-            fitted.append((float(left @ left), members, kept, left))
-        for _, members, kept, left in sorted(fitted, key=lambda item: item[0]):
-            others = matrix[:, [p for m, p in enumerate(places) if m not in members]]
-            if others.shape[1] == 0:
-                return tuple(plain[m].name for m in members)
-            cleared = others - kept @ np.linalg.lstsq(kept, others, rcond=1e-10)[0]
-            parts = np.split(cleared, ends)
-            spread = sum(
-                part.T @ noise.covariance_times(part)
-                for part, noise in zip(parts, noises, strict=True)
-            )
-            score = cleared.T @ left
-            inverse = np.linalg.pinv(spread, rcond=1e-10, hermitian=True)
-            rank = int(np.linalg.matrix_rank(spread, rtol=1e-10, hermitian=True))
-            if rank == 0 or chi2.sf(float(score @ inverse @ score), rank) > threshold:
-                return tuple(plain[m].name for m in members)
-    best = min(fitted, key=lambda item: item[0], default=None)
-    return tuple(plain[m].name for m in best[1]) if best is not None else ()
+            fitted = np.linalg.lstsq(kept, target, rcond=1e-10)[0] if kept.shape[1] else np.zeros(0)
+            values = zip(members, fitted[len(common) :], strict=True)
+            if all(plain[m].is_physical(value / scale[places[m]]) for m, value in values):
+                left = target - kept @ fitted
+                found.append(_PlainSet(members, kept, columns, left, float(left @ left)))
+    return found
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
@@ -315,7 +330,7 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
 
     Simpler: fewer parameters, then earlier in the catalogue.
     """
-    best = min(good, key=lambda trial: trial.squares)
+    best = min(good, key=lambda trial: trial.squares(comparison))
     noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
@@ -350,7 +365,8 @@ def _open(
     return [
         c
         for c in candidates
-        if c.name not in current.effects
+        if not c.is_plain
+        and c.name not in current.effects
         and c.name not in dropped
         and c.name not in inside
         and (c.contains is None or c.contains in current.effects)
@@ -359,10 +375,18 @@ def _open(
 
 def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect) -> _Trial:
     kept = tuple(name for name in current.effects if name != candidate.contains)
-    fit = comparison.fit((*kept, candidate.name), current)
-    _, log_p, _ = _wald(comparison, fit, candidate)
-    squares = sum_of_squares(residuals(comparison, fit, "used"))
-    return _Trial(candidate, current, fit, log_p, squares)
+    return _Trial(candidate, current, comparison.fit((*kept, candidate.name), current))
+
+
+def _stands_out(
+    comparison: Comparison, fit: EffectsFit, candidate: TestedEffect, threshold: float
+) -> bool:
+    """Whether an effect of a fit stands out of the noise, with a size that physics allows."""
+    if candidate.name in fit.at_edge:
+        return False
+    if not candidate.is_physical(fit.effects[candidate.name][candidate.amplitude]):
+        return False
+    return _wald(comparison, fit, candidate)[1] < math.log(threshold)
 
 
 def _wald(
@@ -383,13 +407,13 @@ def _wald(
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
-def _predicts(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> bool:
+def _predicts(folds: Sequence[Comparison], old: EffectsFit, new: EffectsFit) -> bool:
     """Whether pieces are predicted surely better by a fit of the others with the new effects.
 
     ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
     """
     gain = spread = 0.0
-    for fold in comparison.folds():
+    for fold in folds:
         first = residuals(fold, fold.fit(tuple(old.effects), old), "held_out")
         last = residuals(fold, fold.fit(tuple(new.effects), new), "held_out")
         gain += sum_of_squares(first) - sum_of_squares(last)
@@ -424,7 +448,7 @@ def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> l
             continue
         fit = comparison.fit((*others, rival.name), without)
         amplitude = fit.effects[rival.name][rival.amplitude]
-        if rival.name in fit.at_edge or (rival.not_negative and amplitude < 0.0):
+        if rival.name in fit.at_edge or not rival.is_physical(amplitude):
             continue  # at the end of its range it is only the named effect in disguise
         if distance(used, _used(comparison, fit), noises) < ALIKE:
             found += [rival.name, *rival.same_as]

@@ -42,6 +42,8 @@ from bayesbl.naming.search import (
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress
 
+MOST_EFFECTS = 3
+
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
 
@@ -54,7 +56,7 @@ class ForwardSettings:
     """What may be named, and how surely; as ``[candidates]`` and ``[comparison]`` say."""
 
     effects: Sequence[str] | None = None
-    max_effects: int = 3
+    max_effects: int = MOST_EFFECTS
     false_alarm: float = 0.01
     load_angle_known: bool = False
     motor_angle_known: bool = False

@@ -12,6 +12,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import (
+    MOST_EFFECTS,
     Findings,
     ForwardSettings,
     diagnosis_of,
@@ -75,7 +76,7 @@ class ClosedLoop:
         asked = config.candidates.effects
         settings = ForwardSettings(
             None if asked == "all" else asked,
-            config.candidates.max_effects,
+            config.candidates.max_effects or MOST_EFFECTS,
             config.candidates.false_alarm,
             config.comparison.load_angle_known,
             config.comparison.motor_angle_known,

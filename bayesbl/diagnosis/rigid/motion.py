@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,11 @@ UNEVEN = 1e-3
 """Departure of a time stamp from the even grid, in periods, up to which it is even."""
 
 
+@cache
+def _sections(cutoff: float) -> FloatArray:
+    return np.asarray(butter(FILTER_ORDER, cutoff, output="sos"))
+
+
 @dataclass(frozen=True, slots=True)
 class LowPass:
     """The stated zero-phase filter and the derivatives behind it."""
@@ -45,8 +51,7 @@ class LowPass:
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Low-passed, same shape."""
-        sections = butter(FILTER_ORDER, 2.0 * self.cutoff_hz * self.period_s, output="sos")
-        return np.asarray(sosfiltfilt(sections, values))
+        return np.asarray(sosfiltfilt(_sections(2.0 * self.cutoff_hz * self.period_s), values))
 
     def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
         """Derivative of the low-passed values by central differences."""

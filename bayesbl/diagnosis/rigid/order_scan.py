@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
-from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import unit_of
@@ -20,15 +20,17 @@ FEWEST_SAMPLES = 20
 MOST_REMAINING = 5
 _STEPS_PER_CYCLE = 5.0
 _MOST_ORDERS = 40_000
-_NOISE_KNOTS = 40
+_LEVEL_CYCLES = 20.0
+"""Resolved cycles over which the noise of an order is taken: wide beside a line, not the range."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrderScan:
     """Score of sin and cos of every order: χ² if nothing is there.
 
-    |Σ r exp(i n θ)|² over what coloured noise makes of it, ½ XᵀΣX of sine and cosine together;
-    summed over recordings before the square where they share one phase, after it where not.
+    |Σ r exp(i n θ)|² over half of what the noise around that order makes of it, by the median of
+    the neighbouring orders, which a line among them does not move; summed over recordings before
+    the square where they share one phase, after it where not.
 
     Attributes
     ----------
@@ -127,7 +129,7 @@ def scan_orders(
     if low >= high or count < 2:
         nothing = np.array([])
         return OrderScan(nothing, nothing, nothing, 1.0, freedom)
-    orders, knots = np.linspace(low, high, count), np.linspace(low, high, _NOISE_KNOTS)
+    orders = np.linspace(low, high, count)
     total, size = np.zeros(count, dtype=complex), np.zeros(count)
     scores, spread = np.zeros(count), np.zeros(count)
     samples = np.zeros(count)
@@ -136,12 +138,8 @@ def scan_orders(
         ends = np.searchsorted(-passed[slowest_first], -orders)
         found = _transform(angle[slowest_first], rest[slowest_first], orders, ends)
         samples += ends
-        noise = ResidualNoise.of(rest)
-        waves = np.exp(1j * np.outer(angle, knots)) * (passed[:, None] > knots)
-        power = 0.5 * sum(
-            (part * noise.covariance_times(part)).sum(axis=0) for part in (waves.real, waves.imag)
-        )
-        here = np.exp(np.interp(orders, knots, np.log(np.maximum(power, 1e-300))))
+        level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * _STEPS_PER_CYCLE))
+        here = np.maximum(level / chi2.median(2), np.finfo(float).tiny)
         total += found
         size += np.abs(found)
         spread += here

@@ -10,6 +10,7 @@ An effect takes part by the laws that its module under ``bench/effects`` declare
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -52,6 +53,10 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
         contains=law.contains,
         not_negative=law.not_negative
         or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
+        at_most=min(
+            (a.high for a in effect.amplitudes if a.name == law.amplitude and not a.unit),
+            default=math.inf,
+        ),
         is_plain=not (
             effect.is_periodic or law.scanned or law.linear or law.contains or effect.name == SKEW
         ),

@@ -29,7 +29,7 @@ cut-off a filter of order 4 run twice passes all but 2e-4.
 SAMPLES_PER_PERIOD = 2.5
 """Samples compared in a period of the cut-off. From 1.25 cut-offs on the filter leaves 14 %."""
 
-REST_SHARE = 1e-3
+REST_SHARE = 1e-2
 """Of the RMS speed: slower than this for half a period of the cut-off, an axis stands."""
 
 
@@ -95,7 +95,7 @@ def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolA
     resting = binary_opening(slow, np.ones(shortest, dtype=bool))
     if not resting.any():
         return None
-    return np.asarray(binary_dilation(resting, iterations=math.ceil(0.5 / sharp / period)))
+    return np.asarray(binary_dilation(resting, iterations=math.ceil(1.0 / sharp / period)))
 
 
 def noise_of(position: FloatArray) -> float:
