@@ -27,6 +27,8 @@ class Piece:
         Shape (n,), evenly spaced; the channel's unit.
     excluded
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+    shown
+        Whether the answer tells its disagreement: not of what the comparison could not explain.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Piece:
     time_s: FloatArray
     measured: FloatArray
     excluded: BoolArray | None = None
+    shown: bool = True
 
     def kept(self, values: FloatArray) -> FloatArray:
         """Values of the samples that count, (n, …) to (k, …)."""
@@ -159,6 +162,7 @@ def residuals_of_pieces(
         for piece, first, last in zip(
             comparison.pieces, before.predictions, after.predictions, strict=True
         )
+        if piece.shown
     ]
 
 

@@ -161,6 +161,7 @@ def _signals(
         for piece, *made in zip(
             comparison.pieces, before.predictions, after.predictions, strict=True
         )
+        if piece.shown
     )
 
 

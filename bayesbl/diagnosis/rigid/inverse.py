@@ -24,8 +24,8 @@ from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER,
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
-from bayesbl.diagnosis.rigid.order_scan import OrderScan, scan_orders
-from bayesbl.diagnosis.rigid.terms import SKEW, Term, required_torque
+from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
+from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.view import View
 from bayesbl.recording.types import FloatArray
 
@@ -91,30 +91,31 @@ class InverseComparison:
     def folds(self) -> list[InverseComparison]:
         """The used pieces twice, one half of them to fit on and the other to predict."""
         used = self._used
-        if len(used) > 1:
+        names = list(dict.fromkeys(self.pieces[i].name for i in used))
+        if len(names) > 1:
+            turn = {name: k % 2 for k, name in enumerate(names)}
             return [
-                self._of([(i, None) for i in used], lambda k: k % 2 == first) for first in (0, 1)
+                self._of([(i, None, turn[self.pieces[i].name] == first) for i in used])
+                for first in (0, 1)
             ]
-        halves = [(used[0], False), (used[0], True)]
-        return [self._of(halves, lambda k: k == first) for first in (0, 1)]
+        halves = [(i, second) for i in used for second in (False, True)]
+        return [self._of([(*half, half[1] == first) for half in halves]) for first in (0, 1)]
 
-    def _of(
-        self, chosen: Sequence[tuple[int, bool | None]], is_used: Callable[[int], bool]
-    ) -> InverseComparison:
-        """Some pieces, or their first or second halves."""
+    def _of(self, chosen: Sequence[tuple[int, bool | None, bool]]) -> InverseComparison:
+        """Some pieces, or their first or second halves, and whether each is fitted."""
         pieces, views, seen = [], [], []
-        for k, (i, half) in enumerate(chosen):
+        for i, half, is_used in chosen:
             piece, view = self.pieces[i], self.views[i]
             if half is not None:
                 piece, view = piece.half(half), view.half(half)
-            pieces.append(replace(piece, use="used" if is_used(k) else "held_out"))
+            pieces.append(replace(piece, use="used" if is_used else "held_out"))
             views.append(view)
             seen.append(self.seen[i] if half is None else {})
         return replace(
             self,
             pieces=tuple(pieces),
-            motions=tuple(self.motions[i] for i, _ in chosen),
-            known=tuple(self.known[i] for i, _ in chosen),
+            motions=tuple(self.motions[i] for i, *_ in chosen),
+            known=tuple(self.known[i] for i, *_ in chosen),
             views=tuple(views),
             seen=tuple(seen),
         )
@@ -157,17 +158,20 @@ class InverseComparison:
 
     def scan_orders(self, fit: EffectsFit) -> OrderScan:
         """Residuals of a fit on the used pieces, order by order of the motor's turning."""
-        angles, rests, highest = [], [], []
-        for i in self._used:
-            piece, motion, view = self.pieces[i], self.motions[i], self.views[i]
-            angles.append(piece.kept(motion.angle[view.rows]))
-            rests.append(piece.kept(piece.measured - fit.predictions[i]))
-            passing = 2.0 * math.pi * view.low_pass.cutoff_hz
-            speed = np.maximum(np.abs(motion.speed[view.rows]), 1e-3 * passing / HIGHEST_ORDER)
-            highest.append(piece.kept(passing / speed))
-        return scan_orders(
-            angles, rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER, highest
-        )
+        rests = [
+            OrderedRest(
+                piece.name,
+                piece.kept(motion.angle[view.rows]),
+                piece.kept(piece.measured - fit.predictions[i]),
+                piece.kept(view.order_at_cutoff(motion)),
+                view.above,
+            )
+            for i, piece, motion, view in zip(
+                range(len(self.pieces)), self.pieces, self.motions, self.views, strict=True
+            )
+            if piece.use == "used"
+        ]
+        return scan_orders(rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
 
     @property
     def _used(self) -> list[int]:
@@ -200,7 +204,11 @@ class InverseComparison:
     def speed_rad_per_s(self) -> float:
         """RMS speed of the motor over what is fitted."""
         speeds = np.concatenate(
-            [self.pieces[i].kept(self.motions[i].speed[self.views[i].rows]) for i in self._used]
+            [
+                self.pieces[i].kept(self.motions[i].speed[self.views[i].rows])
+                for i in self._used
+                if not self.views[i].above
+            ]
         )
         return math.sqrt(float(np.mean(speeds**2)))
 
@@ -217,11 +225,27 @@ class InverseComparison:
             if shapes[WIDTH] > 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s:
                 return True
         scanned = self._scanned(name)
-        if not scanned or scanned[0] == ORDER:
+        if not scanned:
             return False
+        value = shapes[f"{name}.{scanned[0]}"]
+        if scanned[0] == ORDER:
+            return not LOWEST_ORDER < value < HIGHEST_ORDER
         grid = self._grid(name)
         near = 1e-2 * (grid[1] - grid[0])
-        return not grid[0] + near < shapes[f"{name}.{scanned[0]}"] < grid[-1] - near
+        return not grid[0] + near < value < grid[-1] - near or self._extrapolates(name, shapes)
+
+    def _extrapolates(self, name: str, shapes: Values) -> bool:
+        """Whether no sample shows half of an effect's size: it would be an extrapolation."""
+        term = self.terms[name]
+        if name == SKEW or self.load or term.periodic:
+            return False
+        given = {term.candidate.amplitude: 1.0, term.law.scanned: shapes[f"{name}.{term.law.scanned}"]}
+        largest = 0.0
+        for i in self._used:
+            signal = term.law.signal(self._motion(i, shapes), self.bench, given)
+            window = self.views[i].window
+            largest = max(largest, float(np.abs(signal if window is None else window * signal).max()))
+        return largest < 0.5
 
     def _scan_width(self, effects: tuple[str, ...], shapes: Values) -> None:
         unit = self.speed_rad_per_s
@@ -271,6 +295,8 @@ class InverseComparison:
     def _motion(self, i: int, shapes: Mapping[str, float]) -> Motion:
         """Motion as the compared channel shows it: a channel that lags shows what was."""
         motion = self.motions[i]
+        if self.views[i].above:
+            return motion
         for key, sign in ((f"{SKEW}.current_s", 1.0), (f"{SKEW}.position_s", -1.0)):
             if shapes.get(key):
                 motion = motion.shifted(sign * shapes[key])
@@ -291,6 +317,18 @@ class InverseComparison:
         bench = self.bench
         if not self.load_angle_known:
             bench = bench.with_parameters(gravity_torque_nm=0.0)
+        if self.views[i].above:
+
+            def waves() -> FloatArray:
+                motion = self._motion(i, shapes)
+                parts = [
+                    TORQUE_TERMS[e.name].law.signal(motion, bench, e.complete())
+                    for e in bench.effects
+                    if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
+                ]
+                return np.asarray(sum(parts, np.zeros_like(motion.angle)) / self.unit)
+
+            return self._seen(i, ("base", skew), waves)
 
         def torque() -> FloatArray:
             needed = required_torque(self._motion(i, shapes), bench) + self.known[i]
@@ -322,6 +360,8 @@ class InverseComparison:
             amplitude, scanned = term.candidate.amplitude, term.law.scanned
             if name == SKEW or scanned == amplitude:
                 continue
+            if self.views[i].above and scanned != ORDER:
+                continue
             shape = {scanned: shapes[f"{name}.{scanned}"]} if scanned else {}
             if term.periodic:
                 for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi)):
@@ -337,6 +377,8 @@ class InverseComparison:
     def _nuisances(self, i: int, shapes: Mapping[str, float]) -> Columns:
         ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
         skew = _skew(shapes)
+        if self.views[i].above:
+            return {}
         if self.load:
             ones = np.ones_like(self.motions[i].angle)
             return {f"offset@{where}": self._seen(i, "offset", lambda: ones)}

@@ -23,9 +23,10 @@ from bayesbl.diagnosis.rigid.terms import (
     POSITION_TERMS,
     TORQUE_TERMS,
     uncomputable,
+    within_turns,
     without_load_angle,
 )
-from bayesbl.diagnosis.rigid.view import View, compared_rows, noise_of, sharper, standstill
+from bayesbl.diagnosis.rigid.view import View, inside, noise_of, sharper, standstill, thinned, turns_of
 from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError
@@ -84,6 +85,7 @@ def inverse_problem(task: Task) -> Problem:
     every = POSITION_TERMS if load else TORQUE_TERMS
     if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
+    every = within_turns(every, turns_of(motions))
     left_out = uncomputable(every, bench, compared.load_angle_known)
     terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
@@ -157,22 +159,27 @@ def compare(
             resting = standstill(motion, noise, cutoff_hz)
             out = resting if out is None else out if resting is None else out | resting
         window = None if out is None else 1.0 - out
-        rows = compared_rows(recording, cutoff_hz)
-        view = View(LowPass(cutoff_hz, period), window, rows)
-        measured = view(LowPass(sharp, period)(recording.channels[channel]))
-        excluded = None if out is None or not out[rows].any() else out[rows]
-        whole = Piece(recording.name, channel, "used", recording.time_s[rows], measured, excluded)
+        low_pass = LowPass(cutoff_hz, period)
+        views = [View(low_pass, window, thinned(recording, cutoff_hz))]
+        if channel != LOAD_POSITION:
+            views.append(View(low_pass, window, inside(recording, cutoff_hz), above=True))
         known = sum(
             (recording.channels[n] for n in task.config.comparison.known_torque),
             np.zeros(recording.samples),
         )
-        shares: list[tuple[Piece, View]] = [(whole, view)]
-        if entry.use == "split":
-            shares = [(whole.half(h), view.half(h)) for h in (False, True)]
-        held_out = [entry.use == "hold_out"] if len(shares) == 1 else [False, True]
-        for (piece, part), held in zip(shares, held_out, strict=True):
-            piece = replace(piece, use="held_out" if held else "used")
-            found.append(Compared(piece, motion, LowPass(sharp, period)(known), part))
+        for view in views:
+            signal = recording.channels[channel]
+            # As sharp as the motion, and no sharper, where the motion has a part in it.
+            seen = view(signal if view.above else LowPass(sharp, period)(signal))
+            excluded = None if out is None or not out[view.rows].any() else out[view.rows]
+            time = recording.time_s[view.rows]
+            piece = Piece(recording.name, channel, "used", time, seen, excluded, not view.above)
+            shares: list[tuple[Piece, View, bool]] = [(piece, view, entry.use == "hold_out")]
+            if entry.use == "split":
+                shares = [(piece.half(h), view.half(h), h) for h in (False, True)]
+            for part, part_view, held_out in shares:
+                part = replace(part, use="held_out" if held_out else "used")
+                found.append(Compared(part, motion, LowPass(sharp, period)(known), part_view))
     return found
 
 

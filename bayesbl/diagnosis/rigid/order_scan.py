@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
@@ -20,6 +19,7 @@ FEWEST_SAMPLES = 20
 MOST_REMAINING = 5
 _STEPS_PER_CYCLE = 5.0
 _MOST_ORDERS = 40_000
+_MOST_PRODUCTS = 100_000_000
 _LEVEL_CYCLES = 20.0
 """Resolved cycles over which the noise of an order is taken: wide beside a line, not the range."""
 
@@ -30,7 +30,8 @@ class OrderScan:
 
     |Σ r exp(i n θ)|² over half of what the noise around that order makes of it, by the median of
     the neighbouring orders, which a line among them does not move; summed over recordings before
-    the square where they share one phase, after it where not.
+    the square where they share one phase, after it where not. What a filter passes and what it
+    holds back are scored apart: a ripple may show at high speed alone.
 
     Attributes
     ----------
@@ -99,15 +100,23 @@ class OrderScan:
         return tuple(found)
 
 
-def scan_orders(
-    angles: list[FloatArray],
-    rests: list[FloatArray],
-    shared: bool,
-    low: float,
-    high: float,
-    highest: list[FloatArray],
-) -> OrderScan:
-    """Scan residuals over motor angles (rad), one array each per recording.
+@dataclass(frozen=True, slots=True)
+class OrderedRest:
+    """A residual over the motor's angle, rad, each of shape (n,).
+
+    ``passing``: order of the motor's turning at the filter's cut-off at that sample; those below it
+    are seen, or those ``above``.
+    """
+
+    recording: str
+    angle: FloatArray
+    rest: FloatArray
+    passing: FloatArray
+    above: bool
+
+
+def scan_orders(rests: list[OrderedRest], shared: bool, low: float, high: float) -> OrderScan:
+    """Scan residuals over motor angles.
 
     Parameters
     ----------
@@ -115,53 +124,61 @@ def scan_orders(
         Whether all recordings have one phase, because their angle is absolute.
     low, high
         Orders looked at; none with fewer than three cycles in the longest recording.
-    highest
-        At every sample, the highest order that its filter passes: one as fast as that is not there
-        to be seen.
     """
-    ends = [(float(a.min()), float(a.max())) for a in angles]
+    ends = [(float(item.angle.min()), float(item.angle.max())) for item in rests]
     turns = max(last - first for first, last in ends) / (2.0 * math.pi)
     if shared:
         turns = (max(e[1] for e in ends) - min(e[0] for e in ends)) / (2.0 * math.pi)
     low = max(low, FEWEST_CYCLES / turns) if turns > 0.0 else high
     count = int(min(_MOST_ORDERS, (high - low) * turns * _STEPS_PER_CYCLE)) + 1
-    freedom = 2 if shared else 2 * len(angles)
+    owners = [(item.above, "" if shared else item.recording) for item in rests]
+    sums = dict.fromkeys(owners)
     if low >= high or count < 2:
         nothing = np.array([])
-        return OrderScan(nothing, nothing, nothing, 1.0, freedom)
+        return OrderScan(nothing, nothing, nothing, 1.0, 2 * len(sums))
     orders = np.linspace(low, high, count)
-    total, size = np.zeros(count, dtype=complex), np.zeros(count)
-    scores, spread = np.zeros(count), np.zeros(count)
-    samples = np.zeros(count)
-    for angle, rest, passed in zip(angles, rests, highest, strict=True):
-        slowest_first = np.argsort(-passed)
-        ends = np.searchsorted(-passed[slowest_first], -orders)
-        found = _transform(angle[slowest_first], rest[slowest_first], orders, ends)
-        samples += ends
+    waves = {owner: np.zeros(count, dtype=complex) for owner in sums}
+    powers = {owner: np.zeros(count) for owner in sums}
+    size, samples = np.zeros(count), np.zeros(count)
+    for owner, item in zip(owners, rests, strict=True):
+        found, seen = _transform(item, orders)
         level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * _STEPS_PER_CYCLE))
-        here = np.maximum(level / chi2.median(2), np.finfo(float).tiny)
-        total += found
-        size += np.abs(found)
-        spread += here
-        scores += np.abs(found) ** 2 / here
-    if shared:
-        scores, size = np.abs(total) ** 2 / spread, np.abs(total)
-    scores = np.where(samples < FEWEST_SAMPLES, 0.0, scores)
+        enough = seen >= FEWEST_SAMPLES
+        waves[owner] += np.where(enough, found, 0.0)
+        powers[owner] += np.where(enough, level / chi2.median(2), 0.0)
+        samples += seen
+    scores = np.zeros(count)
+    for owner, wave in waves.items():
+        scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)
+        size += np.abs(wave)
     amplitudes = 2.0 * size / np.maximum(samples, 1.0)
-    return OrderScan(orders, scores, amplitudes, max(1.0, (high - low) * turns), freedom)
+    return OrderScan(orders, scores, amplitudes, max(1.0, (high - low) * turns), 2 * len(sums))
 
 
-def _transform(
-    angle: FloatArray, rest: FloatArray, orders: FloatArray, ends: NDArray[np.intp]
-) -> ComplexArray:
-    """Σ r exp(i n θ) over the first samples, for evenly spaced orders.
+def _transform(item: OrderedRest, orders: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Σ r exp(i n θ) over the samples that show the order, and their number; orders evenly spaced.
 
     One wave is turned on from order to order.
     """
-    wave = rest * np.exp(1j * orders[0] * angle)
-    turn = np.exp(1j * (orders[1] - orders[0]) * angle)
+    below, limit = not item.above, item.passing
+    chosen = slice(None)
+    most = max(_MOST_PRODUCTS // orders.size, 1)
+    if limit.size > most:  # at random: even steps would make one order look like another
+        chosen = np.sort(np.random.default_rng(0).permutation(limit.size)[:most])
+    limit, angle, rest = limit[chosen], item.angle[chosen], item.rest[chosen]
+    # Ordered so that the samples that show an order are always the first ones.
+    first = np.argsort(-limit if below else limit)
+    ordered = limit[first]
+    if below:
+        ends = np.searchsorted(-ordered, -orders)
+    else:
+        ends = np.searchsorted(ordered, orders)
+    steps = range(orders.size) if below else range(orders.size - 1, -1, -1)
+    wave = rest[first] * np.exp(1j * orders[steps[0]] * angle[first])
+    turn = np.exp(1j * (orders[1] - orders[0]) * angle[first] * (1.0 if below else -1.0))
     out = np.empty(orders.size, dtype=complex)
-    for k, end in enumerate(ends):
+    for k in steps:
+        end = ends[k]
         out[k] = wave[:end].sum()
         wave = wave[:end] * turn[:end]
-    return out
+    return out, ends.astype(float)

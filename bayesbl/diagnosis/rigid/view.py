@@ -11,10 +11,11 @@ that are nearly independent, so that no answer depends on how densely a recordin
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_opening
+from scipy.ndimage import binary_dilation
 
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, reach
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
@@ -30,7 +31,7 @@ SAMPLES_PER_PERIOD = 2.5
 """Samples compared in a period of the cut-off. From 1.25 cut-offs on the filter leaves 14 %."""
 
 REST_SHARE = 1e-2
-"""Of the RMS speed: slower than this for half a period of the cut-off, an axis stands."""
+"""Of the RMS speed: slower than this, an axis stands or turns round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,23 +44,34 @@ class View:
         Shape (n,): 0 where nothing is to be compared, else 1; ``None`` for 1 everywhere.
     rows
         Of the recording's samples, those compared.
+    above
+        What the filter holds back instead of what it passes. There the acceleration is not known,
+        but the angle is: what turns with the motor can be compared, even beyond half the sampling
+        rate, and nothing else.
     """
 
     low_pass: LowPass
     window: FloatArray | None
     rows: slice
+    above: bool = False
 
     def __call__(self, signal: FloatArray) -> FloatArray:
         """The signal as it is compared."""
         seen = signal if self.window is None else self.window * signal
-        return self.low_pass(seen)[self.rows]
+        passed = self.low_pass(seen)
+        return (seen - passed if self.above else passed)[self.rows]
 
     def half(self, second: bool) -> View:
         """The first or the second half of what is compared."""
         first, end, step = self.rows.start, self.rows.stop, self.rows.step
         middle = first + step * (len(range(first, end, step)) // 2)
         rows = slice(middle, end, step) if second else slice(first, middle, step)
-        return View(self.low_pass, self.window, rows)
+        return replace(self, rows=rows)
+
+    def order_at_cutoff(self, motion: Motion) -> FloatArray:
+        """Order of the motor's turning that has the cut-off's frequency at every sample."""
+        turns_per_s = np.abs(motion.speed[self.rows]) / (2.0 * math.pi)
+        return self.low_pass.cutoff_hz / np.maximum(turns_per_s, 1e-9)
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
@@ -67,18 +79,24 @@ def sharper(cutoff_hz: float, period_s: float) -> float:
     return max(cutoff_hz, min(SHARPER * cutoff_hz, 0.4 / period_s))
 
 
-def compared_rows(recording: Recording, cutoff_hz: float) -> slice:
-    """Samples that are compared: not those that the filter's ends reach, and thinned out."""
+def inside(recording: Recording, cutoff_hz: float) -> slice:
+    """Samples that the filter's ends do not reach."""
     ends = reach(recording, cutoff_hz)
+    return slice(ends, max(recording.samples - ends, ends), 1)
+
+
+def thinned(recording: Recording, cutoff_hz: float) -> slice:
+    """Of those, as many as the frequencies below the cut-off need."""
+    rows = inside(recording, cutoff_hz)
     step = max(1, math.floor(1.0 / (SAMPLES_PER_PERIOD * cutoff_hz * recording.sampling_period_s)))
-    return slice(ends, max(recording.samples - ends, ends), step)
+    return slice(rows.start, rows.stop, step)
 
 
 def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolArray | None:
-    """Samples at which the axis stands, shape (n,); ``None`` if it never does.
+    """Samples at which the axis stands or turns round, shape (n,); ``None`` if it never does.
 
     At rest friction is whatever balances the torque, up to its limit: no law of the speed gives it.
-    A reversal is no standstill.
+    How long an axis sticks when it turns round, a filtered speed does not show.
 
     Parameters
     ----------
@@ -88,14 +106,12 @@ def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolA
     period = float(motion.time_s[-1] - motion.time_s[0]) / (motion.time_s.size - 1)
     sharp = sharper(cutoff_hz, period)
     noise = 2.0 * math.pi * position_noise * math.sqrt(2.0 * period * sharp**3 / 3.0)
-    slow = np.abs(motion.speed) < max(
-        3.0 * noise, REST_SHARE * math.sqrt(float(np.mean(motion.speed**2)))
-    )
-    shortest = math.ceil(0.5 / cutoff_hz / period) | 1
-    resting = binary_opening(slow, np.ones(shortest, dtype=bool))
-    if not resting.any():
+    rms = math.sqrt(float(np.mean(motion.speed**2)))
+    slow = np.abs(motion.speed) < max(3.0 * noise, REST_SHARE * rms)
+    slow[1:] |= np.sign(motion.speed[1:]) != np.sign(motion.speed[:-1])
+    if not slow.any():
         return None
-    return np.asarray(binary_dilation(resting, iterations=math.ceil(1.0 / sharp / period)))
+    return np.asarray(binary_dilation(slow, iterations=math.ceil(1.0 / sharp / period)))
 
 
 def noise_of(position: FloatArray) -> float:
@@ -104,3 +120,8 @@ def noise_of(position: FloatArray) -> float:
     From third differences: of white noise 20 times its variance, of a smooth motion nothing.
     """
     return math.sqrt(float(np.mean(np.diff(position, 3) ** 2)) / 20.0)
+
+
+def turns_of(motions: Sequence[Motion]) -> float:
+    """Of the motor, in the recording that goes farthest."""
+    return max(float(np.ptp(motion.angle)) for motion in motions) / (2.0 * math.pi)
