@@ -15,8 +15,8 @@ chosen again whenever one of them is named. An effect is believed if
   what the noise does to that;
 - it has the sign that physics gives it.
 
-Of those tried one at a time, the one that closes most of the disagreement is named; an earlier one
-that no longer stands out is dropped. Nothing here looks at held-out pieces: their disagreement is
+Of those tried one at a time, the one with the most evidence is named; an earlier one that no longer
+stands out is dropped. Nothing here looks at held-out pieces: their disagreement is
 that of data which no decision has seen. Evidence is Schwarz's approximation, ½χ² − ½k ln n −
 ln(trials), n the effective samples.
 """
@@ -118,10 +118,6 @@ class _Trial:
     base: EffectsFit
     fit: EffectsFit
 
-    def squares(self, comparison: Comparison) -> float:
-        """Of the residual on the used pieces."""
-        return sum_of_squares(residuals(comparison, self.fit, "used"))
-
 
 def diagnose(
     problem: Problem, bench: Bench, settings: Settings, progress: StageProgress | None = None
@@ -172,7 +168,7 @@ def _select(
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
     folds = comparison.folds()
     dropped = set[str]()
-    current = _with_set(comparison, folds, before, dropped, settings.most, threshold)
+    current = _with_set(comparison, folds, before, settings.most, threshold)
     while len(current.effects) < settings.most:
         trials = []
         open_ones = _open(comparison.candidates, current, dropped)
@@ -191,7 +187,7 @@ def _select(
             if _wald(comparison, current, candidate)[1] > math.log(threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
-        current = _with_set(comparison, folds, current, dropped, settings.most, threshold)
+        current = _with_set(comparison, folds, current, settings.most, threshold)
     return current
 
 
@@ -199,7 +195,6 @@ def _with_set(
     comparison: Comparison,
     folds: Sequence[Comparison],
     current: EffectsFit,
-    dropped: set[str],
     most: int,
     threshold: float,
 ) -> EffectsFit:
@@ -207,6 +202,7 @@ def _with_set(
 
     What does not help to predict is dropped, and the set chosen again.
     """
+    dropped = set[str]()
     while True:
         inside = {_by_name(comparison, name).contains for name in current.effects}
         plain = [
@@ -327,11 +323,11 @@ def _plain_sets(
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
-    """The trial with the smallest residual, or a simpler one that cannot be told from it.
+    """The trial with the most evidence, or a simpler one that cannot be told from it.
 
     Simpler: fewer parameters, then earlier in the catalogue.
     """
-    best = min(good, key=lambda trial: trial.squares(comparison))
+    best = max(good, key=lambda trial: _wald(comparison, trial.fit, trial.candidate)[2])
     noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
