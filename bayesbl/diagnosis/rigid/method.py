@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
 from bayesbl.diagnosis.rigid.preparation import (
@@ -26,7 +27,16 @@ from bayesbl.diagnosis.rigid.terms import (
     within_turns,
     without_load_angle,
 )
-from bayesbl.diagnosis.rigid.view import View, inside, noise_of, sharper, standstill, thinned, turns_of
+from bayesbl.diagnosis.rigid.view import (
+    WIDEST,
+    View,
+    inside,
+    noise_of,
+    sharper,
+    standstill,
+    thinned,
+    turns_of,
+)
 from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError
@@ -67,11 +77,7 @@ def inverse_problem(task: Task) -> Problem:
     # A joint may rest at the end of its way: only what drives it is asked not to stand still.
     driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
-    cutoff = compared.cutoff_hz
-    found = compare(task, recordings, channel, cutoff)
-    pieces = tuple(item.piece for item in found)
-    motions = tuple(item.motion for item in found)
-    _require_position(config, motions, load)
+    _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
     if channel == MOTOR_CURRENT and "torque_constant_nm_per_a" in bench.assumed:
         raise ConfigError(
@@ -85,27 +91,43 @@ def inverse_problem(task: Task) -> Problem:
     every = POSITION_TERMS if load else TORQUE_TERMS
     if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
-    every = within_turns(every, turns_of(motions))
+    every = within_turns(every, turns_of(recordings))
     left_out = uncomputable(every, bench, compared.load_angle_known)
     terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
-    comparison = InverseComparison(
-        pieces,
-        motions,
-        tuple(item.known for item in found),
-        tuple(item.view for item in found),
-        bench,
-        {candidate.name: terms[candidate.name] for candidate in chosen},
-        unknown,
-        unit,
-        load,
-        compared.load_angle_known,
-        compared.motor_angle_known,
-    )
+
+    def comparison_below(cutoff_hz: float) -> InverseComparison:
+        found = compare(task, recordings, channel, cutoff_hz)
+        return InverseComparison(
+            tuple(item.piece for item in found),
+            tuple(item.motion for item in found),
+            tuple(item.known for item in found),
+            tuple(item.view for item in found),
+            bench,
+            {candidate.name: terms[candidate.name] for candidate in chosen},
+            unknown,
+            unit,
+            load,
+            compared.load_angle_known,
+            compared.motor_angle_known,
+        )
+
+    cutoff = compared.cutoff_hz
+    if cutoff is None:
+        period = max(recording.sampling_period_s for recording in recordings)
+        positions = [
+            r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels
+        ]
+        resolved = resolved_hz(positions, period) if positions else WIDEST / period
+        resolved = min(resolved, WIDEST / period)
+        cutoff = coherent_hz(comparison_below(resolved)) or resolved
+    comparison = comparison_below(cutoff)
+    pieces, motions = comparison.pieces, comparison.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += [
         f"Speed and acceleration come from the {source}; both sides are compared behind a "
-        f"zero-phase Butterworth low pass of order 4 at {cutoff:.3g} Hz."
+        f"zero-phase Butterworth low pass of order 4 at {cutoff:.3g} Hz"
+        + ("." if compared.cutoff_hz else ", beyond which the bench explains less than half.")
         for source in sorted({motion.source for motion in motions})
     ]
     if any(motion.source == "speed" for motion in motions):
@@ -118,7 +140,7 @@ def inverse_problem(task: Task) -> Problem:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
     alarm = config.candidates.false_alarm
-    used = tuple(piece.name for piece in pieces if piece.use == "used")
+    used = tuple(dict.fromkeys(piece.name for piece in pieces if piece.use == "used"))
     return Problem(
         comparison,
         lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
@@ -183,8 +205,10 @@ def compare(
     return found
 
 
-def _require_position(config: DiagnoseConfig, motions: tuple[Motion, ...], load: bool) -> None:
-    if all(motion.source == "position" for motion in motions):
+def _require_position(
+    config: DiagnoseConfig, recordings: Sequence[Recording], load: bool
+) -> None:
+    if all(MOTOR_POSITION in recording.channels for recording in recordings):
         return
     compared = config.comparison
     for name, claimed in (

@@ -18,7 +18,14 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, reach
-from bayesbl.recording.types import BoolArray, FloatArray, Recording
+from bayesbl.recording.types import (
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    BoolArray,
+    FloatArray,
+    Recording,
+)
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 SHARPER = 3.0
 """Cut-off of the filter that the motion is taken from, over the one that both sides pass.
@@ -26,6 +33,9 @@ SHARPER = 3.0
 The motion of a nonlinear law must be sharper than what is compared of the law: at a third of its
 cut-off a filter of order 4 run twice passes all but 2e-4.
 """
+
+WIDEST = 0.4
+"""Highest cut-off, in sampling rates: what lies above can be another frequency."""
 
 SAMPLES_PER_PERIOD = 2.5
 """Samples compared in a period of the cut-off. From 1.25 cut-offs on the filter leaves 14 %."""
@@ -76,7 +86,7 @@ class View:
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
     """Cut-off for the motion, Hz: :data:`SHARPER` times that of the comparison, if sampling allows."""
-    return max(cutoff_hz, min(SHARPER * cutoff_hz, 0.4 / period_s))
+    return max(cutoff_hz, min(SHARPER * cutoff_hz, WIDEST / period_s))
 
 
 def inside(recording: Recording, cutoff_hz: float) -> slice:
@@ -122,6 +132,13 @@ def noise_of(position: FloatArray) -> float:
     return math.sqrt(float(np.mean(np.diff(position, 3) ** 2)) / 20.0)
 
 
-def turns_of(motions: Sequence[Motion]) -> float:
+def turns_of(recordings: Sequence[Recording]) -> float:
     """Of the motor, in the recording that goes farthest."""
-    return max(float(np.ptp(motion.angle)) for motion in motions) / (2.0 * math.pi)
+    found = [0.0]
+    for recording in recordings:
+        if MOTOR_POSITION in recording.channels:
+            found.append(float(np.ptp(recording.channels[MOTOR_POSITION])))
+        elif MOTOR_SPEED in recording.channels:
+            turned = np.cumsum(recording.motor_speed_rpm) * recording.sampling_period_s
+            found.append(float(np.ptp(turned)) / RPM_PER_RAD_PER_S)
+    return max(found) / (2.0 * math.pi)
