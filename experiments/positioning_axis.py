@@ -12,7 +12,6 @@ friction, whose own unit is drawn too: nothing here has a size that a naming cou
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
 
 import numpy as np

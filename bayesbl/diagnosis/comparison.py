@@ -76,6 +76,8 @@ class TestedEffect:
         The amplitude has a sign: friction brakes.
     at_most
         Largest amplitude that makes sense, of one without a unit.
+    acts_above
+        It is seen in pieces that the answer does not show.
     is_plain
         Linear in one amplitude, without a shape to be found, and no special case of another.
     """
@@ -87,6 +89,7 @@ class TestedEffect:
     contains: str | None = None
     not_negative: bool = False
     at_most: float = math.inf
+    acts_above: bool = False
     is_plain: bool = False
 
     def is_physical(self, amplitude: float) -> bool:

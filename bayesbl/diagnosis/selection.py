@@ -38,7 +38,6 @@ from bayesbl.diagnosis.comparison import (
     TestedEffect,
     residuals,
     residuals_of_pieces,
-    sum_of_squares,
 )
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
@@ -166,7 +165,7 @@ def _select(
 ) -> EffectsFit:
     """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
-    folds = comparison.folds()
+    folds = _Folds(comparison)
     dropped = set[str]()
     current = _with_set(comparison, folds, before, settings.most, threshold)
     while len(current.effects) < settings.most:
@@ -177,7 +176,7 @@ def _select(
             if progress is not None:
                 progress(f"effect {len(current.effects) + 1}", done + 1, len(open_ones))
         good = [t for t in trials if _stands_out(comparison, t.fit, t.candidate, threshold)]
-        good = [trial for trial in good if _predicts(folds, trial.base, trial.fit)]
+        good = [trial for trial in good if folds.predicts(trial.base, trial.fit, trial.candidate)]
         if not good:
             break
         best = _simplest(comparison, good)
@@ -193,7 +192,7 @@ def _select(
 
 def _with_set(
     comparison: Comparison,
-    folds: Sequence[Comparison],
+    folds: _Folds,
     current: EffectsFit,
     most: int,
     threshold: float,
@@ -215,13 +214,14 @@ def _with_set(
             return current
         every = comparison.fit((*others, *(c.name for c in plain)), current)
         chosen = _smallest_set(comparison, every, plain, most - len(others), threshold)
-        fit = comparison.fit((*others, *chosen), every)
+        fit = comparison.fit((*chosen, *others), every)
         idle = []
         for name in chosen:
             without = comparison.fit(tuple(e for e in fit.effects if e != name), fit)
+            candidate = _by_name(comparison, name)
             if not (
-                _stands_out(comparison, fit, _by_name(comparison, name), threshold)
-                and _predicts(folds, without, fit)
+                _stands_out(comparison, fit, candidate, threshold)
+                and folds.predicts(without, fit, candidate)
             ):
                 idle.append(name)
         if not idle:
@@ -404,20 +404,39 @@ def _wald(
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
-def _predicts(folds: Sequence[Comparison], old: EffectsFit, new: EffectsFit) -> bool:
-    """Whether pieces are predicted surely better by a fit of the others with the new effects.
+class _Folds:
+    """Prediction of used pieces from fits on the others; each fit's made once."""
 
-    ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
-    """
-    gain = spread = 0.0
-    for fold in folds:
-        first = residuals(fold, fold.fit(tuple(old.effects), old), "held_out")
-        last = residuals(fold, fold.fit(tuple(new.effects), new), "held_out")
-        gain += sum_of_squares(first) - sum_of_squares(last)
-        for a, b in zip(first, last, strict=True):
-            d = a - b
-            spread += float(d @ ResidualNoise.of(b).covariance_times(d))
-    return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
+    def __init__(self, comparison: Comparison) -> None:
+        self._folds = comparison.folds()
+        self._left: dict[int, tuple[EffectsFit, list[list[FloatArray]]]] = {}
+
+    def predicts(self, old: EffectsFit, new: EffectsFit, candidate: TestedEffect) -> bool:
+        """Whether they are predicted surely better with the new effects.
+
+        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise. Pieces that
+        the answer does not show count only for what acts there.
+        """
+        gain = spread = 0.0
+        for fold, first, last in zip(
+            self._folds, self._residuals(old), self._residuals(new), strict=True
+        ):
+            predicted = [piece for piece in fold.pieces if piece.use == "held_out"]
+            for piece, a, b in zip(predicted, first, last, strict=True):
+                if piece.shown or candidate.acts_above:
+                    d = a - b
+                    gain += float(a @ a - b @ b)
+                    spread += float(d @ ResidualNoise.of(b).covariance_times(d))
+        return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
+
+    def _residuals(self, fit: EffectsFit) -> list[list[FloatArray]]:
+        if id(fit) not in self._left:
+            made = [
+                residuals(fold, fold.fit(tuple(fit.effects), fit), "held_out")
+                for fold in self._folds
+            ]
+            self._left[id(fit)] = fit, made
+        return self._left[id(fit)][1]
 
 
 def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:

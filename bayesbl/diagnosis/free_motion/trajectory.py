@@ -40,9 +40,9 @@ _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_
 
 
 def free_motion_candidates(load_angle_known: bool) -> tuple[TestedEffect, ...]:
-    """Catalogue effects in the order they are tried."""
+    """Catalogue effects in the order they are tried: one at a time, each fit takes simulations."""
     return tuple(
-        TORQUE_TERMS[effect.name].candidate
+        replace(TORQUE_TERMS[effect.name].candidate, is_plain=False)
         for effect in EFFECTS
         if effect.free_motion and (load_angle_known or "load_angle" not in effect.depends_on)
     )
@@ -230,7 +230,11 @@ class FreeMotionComparison:
         vector[Slot.reference_speed_rpm] = pace
         try:
             states = simulate_states(
-                vector, state, piece.measured.size, 1.0 / piece.period_s, accuracy_rpm=ACCURACY * pace
+                vector,
+                state,
+                piece.measured.size,
+                1.0 / piece.period_s,
+                accuracy_rpm=ACCURACY * pace,
             )
         except BenchError:
             # A step of the search beyond what can be simulated: far off, and so turned back.

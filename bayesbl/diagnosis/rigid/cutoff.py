@@ -67,7 +67,8 @@ def coherent_hz(resolved: InverseComparison) -> float | None:
         frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
         measured.append(_power(piece.measured))
         left.append(_power(rest))
-    frequency, total, rest = map(np.concatenate, (frequencies, measured, left))
+    frequency, total = np.concatenate(frequencies), np.concatenate(measured)
+    rest = np.concatenate(left)
     top = resolved.views[0].low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:

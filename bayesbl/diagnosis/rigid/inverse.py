@@ -221,9 +221,9 @@ class InverseComparison:
 
     def _at_edge(self, name: str, shapes: Values) -> bool:
         """Whether the scan of an effect's shape ended where the scan ends."""
-        if "direction" in effect_named(name).depends_on and WIDTH in shapes:
-            if shapes[WIDTH] > 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s:
-                return True
+        widest = 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s
+        if "direction" in effect_named(name).depends_on and shapes.get(WIDTH, 0.0) > widest:
+            return True
         scanned = self._scanned(name)
         if not scanned:
             return False
@@ -237,14 +237,19 @@ class InverseComparison:
     def _extrapolates(self, name: str, shapes: Values) -> bool:
         """Whether no sample shows half of an effect's size: it would be an extrapolation."""
         term = self.terms[name]
-        if name == SKEW or self.load or term.periodic:
+        if name == SKEW or self.load or term.periodic or term.law.scanned is None:
             return False
-        given = {term.candidate.amplitude: 1.0, term.law.scanned: shapes[f"{name}.{term.law.scanned}"]}
+        given = {
+            term.candidate.amplitude: 1.0,
+            term.law.scanned: shapes[f"{name}.{term.law.scanned}"],
+        }
         largest = 0.0
         for i in self._used:
             signal = term.law.signal(self._motion(i, shapes), self.bench, given)
             window = self.views[i].window
-            largest = max(largest, float(np.abs(signal if window is None else window * signal).max()))
+            largest = max(
+                largest, float(np.abs(signal if window is None else window * signal).max())
+            )
         return largest < 0.5
 
     def _scan_width(self, effects: tuple[str, ...], shapes: Values) -> None:
@@ -295,8 +300,6 @@ class InverseComparison:
     def _motion(self, i: int, shapes: Mapping[str, float]) -> Motion:
         """Motion as the compared channel shows it: a channel that lags shows what was."""
         motion = self.motions[i]
-        if self.views[i].above:
-            return motion
         for key, sign in ((f"{SKEW}.current_s", 1.0), (f"{SKEW}.position_s", -1.0)):
             if shapes.get(key):
                 motion = motion.shifted(sign * shapes[key])
@@ -349,9 +352,7 @@ class InverseComparison:
             lambda: law.signal(self._motion(i, shapes), self.bench, given) / unit,
         )
 
-    def _columns(
-        self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]
-    ) -> Columns:
+    def _columns(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
         """Linear coefficients by name to what one of each adds."""
         found = self._nuisances(i, shapes)
         where = "" if self.phases_shared else f"@{self.pieces[i].name}"
@@ -395,10 +396,9 @@ class InverseComparison:
             elif self.load_angle_known:
                 found[name] = of(name, lambda motion: np.sin(motion.angle / ratio) / ratio)
         if not self.load_angle_known and self.bench.value("gravity_torque_nm") > 0.0:
-            for label, wave in (("sine", np.sin), ("cosine", np.cos)):
-                found[f"gravity_{label}@{where}"] = of(
-                    f"gravity {label}", lambda motion, wave=wave: wave(motion.angle / ratio) / ratio
-                )
+            sine = of("gravity sine", lambda motion: np.sin(motion.angle / ratio) / ratio)
+            cosine = of("gravity cosine", lambda motion: np.cos(motion.angle / ratio) / ratio)
+            found |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
         return found
 
     # Least squares
@@ -461,9 +461,7 @@ class InverseComparison:
         self._share_amplitudes(found, complete)
         return complete
 
-    def _share_amplitudes(
-        self, found: Mapping[str, Mapping[str, float]], linear: Values
-    ) -> None:
+    def _share_amplitudes(self, found: Mapping[str, Mapping[str, float]], linear: Values) -> None:
         """Waves with a phase for each recording have one amplitude."""
         for name, parameters in found.items():
             amplitude = abs(parameters[self.terms[name].candidate.amplitude])
@@ -502,9 +500,7 @@ class InverseComparison:
 
     # Derivatives
 
-    def _names(
-        self, effects: tuple[str, ...], shapes: Values, linear: Values
-    ) -> tuple[str, ...]:
+    def _names(self, effects: tuple[str, ...], shapes: Values, linear: Values) -> tuple[str, ...]:
         """Everything fitted, sines and cosines as one amplitude and phases."""
         names: list[str] = []
         for name in linear:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
@@ -58,6 +60,11 @@ MOTION_ALONE = (
     "(free_motion)."
 )
 
+USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
+    {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
+)
+"""How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
+
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
 
@@ -71,7 +78,7 @@ def inverse_problem(task: Task) -> Problem:
         If bench, recordings or unknowns do not suit the method.
     """
     require_rigid(task)
-    config, bench, compared = task.config, task.bench, task.config.comparison
+    config, bench, asked = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, MOTION_ALONE)
     load = channel == LOAD_POSITION
     # A joint may rest at the end of its way: only what drives it is asked not to stand still.
@@ -89,15 +96,21 @@ def inverse_problem(task: Task) -> Problem:
         )
     unit = bench.value("torque_constant_nm_per_a") if channel == MOTOR_CURRENT else 1.0
     every = POSITION_TERMS if load else TORQUE_TERMS
-    if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
+    if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
     every = within_turns(every, turns_of(recordings))
-    left_out = uncomputable(every, bench, compared.load_angle_known)
+    left_out = uncomputable(every, bench, asked.load_angle_known)
     terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
 
     def comparison_below(cutoff_hz: float) -> InverseComparison:
-        found = compare(task, recordings, channel, cutoff_hz)
+        found = [
+            part
+            for entry, recording in zip(config.recordings, recordings, strict=True)
+            for part in compared(
+                recording, channel, USES_OF[entry.use], cutoff_hz, config.comparison.known_torque
+            )
+        ]
         return InverseComparison(
             tuple(item.piece for item in found),
             tuple(item.motion for item in found),
@@ -108,16 +121,14 @@ def inverse_problem(task: Task) -> Problem:
             unknown,
             unit,
             load,
-            compared.load_angle_known,
-            compared.motor_angle_known,
+            asked.load_angle_known,
+            asked.motor_angle_known,
         )
 
-    cutoff = compared.cutoff_hz
+    cutoff = asked.cutoff_hz
     if cutoff is None:
         period = max(recording.sampling_period_s for recording in recordings)
-        positions = [
-            r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels
-        ]
+        positions = [r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels]
         resolved = resolved_hz(positions, period) if positions else WIDEST / period
         resolved = min(resolved, WIDEST / period)
         cutoff = coherent_hz(comparison_below(resolved)) or resolved
@@ -127,7 +138,7 @@ def inverse_problem(task: Task) -> Problem:
     notes += [
         f"Speed and acceleration come from the {source}; both sides are compared behind a "
         f"zero-phase Butterworth low pass of order 4 at {cutoff:.3g} Hz"
-        + ("." if compared.cutoff_hz else ", beyond which the bench explains less than half.")
+        + ("." if asked.cutoff_hz else ", beyond which the bench explains less than half.")
         for source in sorted({motion.source for motion in motions})
     ]
     if any(motion.source == "speed" for motion in motions):
@@ -164,50 +175,52 @@ def _read(recording: Recording, channel: str) -> tuple[str, ...]:
     return (channel, *moved[:1])
 
 
-def compare(
-    task: Task, recordings: Sequence[Recording], channel: str, cutoff_hz: float
+def compared(
+    recording: Recording,
+    channel: str,
+    uses: Sequence[Use],
+    cutoff_hz: float,
+    known_torque: Sequence[str] = (),
 ) -> list[Compared]:
-    """Every piece with the motion of its whole recording; halves of a split one have one angle."""
+    """What is compared of a recording: whole, or its halves, each with a use of its own.
+
+    All of a recording has one motion, so that both halves of a split one have one angle and one
+    time. Above the cut-off it is compared too, for what turns with the motor, but not shown.
+    """
+    period = recording.sampling_period_s
+    sharp = sharper(cutoff_hz, period)
+    motion = motion_of(recording, sharp)
+    # A bridge is no motion, and the filter spreads it.
+    out = widened(recording.excluded, reach(recording, sharp))
+    require_enough(recording, channel, out)
+    if channel != LOAD_POSITION:
+        position = recording.channels.get(MOTOR_POSITION)
+        resting = standstill(motion, noise_of(position) if position is not None else 0.0, cutoff_hz)
+        out = resting if out is None else out if resting is None else out | resting
+    window = None if out is None else np.where(out, 0.0, 1.0)
+    low_pass = LowPass(cutoff_hz, period)
+    views = [View(low_pass, window, thinned(recording, cutoff_hz))]
+    if channel != LOAD_POSITION:
+        views.append(View(low_pass, window, inside(recording, cutoff_hz), above=True))
+    torques = (recording.channels[name] for name in known_torque)
+    known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
     found = []
-    for entry, recording in zip(task.config.recordings, recordings, strict=True):
-        period = recording.sampling_period_s
-        sharp = sharper(cutoff_hz, period)
-        motion = motion_of(recording, sharp)
-        # A bridge is no motion, and the filter spreads it.
-        out = widened(recording.excluded, reach(recording, sharp))
-        require_enough(recording, channel, out)
-        if channel != LOAD_POSITION and motion.source == "position":
-            noise = noise_of(recording.channels[MOTOR_POSITION])
-            resting = standstill(motion, noise, cutoff_hz)
-            out = resting if out is None else out if resting is None else out | resting
-        window = None if out is None else 1.0 - out
-        low_pass = LowPass(cutoff_hz, period)
-        views = [View(low_pass, window, thinned(recording, cutoff_hz))]
-        if channel != LOAD_POSITION:
-            views.append(View(low_pass, window, inside(recording, cutoff_hz), above=True))
-        known = sum(
-            (recording.channels[n] for n in task.config.comparison.known_torque),
-            np.zeros(recording.samples),
-        )
-        for view in views:
-            signal = recording.channels[channel]
-            # As sharp as the motion, and no sharper, where the motion has a part in it.
-            seen = view(signal if view.above else LowPass(sharp, period)(signal))
-            excluded = None if out is None or not out[view.rows].any() else out[view.rows]
-            time = recording.time_s[view.rows]
-            piece = Piece(recording.name, channel, "used", time, seen, excluded, not view.above)
-            shares: list[tuple[Piece, View, bool]] = [(piece, view, entry.use == "hold_out")]
-            if entry.use == "split":
-                shares = [(piece.half(h), view.half(h), h) for h in (False, True)]
-            for part, part_view, held_out in shares:
-                part = replace(part, use="held_out" if held_out else "used")
-                found.append(Compared(part, motion, LowPass(sharp, period)(known), part_view))
+    for view in views:
+        signal = recording.channels[channel]
+        # As sharp as the motion, and no sharper, where the motion has a part in it.
+        seen = view(signal if view.above else LowPass(sharp, period)(signal))
+        excluded = None if out is None or not out[view.rows].any() else out[view.rows]
+        time = recording.time_s[view.rows]
+        whole = Piece(recording.name, channel, uses[0], time, seen, excluded, not view.above)
+        shares = [(whole, view)]
+        if len(uses) == 2:
+            shares = [(whole.half(second), view.half(second)) for second in (False, True)]
+        for use, (piece, part) in zip(uses, shares, strict=True):
+            found.append(Compared(replace(piece, use=use), motion, known, part))
     return found
 
 
-def _require_position(
-    config: DiagnoseConfig, recordings: Sequence[Recording], load: bool
-) -> None:
+def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], load: bool) -> None:
     if all(MOTOR_POSITION in recording.channels for recording in recordings):
         return
     compared = config.comparison

@@ -161,7 +161,7 @@ def _transform(item: OrderedRest, orders: FloatArray) -> tuple[ComplexArray, Flo
     One wave is turned on from order to order.
     """
     below, limit = not item.above, item.passing
-    chosen = slice(None)
+    chosen = np.arange(limit.size)
     most = max(_MOST_PRODUCTS // orders.size, 1)
     if limit.size > most:  # at random: even steps would make one order look like another
         chosen = np.sort(np.random.default_rng(0).permutation(limit.size)[:most])
@@ -169,10 +169,7 @@ def _transform(item: OrderedRest, orders: FloatArray) -> tuple[ComplexArray, Flo
     # Ordered so that the samples that show an order are always the first ones.
     first = np.argsort(-limit if below else limit)
     ordered = limit[first]
-    if below:
-        ends = np.searchsorted(-ordered, -orders)
-    else:
-        ends = np.searchsorted(ordered, orders)
+    ends = np.searchsorted(-ordered, -orders) if below else np.searchsorted(ordered, orders)
     steps = range(orders.size) if below else range(orders.size - 1, -1, -1)
     wave = rest[first] * np.exp(1j * orders[steps[0]] * angle[first])
     turn = np.exp(1j * (orders[1] - orders[0]) * angle[first] * (1.0 if below else -1.0))

@@ -58,6 +58,7 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
             (a.high for a in effect.amplitudes if a.name == law.amplitude and not a.unit),
             default=math.inf,
         ),
+        acts_above=law.scanned == ORDER,
         is_plain=not (
             effect.is_periodic or law.scanned or law.linear or law.contains or effect.name == SKEW
         ),

@@ -85,7 +85,7 @@ class View:
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
-    """Cut-off for the motion, Hz: :data:`SHARPER` times that of the comparison, if sampling allows."""
+    """Cut-off for the motion, Hz: :data:`SHARPER` times the other one, if sampling allows."""
     return max(cutoff_hz, min(SHARPER * cutoff_hz, WIDEST / period_s))
 
 
