@@ -309,7 +309,9 @@ def _plain_sets(
     target = np.concatenate(residuals(comparison, every, "used"))
     for c, place in zip(plain, places, strict=True):
         target = target + matrix[:, place] * scale[place] * every.effects[c.name][c.amplitude]
-    common = [k for k in range(matrix.shape[1]) if k not in places]
+    # A shape that all share is held: beside nothing with that shape it would stand for anything.
+    held = [every.names.index(name) for name in every.shared if name in every.names]
+    common = [k for k in range(matrix.shape[1]) if k not in places and k not in held]
     found = []
     for size in range(min(most, len(plain)) + 1):
         for members in combinations(range(len(plain)), size):

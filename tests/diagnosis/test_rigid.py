@@ -228,7 +228,7 @@ def test_nothing_hidden_leaves_nothing_missing() -> None:
 
 
 def passed_by(cutoff_hz: float) -> float:
-    """Share of the standard deviation of the machine's AR(1) noise, φ 0.6, that the filters pass."""
+    """Share of the standard deviation of the machine's AR(1) noise that the filters pass."""
     frequency = np.linspace(0.0, 0.5 * SAMPLING_HZ, 10_000)
     power = 1.0 / np.abs(1.0 - 0.6 * np.exp(-2j * np.pi * frequency / SAMPLING_HZ)) ** 2
     passed = [1.0 / (1.0 + (frequency / edge) ** 8) for edge in (cutoff_hz, 3.0 * cutoff_hz)]

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import EffectParameter, Shape
 from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.bench.kernel import FRICTION_WIDTH_SHARE, MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
+from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS
@@ -25,11 +25,12 @@ from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
-ACCURACY = 1e-5
+ACCURACY = 1e-4
 """Largest error of the simulated speed, as a share of the largest speed."""
 
-FRICTION_WIDTH = 0.02
-"""Speed over which dry friction changes its sign, in RMS speeds: few samples are slower."""
+WIDTH = "friction_width"
+WIDTHS = (1e-3, 0.01, 0.3)
+"""Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
 
 SHAPE_RANGE = (0.01, 2.0)
 """Of a fading speed, in RMS speeds."""
@@ -114,6 +115,7 @@ class FreeMotionComparison:
                 for name, active in zip(names, found.active_mask, strict=True)
                 if active and "." in name
             ),
+            shared={WIDTH: values[WIDTH]} if WIDTH in values else {},
         )
 
     def folds(self) -> list[FreeMotionComparison]:
@@ -146,6 +148,10 @@ class FreeMotionComparison:
             shared[name] = (value, 1e-6 * value, np.inf)
         if not self.load_angle_known:
             shared[_ZERO] = (1e-3, -np.inf, np.inf)
+        if any("direction" in effect_named(name).depends_on for name in effects):
+            low, first, high = (share * self._speed for share in WIDTHS)
+            known_width = start.shared.get(WIDTH, first) if start else first
+            shared[WIDTH] = (known_width, low, high)
         for name in effects:
             candidate = next(c for c in self.candidates if c.name == name)
             known: Mapping[str, float] = start.effects.get(name, {}) if start else {}
@@ -182,8 +188,11 @@ class FreeMotionComparison:
     def _speed(self) -> float:
         """Standard deviation of the speed in the fastest piece, rad/s."""
         if self.pieces[0].channel == SPEED_CHANNEL:
-            return max(float(np.std(p.measured)) for p in self.pieces) / RPM_PER_RAD_PER_S
-        return max(float(np.std(np.gradient(p.measured, p.period_s))) for p in self.pieces)
+            return max(float(np.std(p.kept(p.measured))) for p in self.pieces) / RPM_PER_RAD_PER_S
+        return max(
+            float(np.std(np.diff(p.kept(p.measured)) / np.diff(p.kept(p.time_s))))
+            for p in self.pieces
+        )
 
     def _own_start(
         self, i: int, effects: tuple[str, ...], values: Mapping[str, float]
@@ -226,15 +235,15 @@ class FreeMotionComparison:
         zero = values.get(_ZERO, 0.0)
         state = np.zeros(STATES)
         state[MOTOR_ANGLE], state[MOTOR_SPEED] = angle + zero, speed
-        pace = FRICTION_WIDTH / FRICTION_WIDTH_SHARE * self._speed * RPM_PER_RAD_PER_S
-        vector[Slot.reference_speed_rpm] = pace
+        vector[Slot.reference_speed_rpm] = self._speed * RPM_PER_RAD_PER_S
         try:
             states = simulate_states(
                 vector,
                 state,
                 piece.measured.size,
                 1.0 / piece.period_s,
-                accuracy_rpm=ACCURACY * pace,
+                accuracy_rpm=ACCURACY * self._speed * RPM_PER_RAD_PER_S,
+                friction_width_rad_per_s=values.get(WIDTH, WIDTHS[1] * self._speed),
             )
         except BenchError:
             # A step of the search beyond what can be simulated: far off, and so turned back.

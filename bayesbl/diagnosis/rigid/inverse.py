@@ -219,8 +219,14 @@ class InverseComparison:
         way = max(float(np.ptp(angle)) for angle in angles)
         return way / self.bench.value("gear_ratio")
 
+    @property
+    def _period_s(self) -> float:
+        """Sampling period of the recordings."""
+        times = self.motions[0].time_s
+        return float(times[-1] - times[0]) / (times.size - 1)
+
     def _at_edge(self, name: str, shapes: Values) -> bool:
-        """Whether the scan of an effect's shape ended where the scan ends."""
+        """Whether the scan of an effect's shape ended where it ends or shows nothing."""
         widest = 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s
         if "direction" in effect_named(name).depends_on and shapes.get(WIDTH, 0.0) > widest:
             return True
@@ -228,6 +234,8 @@ class InverseComparison:
         if not scanned:
             return False
         value = shapes[f"{name}.{scanned[0]}"]
+        if name == SKEW and abs(value) < 0.5 * self._period_s:
+            return True  # so far apart are samples and what a controller holds between them
         if scanned[0] == ORDER:
             return not LOWEST_ORDER < value < HIGHEST_ORDER
         grid = self._grid(name)
@@ -565,5 +573,6 @@ def _skew(shapes: Mapping[str, float]) -> tuple[float, float]:
 
 def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-10)[0] / scale)
+    # A column whose squares underflow says nothing of its size.
+    scale = np.where(scale > math.sqrt(np.finfo(float).tiny), scale, np.inf)
+    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-8)[0] / scale)
