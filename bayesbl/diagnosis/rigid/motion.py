@@ -159,4 +159,4 @@ def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
 
 def reach(recording: Recording, cutoff_hz: float) -> int:
     """Samples over which the filter carries what is wrong with one."""
-    return math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
+    return math.ceil(round(END_PERIODS / cutoff_hz / recording.sampling_period_s, 6))

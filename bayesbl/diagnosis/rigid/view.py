@@ -98,7 +98,8 @@ def inside(recording: Recording, cutoff_hz: float) -> slice:
 def thinned(recording: Recording, cutoff_hz: float) -> slice:
     """Of those, as many as the frequencies below the cut-off need."""
     rows = inside(recording, cutoff_hz)
-    step = max(1, math.floor(1.0 / (SAMPLES_PER_PERIOD * cutoff_hz * recording.sampling_period_s)))
+    samples = 1.0 / (SAMPLES_PER_PERIOD * cutoff_hz * recording.sampling_period_s)
+    step = max(1, math.floor(round(samples, 6)))
     return slice(rows.start, rows.stop, step)
 
 
@@ -121,7 +122,7 @@ def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolA
     slow[1:] |= np.sign(motion.speed[1:]) != np.sign(motion.speed[:-1])
     if not slow.any():
         return None
-    return np.asarray(binary_dilation(slow, iterations=math.ceil(1.0 / sharp / period)))
+    return np.asarray(binary_dilation(slow, iterations=math.ceil(round(1.0 / sharp / period, 6))))
 
 
 def noise_of(position: FloatArray) -> float:
