@@ -75,6 +75,8 @@ class Amplitude(EffectParameter):
         What the simulator refuses: a value below zero, a size that reaches this.
     sought_from
         Lower end of a search in the loop, where it is not ``low``.
+    rate_of
+        The parameter whose change in a second this is.
     """
 
     _: KW_ONLY
@@ -83,6 +85,7 @@ class Amplitude(EffectParameter):
     not_negative: bool = False
     smaller_than: float | None = None
     sought_from: float | None = None
+    rate_of: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
+from bayesbl.bench.effects import (
+    after,
+    effect_named,
+    repeat_each_rotation,
+    turn_with_the_motor,
+)
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
@@ -57,6 +62,9 @@ class Observed:
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     motor_angle_rad
         Shape (n,): reading of an absolute encoder of the motor; ``None`` where there is none.
+    begin_s
+        Time from the recording's first sample to the first one compared: a later part of it has
+        the drift of the whole.
     """
 
     name: str
@@ -67,6 +75,7 @@ class Observed:
     known: Mapping[str, float] = field(default_factory=dict)
     excluded: BoolArray | None = None
     motor_angle_rad: FloatArray | None = None
+    begin_s: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -335,6 +344,8 @@ class SimulatedSignals:
         matrix = self.bench.vector(**self.settings_of(points, seen))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
+        if seen.begin_s:
+            matrix = after(matrix, seen.begin_s)
         # Points often differ only in the unknowns of other recordings.
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
@@ -20,6 +21,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     ForwardSettings,
     diagnosis_of,
     estimates,
+    halves,
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
@@ -38,6 +40,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
 )
 from bayesbl.naming.motor_orders import order_peaks
+from bayesbl.noise.process import NoiseModel
 from bayesbl.presentation.diagnosis import residuals_in_words
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
@@ -469,3 +472,46 @@ def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatc
     config = load_config(folder / "config.toml", kind="diagnose")
     with pytest.raises(AskedError, match=r"0\.99"):
         run_diagnose(config)
+
+
+def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
+    drifting = replace(
+        reference_bench(),
+        measurement=Measurement(
+            speed_noise=NoiseModel(1.5, (0.6,)), current_noise=NoiseModel(0.05)
+        ),
+    ).with_effects(
+        BenchEffect(
+            "friction_drift",
+            {
+                "torque_nm": EffectParameterValue(0.1),
+                "rate_nm_per_s": EffectParameterValue(0.006),  # 0.012 A/s
+            },
+        )
+    )
+    used, held_out = [], []
+    for k, speed in enumerate((2000.0, -2000.0)):
+        recording = drifting.simulate(
+            GAP_RAD,
+            rotations=4.0,
+            sampling_hz=500.0,
+            start_angle_rad=0.4 + k,
+            reference_speed_rpm=speed,
+            seed=np.random.default_rng(k),
+            name=f"{speed:g} rpm",
+        )
+        seen = observed(recording, BENCH, speed)
+        forward.require_rotations(seen, "recording.csv", split=True)
+        first, second = halves(seen)
+        used.append(first)
+        held_out.append(second)
+    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
+    effects = ("motor_coulomb_friction", "friction_drift", "motor_torque_offset")
+    findings = search(BENCH, used, held_out, unknowns, ForwardSettings(effects))
+    found = Found(findings, diagnosis_of(findings))
+    assert found.answer.verdict == "named"
+    assert names(found) == ["friction_drift"]
+    assert near(fitted(found, "friction_drift")["rate_nm_per_s"], 0.006)
+    closed = found.answer.disagreement.overall["held_out"].closed_fraction
+    assert closed is not None
+    assert closed > 0.98

@@ -355,4 +355,5 @@ def _rows(seen: Observed, rows: slice) -> Observed:
         signals=seen.signals[:, rows],
         excluded=None if excluded is None else excluded[rows],
         motor_angle_rad=None if angle is None else angle[rows],
+        begin_s=seen.begin_s + (rows.start or 0) / seen.sampling_hz,
     )

@@ -23,6 +23,7 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.predictive_check import ROUNDING
 from bayesbl.matching.signals import (
     START_ANGLE,
     Observed,
@@ -32,7 +33,6 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
 )
 from bayesbl.measurement.task import StageProgress
-from bayesbl.noise.channel_noise import HIGHEST_ORDER
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.types import (
     LOAD_POSITION,
@@ -121,7 +121,7 @@ def forward_problem(
             motor_angle_rad=_motor_angle(config, recording),
         )
         if entry.use in ("fit", "split"):
-            _require_rotations(seen, str(entry.file), entry.use == "split")
+            require_rotations(seen, str(entry.file), entry.use == "split")
         if entry.use == "split":
             first, second = halves(seen)
             used.append(first)
@@ -166,9 +166,9 @@ def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> l
     ]
 
 
-def _require_rotations(seen: Observed, file: str, split: bool) -> None:
+def require_rotations(seen: Observed, file: str, split: bool) -> None:
     """Whole rotations separate what repeats from noise, in each half if it is split."""
-    fewest = (2 * seen.lag + HIGHEST_ORDER) * (2 if split else 1)
+    fewest = (2.0 - ROUNDING) * seen.lag * (2 if split else 1)
     if seen.samples >= fewest:
         return
     problem = "split: each half needs" if split else "fitted: it needs"
