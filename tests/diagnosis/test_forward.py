@@ -400,7 +400,7 @@ def folder(tmp_path: Path, independent) -> Path:
         ("bench.toml", 'drive = "two_mass"', 'drive = "rigid"', ("two_mass", "inverse")),
         ("forward.csv", MOTOR_CURRENT, "temperature", (MOTOR_CURRENT, "forward.csv")),
         ("config.toml", "= 2000.0", "= 1200.0", ("another speed", "2000", "1200")),
-        ("bench.toml", "value = 120.0\n", "value = 150.0\n", ("forward.csv", "4 load", "split")),
+        ("bench.toml", "value = 120.0\n", "value = 160.0\n", ("forward.csv", "3.75 load", "split")),
         ("config.toml", 'motor_current_a"]', 'motor_position_rad"]', ("motor_position_rad",)),
         (
             "config.toml",
