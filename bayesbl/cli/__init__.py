@@ -13,8 +13,14 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl import __version__
-from bayesbl.cli.bench import diagnose_command, effects_command, simulate_command, sweep_command
-from bayesbl.cli.configurations import check_command, init_command, run_command
+from bayesbl.cli.bench import (
+    diagnose_command,
+    effects_command,
+    plan_command,
+    simulate_command,
+    sweep_command,
+)
+from bayesbl.cli.configurations import check_command, fleet_command, init_command, run_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
@@ -34,7 +40,6 @@ app = typer.Typer(
     "1 anything else.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -44,9 +49,11 @@ app.command("run")(run_command)
 app.command("check")(check_command)
 app.command("fit")(fit_command)
 app.command("compare")(compare_command)
+app.command("fleet")(fleet_command)
 app.command("simulate")(simulate_command)
 app.command("sweep")(sweep_command)
 app.command("diagnose")(diagnose_command)
+app.command("plan")(plan_command)
 app.command("effects")(effects_command)
 app.command("figures")(figures_command)
 app.command("report")(report_command)
@@ -57,7 +64,10 @@ app.command("cite")(cite_command)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"bayesbl {__version__}")
+        from bayesbl.results.provenance import UNKNOWN, git_commit
+
+        commit = git_commit()
+        typer.echo(f"bayesbl {__version__}" + ("" if commit == UNKNOWN else f" ({commit})"))
         raise typer.Exit
 
 
@@ -66,7 +76,7 @@ def _common(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
+            "--version", callback=_print_version, is_eager=True, help="Print version and commit."
         ),
     ] = False,
 ) -> None:

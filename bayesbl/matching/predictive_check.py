@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import begin_of
 from bayesbl.recording.types import FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
@@ -53,9 +54,13 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     parts = fit.model.by_recording(fit.residual)
     for seen, part in zip(fit.model.recordings, parts, strict=True):
         for channel, row in zip(seen.channels, part, strict=True):
-            found += [
-                RepeatingPower(seen.name, channel, *entry) for entry in _repeating(row, seen.lag)
-            ]
+            part = row[begin_of(seen) :]
+            entries = (
+                _repeating(part, seen.lag)
+                if seen.motion is None or seen.cycle is not None
+                else _slow(part, seen.lag)
+            )
+            found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
     return found
 
 
@@ -91,5 +96,25 @@ def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
         scatter = float(np.sum(np.abs(band - mean) ** 2))
         ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
         probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
+        entries.append((highest, ratio, probability))
+    return entries
+
+
+def _slow(row: FloatArray, quarter: int) -> list[tuple[int, float, float]]:
+    """The same of a motion that does not repeat: its slow power over that of the fastest half.
+
+    The bands are in cycles per quarter of the recording; whitened noise has the same power in all.
+    """
+    spectrum = np.abs(np.fft.rfft(row)) ** 2 / row.size
+    fast = spectrum[spectrum.size // 2 : -1]
+    entries = []
+    for highest in BANDS:
+        last = 1 + highest * row.size // quarter
+        if last > spectrum.size // 2:
+            continue
+        band = spectrum[:1] if highest == 0 else spectrum[1:last]
+        degrees = 1 if highest == 0 else 2 * band.size
+        ratio = float(band.mean() / fast.mean())
+        probability = float(f_distribution.sf(ratio, degrees, 2 * fast.size))
         entries.append((highest, ratio, probability))
     return entries

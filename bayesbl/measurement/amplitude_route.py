@@ -7,7 +7,9 @@ from pathlib import Path
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.errors import RecordingError
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
 from bayesbl.measurement.amplitude_summary import summarise_amplitude
 from bayesbl.measurement.bench_of import bench_of
@@ -15,12 +17,20 @@ from bayesbl.measurement.change import Gap
 from bayesbl.measurement.compatibility import unsuited
 from bayesbl.measurement.curves import curve_source
 from bayesbl.measurement.earlier import read_earlier
-from bayesbl.measurement.fits import FitJob, earlier_of, gaps_of_fits, run_fits
-from bayesbl.measurement.joint_check import NOTHING_COMPARED
+from bayesbl.measurement.fits import (
+    FitJob,
+    earlier_of,
+    gaps_of_fits,
+    measured_ringing,
+    run_fits,
+)
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.ringing_check import ringing_check
 from bayesbl.measurement.same_joint import change_reason, same_joint
-from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.second_sampler import require_second_sampler
@@ -41,6 +51,8 @@ class AmplitudeMeasurer:
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The curve, and what else a run needs: an earlier optimum, the second sampler."""
+        estimator = self.estimator
+        yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
         yield "curve", self.source.describe
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
@@ -56,8 +68,20 @@ class AmplitudeMeasurer:
                 "which refuses a recording of fewer than two."
             )
 
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
+
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
+        if moves(recording):
+            raise RecordingError(
+                "This joint does not turn at one speed, and no gap curve belongs to the ringing of "
+                "a motion.",
+                file=recording.place,
+                found="a reference that varies over time",
+                expected="the direct route, which needs a bench: --bench FILE",
+            )
         self.source.require_usable(recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
@@ -95,6 +119,7 @@ class AmplitudeMeasurer:
                         self.source.question(recording),
                     ),
                     amplitude_groups(fit, gap, task.config.interval.level),
+                    model_check=_model_check(curve, fit, gap),
                 )
                 for recording, fit, gap, curve in zip(
                     task.recordings, fits, found, of_each, strict=True
@@ -109,7 +134,7 @@ class AmplitudeMeasurer:
     def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         start_from = task.config.estimator.search.start_from
-        earlier = {} if start_from is None else read_earlier(start_from)
+        earlier = task.earlier if start_from is None else read_earlier(start_from)
         check = task.config.posterior.check_sampler
         if check:
             require_second_sampler()
@@ -131,6 +156,12 @@ class AmplitudeMeasurer:
                 strict=True,
             )
         ]
+
+
+def _model_check(curve: GapCurve | None, fit: Fit, gap: Gap | None) -> JointCheck:
+    if curve is None or gap is None:
+        return NOTHING_COMPARED
+    return ringing_check(curve, measured_ringing(fit), gap)
 
 
 def _earlier_in_words(path: Path) -> str:

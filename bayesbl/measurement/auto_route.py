@@ -15,14 +15,17 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
+from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import Measurement, Snapshot
 from bayesbl.measurement.other_route import OTHER, other_route
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.task import Task, recording_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 
 FALSE_ALARM = 0.01
@@ -59,9 +62,16 @@ class AutoMeasurer:
         """Those of the amplitude."""
         return self.amplitude.notes()
 
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
+
     def require_usable(self, recording: Recording) -> None:
-        """The amplitude can be measured; where only the direct route cannot, it is left out."""
-        self.amplitude.require_usable(recording)
+        """The amplitude can be measured; where only the direct route cannot, it is left out.
+
+        Motions are the direct route's alone.
+        """
+        (self.direct if moves(recording) else self.amplitude).require_usable(recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
         """None: what cannot be compared with the bench is refused or left to the amplitude."""
@@ -69,6 +79,8 @@ class AutoMeasurer:
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """What holds for the amplitude; the direct route takes any."""
+        if any(map(moves, recordings)):
+            return self.direct.require_together(recordings)
         return self.amplitude.require_together(recordings)
 
     def measure(self, task: Task) -> Measurement:
@@ -79,6 +91,8 @@ class AutoMeasurer:
         UserError
             If neither can measure these recordings.
         """
+        if any(map(moves, task.recordings)):
+            return _with_attributes(self.direct.measure(task))
         direct, amplitude = _tried(self.direct.measure, task), _tried(self.amplitude.measure, task)
         match direct, amplitude:
             case UserError(), UserError():
@@ -142,11 +156,20 @@ def _beside(
             snapshot,
             groups={**snapshot.groups, group: other_route(answer.route, beside)},
             group_reasons={**snapshot.group_reasons, group: reason},
+            model_check=_of_both_routes(snapshot, beside),
         )
         for snapshot, beside, reason in zip(answer.snapshots, others, reasons, strict=True)
     ]
     curves = answer.curves or (other.curves if other else ())
     return replace(answer, snapshots=snapshots, curves=curves)
+
+
+def _of_both_routes(snapshot: Snapshot, beside: Snapshot | None) -> JointCheck:
+    """The answer's own judgement, with what the other route compared listed too."""
+    own = snapshot.model_check
+    told = {item.quantity for item in own.items}
+    others = () if beside is None else beside.model_check.items
+    return replace(own, items=[*own.items, *(i for i in others if i.quantity not in told)])
 
 
 def _instead(amplitude: Measurement, direct: Measurement | None, why: str) -> Measurement:

@@ -28,8 +28,10 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "fit": "measure",
         "compare": "measure",
         "sweep": "sweep",
+        "plan": "plan",
         "diagnose": "diagnose",
         "study": "study",
+        "fleet": "fleet",
         "simulate": "simulate",
         "bench": "bench",
     }

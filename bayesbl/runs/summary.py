@@ -10,17 +10,26 @@ if TYPE_CHECKING:
 
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.runs.fleet import FleetSummary
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
     Summary: TypeAlias = (
-        FitSummary | ComparisonSummary | SweepSummary | DiagnosisSummary | StudySummary
+        FitSummary
+        | ComparisonSummary
+        | SweepSummary
+        | PlanSummary
+        | DiagnosisSummary
+        | StudySummary
+        | FleetSummary
     )
 
 _SUMMARISE = {
     "fit": ("bayesbl.measurement.summary", "summarise_fit"),
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
+    "plan": ("bayesbl.runs.plan", "summarise_plan"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
     "study": ("bayesbl.runs.study", "summarise_study"),
 }

@@ -29,14 +29,13 @@ from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import (
     GAP,
     START_ANGLE,
-    Observed,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.naming.motor_orders import order_peaks
@@ -424,14 +423,14 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
 
 def test_too_few_rotations_to_tell_noise_from_what_repeats_are_refused(folder, capsys) -> None:
     bench, config = folder / "bench.toml", folder / "config.toml"
-    bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 300.0\n", 1))
+    bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 310.0\n", 1))
     forward = CONFIG[CONFIG.index("[[recordings]]") :]
     used = forward.replace('"split"', '"fit"')
     held_out = forward.replace('"split"', '"hold_out"').replace('"forward"', '"again"')
     config.write_text(CONFIG.replace(forward, used + held_out))
     assert status(["diagnose", str(config)]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    for word in ("forward.csv", "too short to be fitted", "2 load rotations"):
+    for word in ("forward.csv", "too short to be fitted", "1.94 load rotations"):
         assert word in said
 
 

@@ -30,8 +30,9 @@ from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.signals import GAP, START_ANGLE, Observed, Unknown
+from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, with_noise

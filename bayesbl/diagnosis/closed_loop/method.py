@@ -22,18 +22,18 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import ROUNDING
 from bayesbl.matching.signals import (
     START_ANGLE,
-    Observed,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import require_alive, require_channels
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -113,6 +113,14 @@ def forward_problem(
     recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
     used, held_out = [], []
     for entry, recording in zip(config.recordings, recordings, strict=True):
+        if moves(recording):
+            raise RecordingError(
+                "A diagnosis compares recordings of one speed each, and this is of a motion.",
+                file=str(entry.file),
+                found="a reference that varies over time",
+                expected="bayesbl fit RECORDING --bench FILE, which also names what contradicts "
+                "the bench",
+            )
         seen = observed(recording, bench, entry.reference_speed_rpm)
         seen = replace(
             seen,
