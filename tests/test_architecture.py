@@ -64,6 +64,8 @@ SAME_IDEA = {
     "measurement": "a measurement: its configuration, what every route returns",
     "method": "a method of diagnosis behind the protocol, one in each of its rooms",
     "misfit": "what repeats and the model lacks: the numbers, their figure",
+    "motion": "what a joint is asked to do: as it is simulated, as a configuration says it",
+    "plan": "the kind plan: its configuration, its run, its words, its figure",
     "posterior": "draws of the parameters of a model: of the ringing, of the matched bench",
     "simulate": "the kind simulate: its configuration, its run",
     "study": "the kind study: its configuration, its run, its words",

@@ -97,9 +97,9 @@ POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width); both widths are about 1 rpm at the motor of a 1:100 gear.
-MOTOR_SIGN_WIDTH = 0.1  # rad/s
-LOAD_SIGN_WIDTH = 1e-3  # rad/s
+# sign(ω) of friction is tanh(ω/width), width this share of the reference speed at motor and load:
+# 1 rpm of 2000. A share, so that a slow joint has the same friction as a fast one.
+FRICTION_WIDTH_SHARE = 1.0 / 2000.0
 # The integral fades out while the demand passes the current limit by this share of it.
 ANTI_WINDUP_BAND = 0.01
 
@@ -108,8 +108,6 @@ ANTI_WINDUP_BAND = 0.01
 LOCAL_SHARE = 0.004
 # Longest step in radians of the fastest oscillation: what the dense output still follows.
 LONGEST_PHASE = 1.0
-# rad/s: pace of a rigid bench that nothing drives.
-SLOWEST_RATE = 0.1
 
 DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
@@ -143,6 +141,7 @@ class Constants(NamedTuple):
     hard: bool
     rigid: bool
     reference: float
+    friction_width: float
     gap: float
     reference_angle: float
     phase_offset: float
@@ -203,6 +202,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.hard_dead_zone] != 0.0,
         p[Slot.rigid] != 0.0,
         p[Slot.reference_speed_rpm] / RPM,
+        FRICTION_WIDTH_SHARE * abs(p[Slot.reference_speed_rpm]) / RPM,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -246,6 +246,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.hard,
         c.rigid,
         row[1],
+        c.friction_width,
         c.gap,
         c.reference_angle,
         c.phase_offset,
@@ -380,7 +381,7 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 @_jit
 def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
     """Torque against the motor from motor-side effects, N m."""
-    direction = direction_of(speed / MOTOR_SIGN_WIDTH)
+    direction = direction_of(speed / c.friction_width)
     drift = p[Slot.friction_drift__torque_nm]
     drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
     dry = p[Slot.motor_coulomb_friction__torque_nm] + drift
@@ -414,7 +415,7 @@ def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
         torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
             torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
-                speed / LOAD_SIGN_WIDTH
+                speed * c.ratio / c.friction_width
             )
     return torque
 
@@ -428,7 +429,7 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
     if mesh != 0.0:
         # The transmitted torque contains the acceleration: solved with its sign held.
         transmitted = reflected * acceleration + load * c.per_ratio
-        factor = 1.0 + mesh * direction_of(speed / MOTOR_SIGN_WIDTH) * math.copysign(
+        factor = 1.0 + mesh * direction_of(speed / c.friction_width) * math.copysign(
             1.0, transmitted
         )
         acceleration = (torque - losses - load * c.per_ratio * factor) / (
@@ -703,9 +704,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
     fastest = math.sqrt(motor_rate**2 + load_rate**2)
     if c.rigid:
-        # Let go, it is gravity that sets the pace.
+        # Let go, it is gravity that sets the pace; without any, its own turning.
         swing = math.sqrt(c.gravity * c.per_ratio * c.per_ratio / inertia)
-        fastest = max(loop_rate, swing, SLOWEST_RATE)
+        fastest = max(loop_rate, swing, c.fastest_reference * c.per_ratio)
     torque = speed * inertia * max(fastest, loop_rate)
     scale[MOTOR_SPEED] = 1.0 / speed
     scale[MOTOR_ANGLE] = fastest / speed

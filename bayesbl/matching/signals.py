@@ -17,7 +17,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
+from bayesbl.bench.effects import (
+    after,
+    effect_named,
+    repeat_each_rotation,
+    turn_with_the_motor,
+)
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
@@ -209,6 +214,8 @@ class SimulatedSignals:
         matrix = self.bench.vector(**self.settings_of(points, seen))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
+        if seen.begin_s:
+            matrix = after(matrix, seen.begin_s)
         # Points often differ only in the unknowns of other recordings.
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
