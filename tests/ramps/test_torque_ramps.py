@@ -84,7 +84,6 @@ def test_the_answer_goes_with_units_and_not_with_direction_or_origin(sign, scale
     assert other.level.friction_nm == pytest.approx(scale * plain.level.friction_nm, rel=1e-6)
 
 
-@pytest.mark.parametrize("cycles", [1, 4, 300])
 def test_a_torque_that_counts_against_the_position_is_turned_round():
     torque = triangles(*CYCLES)
     position = operator(torque)
@@ -95,6 +94,7 @@ def test_a_torque_that_counts_against_the_position_is_turned_round():
         assert other.width_rad == one.width_rad > 0.0
 
 
+@pytest.mark.parametrize("cycles", [1, 4, 300])
 def test_few_ramps_and_many_are_read_alike(cycles):
     torque = triangles(*[SMALL] * cycles)
     ramps = find_ramps(*noisy(torque, operator(torque)))
