@@ -88,7 +88,7 @@ def init_command(
     path, guess = start_config(recordings, out, force=force)
     plan = check(path)
     print_blocks(guessed(guess), make_console())
-    say(what_next(path, sound=not plan.problems))
+    say(what_next(path, sound=not plan.problems, torque_ramps=guess.torque_ramps))
     _print_findings(plan)
 
 

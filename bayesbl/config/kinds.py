@@ -8,6 +8,7 @@ from types import MappingProxyType
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.measurement import CompareConfig, FitConfig
+from bayesbl.config.plan import PlanConfig
 from bayesbl.config.sections import RunConfig
 from bayesbl.config.study import StudyConfig
 from bayesbl.config.sweep import SweepConfig
@@ -17,6 +18,7 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
         "fit": FitConfig,
         "compare": CompareConfig,
         "sweep": SweepConfig,
+        "plan": PlanConfig,
         "diagnose": DiagnoseConfig,
         "study": StudyConfig,
         "fleet": FleetConfig,
@@ -30,6 +32,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "compare": "recordings to be measured and compared",
         "simulate": "recordings to be made on a bench",
         "sweep": "a bench to be swept over its gap",
+        "plan": "a bench whose motions are to be ranked",
         "diagnose": "recordings, and the bench that should describe them",
         "study": "an experiment and its rows",
         "fleet": "an inventory of joints, and where their recordings are",

@@ -33,6 +33,7 @@ from bayesbl.config.problems import (
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
+from bayesbl.recording.input_bytes import stem_of
 
 OPTIONS: Mapping[str, Location] = MappingProxyType(
     {
@@ -49,6 +50,11 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "workers": ("run", "workers"),
         "scheduler": ("run", "scheduler"),
         "out": ("run", "output"),
+        "range_rad": ("limits", "range_rad"),
+        "speed_rpm": ("limits", "speed_rpm"),
+        "acceleration_rpm_per_s": ("limits", "acceleration_rpm_per_s"),
+        "duration_s": ("limits", "duration_s"),
+        "gap_rad": ("gap_rad",),
     }
 )
 """Command-line option to the field it sets."""
@@ -145,8 +151,10 @@ def config_from_options(
         if value is not None:
             path_like = option in _PATH_OPTIONS and value != PUBLISHED
             plain = str(Path(str(value)).absolute()) if path_like else value
-            _set(tables, OPTIONS[option], plain)
-            origins[OPTIONS[option]] = "--" + option.replace("_", "-")
+            # A plan is about its bench; elsewhere the bench is one of the estimator's means.
+            location = ("bench",) if (kind, option) == ("plan", "bench") else OPTIONS[option]
+            _set(tables, location, plain)
+            origins[location] = "--" + option.replace("_", "-")
     _set_default(tables, ("run", "output"), _default_output(kind, recordings, config))
     return _validate(replace(document, tables=tables, origins=origins))
 
@@ -239,7 +247,7 @@ def _default_output(kind: str, recordings: Sequence[str | Path], config: str | P
     """Below ``results``: of recordings with the command, of a configuration by its name alone."""
     if not recordings:
         return str(Path("results", Path(config or "run").stem).absolute())
-    stems = dict.fromkeys(name_of(Path(path).stem) for path in (recordings[0], recordings[-1]))
+    stems = dict.fromkeys(name_of(stem_of(Path(p))) for p in (recordings[0], recordings[-1]))
     name = "_".join((kind, *stems)).encode()[:_LONGEST_OUTPUT].decode(errors="ignore")
     return str(Path("results", name).absolute())
 

@@ -18,7 +18,7 @@ from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
-from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
+from bayesbl.measurement.task import Seeds, StageProgress, Task
 from bayesbl.measurement.tree import measurement_tree
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
@@ -28,6 +28,7 @@ ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
     "direct": "bayesbl.measurement.direct_route",
     "auto": "bayesbl.measurement.auto_route",
+    "torque_ramp": "bayesbl.measurement.ramp_route",
 }
 """Name to the module, which is imported only where it is used."""
 
@@ -111,7 +112,7 @@ def measure(
     """
     measurer = measurer_of(config)
     require_plausible_limit(config.joint.limit_rad, measurer.gap_range_rad)
-    recordings = tuple(recording_of(entry, config) for entry in config.recordings)
+    recordings = tuple(measurer.read(entry) for entry in config.recordings)
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)

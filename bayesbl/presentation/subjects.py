@@ -15,6 +15,7 @@ from bayesbl.presentation import (
     diagnosis,
     estimates,
     fleet,
+    plan,
     study,
     sweep,
 )
@@ -86,6 +87,13 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             sweep.blocks,
             advice.of_sweep,
             assumptions.of_sweep,
+        ),
+        "plan": Subject(
+            "Motions that would show the gap",
+            plan.headline,
+            plan.blocks,
+            advice.of_plan,
+            assumptions.of_plan,
         ),
         "study": Subject(
             "Study", study.headline, study.blocks, advice.of_study, assumptions.of_study

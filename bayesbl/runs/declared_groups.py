@@ -17,6 +17,7 @@ _MODULES = {
     "fit": "bayesbl.measurement.routes",
     "compare": "bayesbl.measurement.routes",
     "sweep": "bayesbl.runs.sweep_groups",
+    "plan": "bayesbl.runs.plan",
     "diagnose": "bayesbl.diagnosis.groups",
     "study": "bayesbl.runs.study",
 }
@@ -27,6 +28,7 @@ _ATTRIBUTES = {
     "fit": _MEASURED,
     "compare": _MEASURED,
     "sweep": ("outcome", "degree"),
+    "plan": ("outcome", "gap_rad"),
     "diagnose": ("outcome", "diagnosis"),
     "study": ("outcome", "study"),
 }

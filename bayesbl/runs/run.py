@@ -28,6 +28,7 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "fit": "measure",
         "compare": "measure",
         "sweep": "sweep",
+        "plan": "plan",
         "diagnose": "diagnose",
         "study": "study",
         "fleet": "fleet",

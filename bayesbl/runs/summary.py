@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
     from bayesbl.runs.fleet import FleetSummary
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
         FitSummary
         | ComparisonSummary
         | SweepSummary
+        | PlanSummary
         | DiagnosisSummary
         | StudySummary
         | FleetSummary
@@ -27,6 +29,7 @@ _SUMMARISE = {
     "fit": ("bayesbl.measurement.summary", "summarise_fit"),
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
+    "plan": ("bayesbl.runs.plan", "summarise_plan"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
     "study": ("bayesbl.runs.study", "summarise_study"),
 }
