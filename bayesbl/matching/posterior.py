@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesbl.bench.parameters import cannot_be_negative
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress, SamplerSettings, Walk, thinned, walk
@@ -189,10 +189,7 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
     steps = generator.standard_normal((count, fit.point.size))
     moves = steps @ np.linalg.cholesky(fit.covariance).T
     half = 0.5 * (model.high - model.low)
-    margin = np.array(
-        [0.0 if u.logarithmic or not math.isfinite(h) else BEYOND * h
-         for u, h in zip(model.unknowns, half, strict=True)]
-    )  # fmt: skip
+    margin = np.array([_margin(u, h) for u, h in zip(model.unknowns, half, strict=True)])
     # Below zero much makes no physical sense, and at zero some of it neither.
     floor = [
         -math.inf
@@ -205,6 +202,18 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
         room = np.where(moves > 0.0, (high - fit.point) / moves, (low - fit.point) / moves)
     share = np.clip(np.nan_to_num(room, nan=1.0).min(axis=1), 0.0, 1.0)
     return np.asarray(fit.point + share[:, None] * moves)
+
+
+def _margin(unknown: Unknown, half_width: float) -> float:
+    """How far the surrogate's points may leave a flat prior's range.
+
+    The logarithm of a bench parameter may go three standard deviations of that prior beyond it:
+    what scales several of them at once changes no signal, and points pulled back along it would
+    not spread along what does.
+    """
+    if unknown.name == GAP or not math.isfinite(half_width):
+        return 0.0
+    return 3.0 * unknown.prior_sd if unknown.logarithmic else BEYOND * half_width
 
 
 def _walk(
