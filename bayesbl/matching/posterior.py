@@ -299,11 +299,12 @@ def _at_edges(
         )
         for side, edge in edges:
             if abs(float(own.mean()) - edge) < PRESSED * float(own.std()):
+                low, high = unknown.value(np.array([unknown.low, unknown.high]))
                 yield (
                     i,
                     side,
                     f"{unknown.label} lies at the {side} edge of its tolerance "
-                    f"({unknown.low:.4g} to {unknown.high:.4g}): its true value may lie beyond.",
+                    f"({low:.4g} to {high:.4g}): its true value may lie beyond.",
                 )
 
 

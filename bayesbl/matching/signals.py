@@ -37,6 +37,10 @@ LARGEST_SPEED_ERROR = 0.01
 bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
 """
 
+FURTHEST_IDENTIFIED = 5.0
+"""Standard deviations that an identified parameter may be from its value: further by chance once in
+two million; a parameter there contradicts what it was identified from."""
+
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
 
@@ -191,6 +195,8 @@ class Unknown:
         The coordinate is the natural logarithm of the value.
     added
         The value is added to what the recording has without it.
+    flat_in_value
+        The prior is uniform in the value where the coordinate is its logarithm.
     """
 
     name: str
@@ -201,6 +207,7 @@ class Unknown:
     recording: str | None = None
     logarithmic: bool = False
     added: bool = False
+    flat_in_value: bool = False
 
     @property
     def label(self) -> str:
@@ -234,11 +241,35 @@ def start_angle_unknown(recording: str) -> Unknown:
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
-    """Every bench parameter that is not known exactly, uniform within its tolerance."""
+    """Every bench parameter that is not known exactly: uniform within its tolerance, or identified.
+
+    Those identified have the joint prior of the bench (:attr:`SimulatedSignals.normal_prior`).
+    """
+    joint = bench.identified
     return [
         Unknown(name, bench.value(name) - half, bench.value(name) + half)
+        if joint is None or name not in joint.names
+        else _identified_unknown(name, math.log(bench.value(name)), joint.sd(name))
         for name, half in bench.tolerances.items()
     ]
+
+
+def _identified_unknown(name: str, centre: float, sd: float) -> Unknown:
+    reach = FURTHEST_IDENTIFIED * sd
+    return Unknown(name, centre - reach, centre + reach, centre, sd, logarithmic=True)
+
+
+def scale_unknown(bench: Bench, name: str) -> Unknown:
+    """A parameter uniform within its tolerance, by its logarithm where all of it is above zero.
+
+    What no recording can show, such as all torques and the torque constant times one factor, is a
+    straight line among logarithms, however wide the tolerances.
+    """
+    value, half = bench.value(name), bench.tolerances[name]
+    if value <= half:
+        return Unknown(name, value - half, value + half)
+    low, high = math.log(value - half), math.log(value + half)
+    return Unknown(name, low, high, logarithmic=True, flat_in_value=True)
 
 
 def drift_unknowns(
@@ -293,6 +324,8 @@ class SimulatedSignals:
         What is known besides the bench, by name, such as ``gap_rad``.
     recent
         Simulations that another comparison of the same recordings has made.
+    normal_prior
+        W of shape (k, d) and c (d,): normal priors have the density exp(−½|W (x − c)|²).
     """
 
     bench: Bench
@@ -305,6 +338,8 @@ class SimulatedSignals:
 
     def __post_init__(self) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
+        self.normal_prior = self._normal_prior()
+        self._flat_in_value = np.array([u.flat_in_value for u in self.unknowns], dtype=bool)
         self._white_recordings = [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
@@ -413,13 +448,39 @@ class SimulatedSignals:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
         points = np.atleast_2d(points)
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
-        centre = np.array([u.centre for u in self.unknowns])
-        sd = np.array([u.sd for u in self.unknowns])
-        return np.where(inside, -0.5 * (((points - centre) / sd) ** 2).sum(axis=1), -np.inf)
+        whitening, centre = self.normal_prior
+        normal = -0.5 * (((points - centre) @ whitening.T) ** 2).sum(axis=1)
+        return np.where(inside, normal + points @ self._flat_in_value, -np.inf)
+
+    @property
+    def prior_slope(self) -> FloatArray:
+        """Slope of the log prior where it is not normal: 1 for flat in the value, shape (d,)."""
+        return self._flat_in_value.astype(float)
 
     def prior_precision(self) -> FloatArray:
-        """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
-        return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+        """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
+        whitening, _ = self.normal_prior
+        flat = [0.0 if math.isfinite(u.sd) else u.prior_sd**-2.0 for u in self.unknowns]
+        return np.asarray(whitening.T @ whitening + np.diag(flat))
+
+    def _normal_prior(self) -> tuple[FloatArray, FloatArray]:
+        joint = self.bench.identified
+        normal = [i for i, u in enumerate(self.unknowns) if math.isfinite(u.sd)]
+        together = [i for i in normal if joint is not None and self._is_joint(i)]
+        alone = [i for i in normal if i not in together]
+        whitening = np.zeros((len(normal), len(self.unknowns)))
+        for row, i in enumerate(alone):
+            whitening[row, i] = 1.0 / self.unknowns[i].sd
+        if joint is not None and together:
+            names = [self.unknowns[i].name for i in together]
+            whitening[len(alone) :, together] = joint.whitening(names)
+        return whitening, np.array([u.centre for u in self.unknowns])
+
+    def _is_joint(self, index: int) -> bool:
+        """Whether an unknown is one of the parameters that the bench's joint prior is of."""
+        unknown, joint = self.unknowns[index], self.bench.identified
+        shared = unknown.recording is None and not unknown.added
+        return joint is not None and shared and unknown.name in joint.names
 
 
 def _simulated(

@@ -240,12 +240,10 @@ def _difference(
 def _projected(fit: SimulatedFit, columns: list[FloatArray]) -> float:
     if not columns:
         return 0.0
-    known = [i for i, u in enumerate(fit.model.unknowns) if math.isfinite(u.sd)]
-    rows = np.zeros((len(known), fit.point.size))
-    rows[np.arange(len(known)), known] = [1.0 / fit.model.unknowns[i].sd for i in known]
+    rows, _ = fit.model.normal_prior
     jacobian = np.concatenate([fit.jacobian, rows])
     residual = np.concatenate([fit.residual, fit.deviations])
-    more = np.pad(np.column_stack(columns), ((0, len(known)), (0, 0)))
+    more = np.pad(np.column_stack(columns), ((0, len(rows)), (0, 0)))
     basis, _ = np.linalg.qr(np.column_stack([jacobian, more]))
     own, _ = np.linalg.qr(jacobian)
     return float(np.sum((basis.T @ residual) ** 2) - np.sum((own.T @ residual) ** 2))
