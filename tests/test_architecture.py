@@ -32,6 +32,7 @@ ROOMS = (
     "results",
     "measurement",
     "diagnosis",
+    "identification",
     "runs",
     "presentation",
     "library",

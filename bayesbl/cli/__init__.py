@@ -15,6 +15,7 @@ import typer
 from bayesbl import __version__
 from bayesbl.cli.bench import diagnose_command, effects_command, simulate_command, sweep_command
 from bayesbl.cli.configurations import check_command, init_command, run_command
+from bayesbl.cli.identifying import identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
@@ -47,6 +48,7 @@ app.command("compare")(compare_command)
 app.command("simulate")(simulate_command)
 app.command("sweep")(sweep_command)
 app.command("diagnose")(diagnose_command)
+app.command("identify")(identify_command)
 app.command("effects")(effects_command)
 app.command("figures")(figures_command)
 app.command("report")(report_command)

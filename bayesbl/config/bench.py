@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -235,7 +236,24 @@ def load_bench(path: str | Path) -> Bench:
         Naming file and field: no such file, not TOML, unknown keys or effects, values out of
         range, parameters that make no physical sense.
     """
-    loaded = load_file(Path(path), BenchFile)
+    return _bench_of(load_file(Path(path), BenchFile), path)
+
+
+def parse_bench(text: str, path: str | Path) -> Bench:
+    """The bench of a bench file's text that a result holds; ``path`` is named by refusals.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`load_bench`.
+    """
+    try:
+        return _bench_of(BenchFile.model_validate(tomllib.loads(text)), path)
+    except ValueError as error:
+        raise ConfigError("The bench in this result is damaged.", file=path) from error
+
+
+def _bench_of(loaded: BenchFile, path: str | Path) -> Bench:
     try:
         return loaded.bench()
     except BenchError as error:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.identify import IdentifyConfig
 from bayesbl.config.measurement import CompareConfig, FitConfig
 from bayesbl.config.sections import RunConfig
 from bayesbl.config.study import StudyConfig
@@ -17,6 +18,7 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
         "compare": CompareConfig,
         "sweep": SweepConfig,
         "diagnose": DiagnoseConfig,
+        "identify": IdentifyConfig,
         "study": StudyConfig,
     }
 )
@@ -29,6 +31,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "simulate": "recordings to be made on a bench",
         "sweep": "a bench to be swept over its gap",
         "diagnose": "recordings, and the bench that should describe them",
+        "identify": "recordings, and the data sheet that a bench is identified from",
         "study": "an experiment and its rows",
         "bench": "a virtual bench",
     }

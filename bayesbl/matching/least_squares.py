@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -146,6 +145,11 @@ def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     precision = model.prior_precision()
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)
+
+
+def derivatives(model: SimulatedSignals, point: FloatArray, steps: FloatArray) -> FloatArray:
+    """Of the whitened signals by the coordinates at a point, shape (N, d)."""
+    return _jacobian(model, point, model.whitened(point)[0], steps)[0]
 
 
 def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray) -> float:

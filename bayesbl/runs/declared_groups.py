@@ -18,6 +18,7 @@ _MODULES = {
     "compare": "bayesbl.measurement.routes",
     "sweep": "bayesbl.runs.sweep_groups",
     "diagnose": "bayesbl.diagnosis.groups",
+    "identify": "bayesbl.identification.groups",
     "study": "bayesbl.runs.study",
 }
 """Kind to the module whose ``declared_groups`` lists its groups."""
@@ -28,6 +29,7 @@ _ATTRIBUTES = {
     "compare": _MEASURED,
     "sweep": ("outcome", "degree"),
     "diagnose": ("outcome", "diagnosis"),
+    "identify": ("outcome", "identification", "identified_bench"),
     "study": ("outcome", "study"),
 }
 """Kind to what its root says of it."""

@@ -29,6 +29,7 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "compare": "measure",
         "sweep": "sweep",
         "diagnose": "diagnose",
+        "identify": "identify",
         "study": "study",
         "simulate": "simulate",
         "bench": "bench",

@@ -9,18 +9,25 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.diagnosis.summary import DiagnosisSummary
+    from bayesbl.identification.summary import IdentificationSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
     Summary: TypeAlias = (
-        FitSummary | ComparisonSummary | SweepSummary | DiagnosisSummary | StudySummary
+        FitSummary
+        | ComparisonSummary
+        | SweepSummary
+        | DiagnosisSummary
+        | IdentificationSummary
+        | StudySummary
     )
 
 _SUMMARISE = {
     "fit": ("bayesbl.measurement.summary", "summarise_fit"),
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
+    "identify": ("bayesbl.identification.summary", "summarise_identification"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
     "study": ("bayesbl.runs.study", "summarise_study"),
 }

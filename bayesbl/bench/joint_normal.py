@@ -1,0 +1,42 @@
+"""What is known of several bench parameters together: their logarithms are normal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointNormal:
+    """ln p ~ N(ln of the bench's values, covariance).
+
+    Attributes
+    ----------
+    names
+        Of k bench parameters, all above zero.
+    covariance
+        Of their logarithms, shape (k, k), positive definite.
+    """
+
+    names: tuple[str, ...]
+    covariance: FloatArray
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of the logarithm of one parameter: about its relative one."""
+        i = self.names.index(name)
+        return float(np.sqrt(self.covariance[i, i]))
+
+    def whitening(self, names: Sequence[str]) -> FloatArray:
+        """W with Wᵀ W the inverse covariance of these parameters' logarithms, shape (n, n)."""
+        index = [self.names.index(name) for name in names]
+        root = np.linalg.cholesky(self.covariance[np.ix_(index, index)])
+        return np.asarray(np.linalg.inv(root))
+
+    def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Factors of the values, shape (count, k)."""
+        root = np.linalg.cholesky(self.covariance)
+        return np.exp(rng.standard_normal((count, len(self.names))) @ root.T)
