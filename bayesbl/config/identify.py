@@ -42,9 +42,9 @@ class Identify(Section):
     if the bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
     """
 
-    parameters: Annotated[
-        Literal["toleranced"] | tuple[str, ...], BeforeValidator(_parameters)
-    ] = "toleranced"
+    parameters: Annotated[Literal["toleranced"] | tuple[str, ...], BeforeValidator(_parameters)] = (
+        "toleranced"
+    )
     effects: Annotated[Literal["catalogue"] | tuple[str, ...], BeforeValidator(_effects)] = ()
     gap_rad: Range = (1e-4, 1e-2)
 

@@ -55,7 +55,9 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
 
-_OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType({"identify": {"bench": ("bench",)}})
+_OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
+    {"identify": {"bench": ("bench",)}}
+)
 """Options that set another field in some kinds."""
 
 _COMMON_SECTIONS = ("schema", "run", "columns", "interval")

@@ -217,9 +217,7 @@ def _beyond_data_sheet(
 ) -> tuple[Explanation, BeyondDataSheet] | None:
     """One parameter beyond its tolerance that explains all, the others within theirs."""
     wider = [
-        _widened(nominal, name)
-        for name in problem.parameters
-        if problem.bench.value(name) > 0.0
+        _widened(nominal, name) for name in problem.parameters if problem.bench.value(name) > 0.0
     ]
     rough = [e for e in (explain(nominal, c) for c in wider) if e is not None]
     best = sorted(rough, key=lambda e: e.fit.chi_square)[:POLISHED]
