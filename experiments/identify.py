@@ -73,7 +73,7 @@ COLUMNS = {
     "agrees": ("1", "1 where its verdict is agrees"),
     "named": ("1", "1 where the wrong value of the data sheet is named, alone or among others"),
     "named_alone": ("1", "1 where it is named, and no other with it"),
-    "seconds": ("s", "time of the identification"),
+    "identify_seconds": ("s", "time of the identification"),
     "gap_z": ("1", "identified ln δ less the true one, in its standard deviations"),
     **{
         f"{name}_{what}": ("1", f"{meaning}, {name}")
@@ -118,7 +118,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     found = identify(problem, LEVEL, identify_seed)
     values = {name: math.nan for name in COLUMNS}
     values |= {
-        "seconds": perf_counter() - begin,
+        "identify_seconds": perf_counter() - begin,
         "withheld": float(reason_of(found, problem) is not None),
         "agrees": float(found.verdict == "agrees" and found.beyond is None),
     }
@@ -242,7 +242,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     line: dict[str, float | str] = {"joints": float(size)}
     line["withheld"] = _mean(cases["withheld"].values)
     line["agrees"] = _mean(cases["agrees"].values)
-    line["seconds"] = float(np.median(cases["seconds"].values))
+    line["seconds"] = float(np.median(cases["identify_seconds"].values))
     if row.wrong:
         line["named"] = _mean(cases["named"].values)
         line["named_alone"] = _mean(cases["named_alone"].values)
