@@ -40,19 +40,22 @@ sys.path.append(str(Path(__file__).parent))
 
 from calibration_statistics import rank
 from calibration_table import calibration_line
+from independent_bench import Plant, plant, simulate
 from made_recordings import draw_symbols, drifting, synthetic_recording, with_samples_lost
+from outside_noise import encoder_harmonics, one_over_f, varied_speed
 
 from bayesbl.bench.bench import Bench, SpeedSource
+from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.signals import GAP, observed
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY
@@ -77,6 +80,12 @@ AMPLITUDES_RPM = (10.0, 40.0)
 FREQUENCIES_RAD_PER_S = (10.0 * math.pi, 50.0 * math.pi)
 LARGEST_BASELINE_RPM = 10.0
 
+SPEED_VARIATION = 5e-4
+"""Sd of the speed's slow variation, of the speed: 1 rpm of 2000."""
+
+ENCODER_SD_RPM = 0.5
+CURRENT_NOISE_SD_A = 0.05
+
 
 class Row(BaseModel):
     """A row: what is simulated, and how it is fitted.
@@ -88,6 +97,9 @@ class Row(BaseModel):
     ``posterior`` of the amplitude route: ``emcee`` as shipped; ``short``, the same stopped early;
     ``normal`` around the optimum with the covariance that emcee samples. In the first
     ``emcee_cases`` of a row emcee as shipped is run too. The direct route has its fast posterior.
+
+    ``made_by`` ``independent_bench``: recordings of the simulator that shares only the equations.
+    ``outside_noise``, of no fitted family, is added to the row's noise, or is the noise if 1/f.
 
     What real recordings suffer from: ``degrees_of_freedom`` of Student-t noise; ``missing_share``
     of the samples lost; ``speed_source`` ``encoder``, the speed differentiated from
@@ -114,6 +126,8 @@ class Row(BaseModel):
     encoder_counts: PositiveInt | None = None
     speed_source: SpeedSource = "sensor"
     drift_share: float = 0.0
+    made_by: Literal["package", "independent_bench"] = "package"
+    outside_noise: Literal["one_over_f", "encoder_harmonics", "speed_variation"] | None = None
 
     @model_validator(mode="after")
     def _fits_together(self) -> Row:
@@ -128,6 +142,12 @@ class Row(BaseModel):
                 "The direct route's prior is on the range that gaps are drawn from.",
                 found=self.gap_rad,
                 expected="gap_rad = [low, high]",
+            )
+        elif self.outside_noise and self.made_by == "package":
+            refuse(
+                "Noise of no fitted family is of the independent bench only.",
+                found=self.outside_noise,
+                expected='made_by = "independent_bench"',
             )
         elif self.route == "amplitude" and self.curve is None:
             refuse("The amplitude route needs a curve.", found="none", expected="a sweep's file")
@@ -292,7 +312,7 @@ def _directly(
     ]
     found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
     posterior = found.posterior
-    withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
+    withheld = any(direct_verdict(found, place).outcome == "withheld" for place in (0, 1))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
     return Answer((before, after), withheld)
 
@@ -335,12 +355,46 @@ def _recorded(row: Row, bench: Bench, gap_rad: float, generator: np.random.Gener
         "sampling_hz": row.sampling_hz,
         "start_angle_rad": start_angle_rad,
     }
+    if row.made_by == "independent_bench":
+        return _recorded_outside(row, bench, gap_rad, start_angle_rad, generator)
     if row.drift_share:
         return drifting(bench, gap_rad, row.drift_share, generator, **how)
     recording = bench.simulate(gap_rad, **how, seed=generator)
     if row.missing_share:
         return with_samples_lost(recording, row.missing_share, generator)
     return recording
+
+
+def _recorded_outside(
+    row: Row, bench: Bench, gap_rad: float, start_angle_rad: float, generator: np.random.Generator
+) -> Recording:
+    """Of the independent bench, noise added here."""
+    values = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
+    values = {k: v for k, v in values.items() if k in Plant._fields}
+    motor = generator.uniform(0.0, 2.0 * math.pi)
+    angles = {"start_angle_rad": start_angle_rad, "motor_start_angle_rad": motor}
+    made = simulate(
+        plant(values, gap_rad=gap_rad, **angles),
+        rotations=row.rotations,
+        sampling_hz=row.sampling_hz,
+    )
+    speed, current = made.clean[1].copy(), made.clean[2].copy()
+    if row.outside_noise == "speed_variation":
+        speed, current = varied_speed(
+            made.clean[1:],
+            row.sampling_hz,
+            bench.rotation_period_s(values["reference_speed_rpm"]),
+            SPEED_VARIATION,
+            generator,
+        )
+    if row.outside_noise == "encoder_harmonics":
+        speed += encoder_harmonics(made.clean[0], ENCODER_SD_RPM, generator)
+    if row.outside_noise == "one_over_f":
+        speed += one_over_f(speed.size, row.speed_noise_sd_rpm, generator)
+    else:
+        speed += _noise(row).draw(speed.size, generator)
+    current += CURRENT_NOISE_SD_A * generator.standard_normal(current.size)
+    return replace(made.recording, channels={MOTOR_SPEED: speed, MOTOR_CURRENT: current})
 
 
 def _noise(row: Row) -> NoiseModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from places import ROOT
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
 DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))
-PAGES = ("README.md", "CHANGELOG.md", *DOCS)
+PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS)
 
 
 def headings(text: str) -> set[str]:
@@ -71,6 +72,12 @@ def test_files_that_a_page_names_are_there(page: str) -> None:
     # What the README has the reader write.
     own = {"configs/my_sweep.toml"}
     assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
+
+
+def test_the_page_of_all_keys_is_that_of_the_models() -> None:
+    made = runpy.run_path(str(ROOT / "docs" / "make_configuration.py"))["pages"]()
+    old = [file.name for file, text in made.items() if file.read_text(encoding="utf-8") != text]
+    assert old == [], "run python docs/make_configuration.py"
 
 
 def test_the_design_describes_every_room() -> None:

@@ -1,4 +1,4 @@
-"""Public names, what they cost, what may be cited, and the README's code, which runs."""
+"""Public names, what they cost, what may be cited, and the code of the pages, which runs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,15 @@ import bayesbl
 from bayesbl import cli
 from bayesbl.presentation.citations import all_bibtex, citations
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.S | re.M)
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PYTHON = {
+    f"{page.name}, block {place}": code
+    for page in PAGES
+    if page.name != "extending.md"  # shows pieces of files
+    for place, code in enumerate(
+        re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M), 1
+    )
+}
 
 
 def test_every_public_name_is_there_and_documented():
@@ -49,11 +53,10 @@ def test_types_and_templates_are_shipped():
             assert file in shipped
 
 
-def test_the_readmes_python_runs(tmp_path, monkeypatch):
+@pytest.mark.parametrize("block", PYTHON)
+def test_the_python_of_the_documentation_runs(block, monkeypatch):
     monkeypatch.chdir(ROOT)
-    assert blocks("python")
-    for code in blocks("python"):
-        exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    exec(compile(PYTHON[block], block, "exec"), {"__name__": "page"})
 
 
 def test_an_unknown_option_is_refused():

@@ -35,7 +35,6 @@ app = typer.Typer(
     "1 anything else.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -59,7 +58,10 @@ app.command("cite")(cite_command)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"bayesbl {__version__}")
+        from bayesbl.results.provenance import UNKNOWN, git_commit
+
+        commit = git_commit()
+        typer.echo(f"bayesbl {__version__}" + ("" if commit == UNKNOWN else f" ({commit})"))
         raise typer.Exit
 
 
@@ -68,7 +70,7 @@ def _common(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
+            "--version", callback=_print_version, is_eager=True, help="Print version and commit."
         ),
     ] = False,
 ) -> None:

@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
+from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
@@ -326,6 +327,8 @@ class SimulatedSignals:
         Simulations that another comparison of the same recordings has made.
     normal_prior
         W of shape (k, d) and c (d,): normal priors have the density exp(−½|W (x − c)|²).
+    prior_slope
+        Slope of the log prior beside it, 1 for what is flat in the value, shape (d,).
     """
 
     bench: Bench
@@ -338,8 +341,8 @@ class SimulatedSignals:
 
     def __post_init__(self) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
-        self.normal_prior = self._normal_prior()
-        self._flat_in_value = np.array([u.flat_in_value for u in self.unknowns], dtype=bool)
+        self.normal_prior = _normal_prior(self.unknowns, self.bench.identified)
+        self.prior_slope = np.array([float(u.flat_in_value) for u in self.unknowns])
         self._white_recordings = [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
@@ -450,12 +453,7 @@ class SimulatedSignals:
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
         whitening, centre = self.normal_prior
         normal = -0.5 * (((points - centre) @ whitening.T) ** 2).sum(axis=1)
-        return np.where(inside, normal + points @ self._flat_in_value, -np.inf)
-
-    @property
-    def prior_slope(self) -> FloatArray:
-        """Slope of the log prior where it is not normal: 1 for flat in the value, shape (d,)."""
-        return self._flat_in_value.astype(float)
+        return np.where(inside, normal + points @ self.prior_slope, -np.inf)
 
     def prior_precision(self) -> FloatArray:
         """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
@@ -463,24 +461,21 @@ class SimulatedSignals:
         flat = [0.0 if math.isfinite(u.sd) else u.prior_sd**-2.0 for u in self.unknowns]
         return np.asarray(whitening.T @ whitening + np.diag(flat))
 
-    def _normal_prior(self) -> tuple[FloatArray, FloatArray]:
-        joint = self.bench.identified
-        normal = [i for i, u in enumerate(self.unknowns) if math.isfinite(u.sd)]
-        together = [i for i in normal if joint is not None and self._is_joint(i)]
-        alone = [i for i in normal if i not in together]
-        whitening = np.zeros((len(normal), len(self.unknowns)))
-        for row, i in enumerate(alone):
-            whitening[row, i] = 1.0 / self.unknowns[i].sd
-        if joint is not None and together:
-            names = [self.unknowns[i].name for i in together]
-            whitening[len(alone) :, together] = joint.whitening(names)
-        return whitening, np.array([u.centre for u in self.unknowns])
 
-    def _is_joint(self, index: int) -> bool:
-        """Whether an unknown is one of the parameters that the bench's joint prior is of."""
-        unknown, joint = self.unknowns[index], self.bench.identified
-        shared = unknown.recording is None and not unknown.added
-        return joint is not None and shared and unknown.name in joint.names
+def _normal_prior(
+    unknowns: Sequence[Unknown], joint: JointNormal | None
+) -> tuple[FloatArray, FloatArray]:
+    normal = [i for i, u in enumerate(unknowns) if math.isfinite(u.sd)]
+    # One recording's own value of a parameter is another unknown.
+    names = () if joint is None else joint.names
+    together = [i for i in normal if unknowns[i].name in names and unknowns[i].recording is None]
+    alone = [i for i in normal if i not in together]
+    whitening = np.zeros((len(normal), len(unknowns)))
+    for row, i in enumerate(alone):
+        whitening[row, i] = 1.0 / unknowns[i].sd
+    if joint is not None and together:
+        whitening[len(alone) :, together] = joint.whitening([unknowns[i].name for i in together])
+    return whitening, np.array([u.centre for u in unknowns])
 
 
 def _simulated(

@@ -15,9 +15,16 @@ from bayesbl.measurement.change import Gap
 from bayesbl.measurement.compatibility import unsuited
 from bayesbl.measurement.curves import curve_source
 from bayesbl.measurement.earlier import read_earlier
-from bayesbl.measurement.fits import FitJob, earlier_of, gaps_of_fits, run_fits
-from bayesbl.measurement.joint_check import NOTHING_COMPARED
+from bayesbl.measurement.fits import (
+    FitJob,
+    earlier_of,
+    gaps_of_fits,
+    measured_ringing,
+    run_fits,
+)
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.ringing_check import ringing_check
 from bayesbl.measurement.same_joint import change_reason, same_joint
 from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
@@ -95,6 +102,7 @@ class AmplitudeMeasurer:
                         self.source.question(recording),
                     ),
                     amplitude_groups(fit, gap, task.config.interval.level),
+                    model_check=_model_check(curve, fit, gap),
                 )
                 for recording, fit, gap, curve in zip(
                     task.recordings, fits, found, of_each, strict=True
@@ -131,6 +139,12 @@ class AmplitudeMeasurer:
                 strict=True,
             )
         ]
+
+
+def _model_check(curve: GapCurve | None, fit: Fit, gap: Gap | None) -> JointCheck:
+    if curve is None or gap is None:
+        return NOTHING_COMPARED
+    return ringing_check(curve, measured_ringing(fit), gap)
 
 
 def _earlier_in_words(path: Path) -> str:

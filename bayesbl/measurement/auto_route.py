@@ -19,6 +19,7 @@ from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
+from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import Measurement, Snapshot
 from bayesbl.measurement.other_route import OTHER, other_route
 from bayesbl.measurement.task import Task
@@ -142,11 +143,20 @@ def _beside(
             snapshot,
             groups={**snapshot.groups, group: other_route(answer.route, beside)},
             group_reasons={**snapshot.group_reasons, group: reason},
+            model_check=_of_both_routes(snapshot, beside),
         )
         for snapshot, beside, reason in zip(answer.snapshots, others, reasons, strict=True)
     ]
     curves = answer.curves or (other.curves if other else ())
     return replace(answer, snapshots=snapshots, curves=curves)
+
+
+def _of_both_routes(snapshot: Snapshot, beside: Snapshot | None) -> JointCheck:
+    """The answer's own judgement, with what the other route compared listed too."""
+    own = snapshot.model_check
+    told = {item.quantity for item in own.items}
+    others = () if beside is None else beside.model_check.items
+    return replace(own, items=[*own.items, *(i for i in others if i.quantity not in told)])
 
 
 def _instead(amplitude: Measurement, direct: Measurement | None, why: str) -> Measurement:

@@ -40,6 +40,7 @@ from bayesbl.measurement.model_check import (
     against_the_bench,
     check_of_comparison,
     check_of_snapshot,
+    feature_items,
     undecided_change,
     undecided_gap,
 )
@@ -100,7 +101,11 @@ class DirectMatch:
         return replace(
             check,
             agrees=check.agrees and not self.repeating(recording) and beyond is None,
-            items=[*check.items, *(_item(e) for e in self.check if e.recording == recording)],
+            items=[
+                *check.items,
+                *feature_items(self.posterior.fit, recording),
+                *(_item(e) for e in self.check if e.recording == recording),
+            ],
         )
 
 

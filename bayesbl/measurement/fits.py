@@ -90,8 +90,13 @@ def gaps_of_fits(task: Task, curves: Sequence[GapCurve], fits: Sequence[Fit]) ->
     """The gap of every fit through its curve, all through the same draws."""
     return gaps(
         curves,
-        [MeasuredRinging(f.posterior.draws[AMPLITUDE], *f.point.ringing) for f in fits],
+        [measured_ringing(fit) for fit in fits],
         task.seeds.gap,
         allow_extrapolation=task.config.curve.allow_extrapolation,
         level=task.config.interval.level,
     )
+
+
+def measured_ringing(fit: Fit) -> MeasuredRinging:
+    """What a fit says of the ringing."""
+    return MeasuredRinging(fit.posterior.draws[AMPLITUDE], *fit.point.ringing)

@@ -81,13 +81,19 @@ def features(folded: FloatArray, period_s: float) -> list[Feature]:
     period_s
         Between samples.
     """
-    gains = controller_gains(folded, period_s) if len(folded) > 1 else []
+    gains = controller_gains(folded, period_s)
     generator = np.random.default_rng(SEED)
     drawn = [_values(_resampled(folded, generator)) for _ in range(RESAMPLES)]
     return gains + [
         Feature(name, _unit(name), value, float(np.std([d[name] for d in drawn], ddof=1)))
         for name, value in _values(folded).items()
     ]
+
+
+def feature_values(folded: FloatArray, period_s: float) -> dict[str, float]:
+    """The features by name without their standard errors; arguments as in :func:`features`."""
+    gains = {gain.name: gain.value for gain in controller_gains(folded, period_s)}
+    return gains | _values(folded)
 
 
 def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
@@ -100,8 +106,11 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
 
     Returns
     -------
-    Nothing where too few orders stand out; ``folded`` as :func:`features` takes it.
+    Nothing without a current, or where too few orders stand out; ``folded`` as :func:`features`
+    takes it.
     """
+    if len(folded) == 1:
+        return []
     centred = folded - folded.mean(axis=2, keepdims=True)
     spectrum = np.fft.rfft(centred, axis=2)[:, :, 1:]
     spectrum[0] *= -1.0 / RPM_PER_RAD_PER_S

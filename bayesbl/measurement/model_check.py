@@ -5,13 +5,16 @@ From what :mod:`bayesbl.naming.joint_change` finds to the checks of a snapshot a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
+from bayesbl.measurement.joint_features import Feature, feature_values, features, folded_signal
 from bayesbl.naming.joint_change import CHANGED_TOGETHER, ChangedParameter, JointFindings
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
@@ -28,6 +31,36 @@ def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
         [_item(c) for c in own],
         found.could_be if own else (),
     )
+
+
+def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
+    """What a recording says of its joint beside the gap, and what the bench at the optimum does.
+
+    What does not repeat in the recording is added to the simulation: noise moves both alike.
+    """
+    model = fit.model
+    place = [seen.name for seen in model.recordings].index(recording)
+    seen, simulated = model.recordings[place], model.signals(fit.point[None], place)[0]
+    direction = math.copysign(1.0, seen.reference_speed_rpm)
+    samples = seen.rotation_period_s * seen.sampling_hz
+
+    def folded(signals: FloatArray) -> FloatArray:
+        return np.stack([folded_signal(direction * row, samples) for row in signals])
+
+    measured, by_bench = folded(simulated + seen.left_by(simulated)), folded(simulated)
+    period_s = seen.rotation_period_s / measured.shape[2]
+    scatter = measured - measured.mean(axis=1, keepdims=True)
+    expected = feature_values(by_bench.mean(axis=1, keepdims=True) + scatter, period_s)
+    return [
+        CheckItem(f.name, f.value, expected[f.name], f.unit, _z(f, expected[f.name]))
+        for f in features(measured, period_s)
+        if f.name in expected
+    ]
+
+
+def _z(feature: Feature, expected: float) -> float:
+    sd = feature.standard_error
+    return (feature.value - expected) / sd if sd > 0.0 else 0.0
 
 
 def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: float) -> JointCheck:

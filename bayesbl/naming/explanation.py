@@ -168,9 +168,21 @@ def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanatio
         return None
 
 
-def linear_gain(base: Explanation, candidate: Candidate) -> float:
-    """Drop of χ² that the derivatives at the base promise, however far that extrapolates."""
-    return max((_projected(base.fit, c) for c in columns_of(base.fit, candidate)), default=0.0)
+def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArray:
+    """Drop of χ² that the derivatives at the base promise of each candidate, shape (candidates,).
+
+    However far that extrapolates; 0 of those that are in the base already.
+    """
+    fit = base.fit
+    rows, _ = fit.model.normal_prior
+    explained, _ = np.linalg.qr(np.concatenate([fit.jacobian, rows]))
+    residual = np.concatenate([fit.residual, fit.deviations])
+    gains = np.zeros(len(candidates))
+    for place, candidate in enumerate(candidates):
+        if candidate.label not in base.names:
+            found = (_gain(explained, residual, c) for c in columns_of(fit, candidate))
+            gains[place] = max(found, default=0.0)
+    return gains
 
 
 def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:
@@ -237,16 +249,13 @@ def _difference(
     return parts
 
 
-def _projected(fit: SimulatedFit, columns: list[FloatArray]) -> float:
+def _gain(explained: FloatArray, residual: FloatArray, columns: list[FloatArray]) -> float:
+    """Square of the residual along what the columns add to an orthonormal basis."""
     if not columns:
         return 0.0
-    rows, _ = fit.model.normal_prior
-    jacobian = np.concatenate([fit.jacobian, rows])
-    residual = np.concatenate([fit.residual, fit.deviations])
-    more = np.pad(np.column_stack(columns), ((0, len(rows)), (0, 0)))
-    basis, _ = np.linalg.qr(np.column_stack([jacobian, more]))
-    own, _ = np.linalg.qr(jacobian)
-    return float(np.sum((basis.T @ residual) ** 2) - np.sum((own.T @ residual) ** 2))
+    more = np.pad(np.stack(columns), ((0, 0), (0, len(residual) - columns[0].size)))
+    added, _ = np.linalg.qr((more - (more @ explained) @ explained.T).T)
+    return float(np.sum((added.T @ residual) ** 2))
 
 
 def _phased(model: SimulatedSignals, candidate: Candidate, start: FloatArray) -> FloatArray:

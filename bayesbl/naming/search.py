@@ -18,7 +18,7 @@ from bayesbl.naming.explanation import (
     from_afar,
     gain_threshold,
     last_alone,
-    linear_gain,
+    linear_gains,
     nominal_explanation,
     polished,
     reduced,
@@ -417,10 +417,7 @@ class _Search:
     def _promised(self, base: Explanation) -> FloatArray:
         """Gain that the derivatives promise, of each candidate; 0 of those that are in already."""
         if id(base) not in self._promises:
-            gains = [
-                0.0 if c.label in base.names else linear_gain(base, c) for c in self._candidates
-            ]
-            self._promises[id(base)] = base, np.array(gains)
+            self._promises[id(base)] = base, linear_gains(base, self._candidates)
         return self._promises[id(base)][1]
 
     def _fit(self, base: Explanation, candidate: Candidate) -> Explanation | None:

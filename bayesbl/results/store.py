@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import netCDF4
 import numpy as np
 import xarray as xr
 
@@ -21,9 +20,9 @@ from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats
 from bayesbl.recording.formats.netcdf import RESULT_MARK
 from bayesbl.results.atomic import replacing
-from bayesbl.results.digest import CONTENT, content_sha256
+from bayesbl.results.seal import has_seal, is_intact, seal
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 OUTCOME = "outcome"
 """Root attribute that tells how a run ended; absent or :data:`RUNNING` while it has not."""
@@ -36,8 +35,8 @@ _COMPRESS_FROM_BYTES = 4096
 def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     """Write a tree as NetCDF, large variables compressed; the file appears whole or not at all.
 
-    The root attributes gain the mark of our format and the digest of all content; :data:`OUTCOME`
-    among them makes it a finished result.
+    The root attributes gain the mark of our format, and the file ends in its seal; :data:`OUTCOME`
+    among the attributes makes it a finished result.
 
     Raises
     ------
@@ -49,14 +48,11 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     with replacing(path) as temporary:
         try:
             marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
-            # Of what is read back, as a reader will see it: NetCDF has its own ways with types.
-            digest = content_sha256(_loaded(temporary))
-            with netCDF4.Dataset(temporary, "a") as file:
-                file.setncattr(CONTENT, digest)
         except RuntimeError as error:
             # netCDF4 does not say what the system said.
             message = f"result.nc cannot be written; is the disk full? ({error})"
             raise OSError(errno.EIO, message) from error
+        seal(temporary)
 
 
 def read_tree(path: str | Path) -> xr.DataTree:
@@ -94,18 +90,10 @@ def read_tree(path: str | Path) -> xr.DataTree:
             file=file,
             expected=f"the output folder of a run; `bayesbl fit {quoted}` makes one",
         )
-    try:
-        tree = _loaded(file)
-    except Exception as error:
-        # netCDF4, HDF5 and xarray each raise their own kinds for a file that is cut or foreign.
-        raise ResultError(
-            "The file is damaged, or is not NetCDF.",
-            file=file,
-            found=f"{type(error).__name__}: {error}".splitlines()[0],
-            expected="a result.nc that bayesbl wrote",
-        ) from error
-    _require_ours(tree, file)
-    _require_unchanged(tree, file)
+    _require_intact(file)
+    with xr.open_datatree(file, engine="netcdf4") as opened:
+        tree: xr.DataTree = opened.load()
+    _require_this_version(tree, file)
     if tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
         raise ResultError(
             "The run that wrote this result has not finished.",
@@ -138,15 +126,6 @@ def write_text(text: str, path: str | Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _loaded(file: Path) -> xr.DataTree:
-    with xr.open_datatree(file, engine="netcdf4") as opened:
-        # Asked before anything is loaded: the netCDF library may crash on a variable without them.
-        if any(str(name).startswith("phony_dim") for node in opened.subtree for name in node.dims):
-            raise ValueError("a variable has lost its dimensions")
-        tree: xr.DataTree = opened.load()
-    return tree
-
-
 def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
     """Compression of the variables for which it saves more than it costs."""
     return {
@@ -159,39 +138,33 @@ def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
     }
 
 
-def _require_ours(tree: xr.DataTree, file: Path) -> None:
-    version = tree.attrs.get(RESULT_MARK)
-    if not isinstance(version, int | np.integer):
+def _require_intact(file: Path) -> None:
+    if not has_seal(file):
         raise ResultError(
-            "This file was not written by bayesbl.",
+            "This file is not a result as this version of bayesbl wrote it.",
             file=file,
-            found=f"no attribute {RESULT_MARK}",
-            expected="a result.nc that bayesbl wrote",
+            found="no seal at its end: a foreign file, a damaged or changed one, or an earlier "
+            "version's",
+            expected="a result.nc as it was written; to make it again, `bayesbl run config.toml "
+            "--force` in its folder",
         )
+    if not is_intact(file):
+        raise ResultError(
+            "The result is damaged, or was changed after it was written.",
+            file=file,
+            found="content that does not match its checksum",
+            expected="a result.nc as bayesbl wrote it",
+        )
+
+
+def _require_this_version(tree: xr.DataTree, file: Path) -> None:
+    version = tree.attrs[RESULT_MARK]
     if version > FORMAT_VERSION:
         raise ResultError(
             "This result was written by a later version of bayesbl.",
             file=file,
             found=f"{RESULT_MARK} {version}",
             expected=f"at most {FORMAT_VERSION}",
-        )
-
-
-def _require_unchanged(tree: xr.DataTree, file: Path) -> None:
-    stored = tree.attrs.get(CONTENT)
-    if stored is None:
-        raise ResultError(
-            "This result has no checksum, so whether it is as it was written cannot be known.",
-            file=file,
-            found=f"no attribute {CONTENT}; version 0.1 wrote none",
-            expected="the result made again: bayesbl run config.toml --force, in its folder",
-        )
-    if not isinstance(stored, str) or stored != content_sha256(tree):
-        raise ResultError(
-            "The result is damaged, or was changed after it was written.",
-            file=file,
-            found="content that does not match its checksum",
-            expected="a result.nc as bayesbl wrote it",
         )
 
 

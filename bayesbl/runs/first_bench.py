@@ -99,7 +99,7 @@ SOURCES: Mapping[str, Source] = {
         '{value = 23.0, unit = "ms", relative_tolerance = 0.1}',
     ),
     "position_gain_per_s": Source(
-        "Gain of the position controller around it (Kv; \"1/s\", or \"m/min/mm\"): 0 where the "
+        'Gain of the position controller around it (Kv; "1/s", or "m/min/mm"): 0 where the '
         "joint is run in speed control.",
         "10 to 50 1/s",
         "{value = 0.0}",

@@ -366,13 +366,15 @@ def clean() -> None:
 
 def answer(ended: Ended, step: Step) -> tuple[int, str]:
     """What a command says, with the files that it writes."""
-    parts = [ended.out.replace(os.getcwd(), "")]
+    here = Path.cwd()
+    out = ended.out.replace(str(here), "").replace(here.name, "")
+    parts = [out]
     if step == REPORT and Path("result/report.html").exists():
         parts.append(Path("result/report.html").read_text(encoding="utf-8"))
     if step == FIGURES:
         parts += [f"{p.name} {p.read_text()}" for p in sorted(Path("result/figures").glob("*"))]
     if step == FIT_LATER and ended.status in (DONE, WITHHELD):
-        told = json.loads(ended.out)
+        told = json.loads(out)
         for key in ("created_utc", "commit"):
             told.pop(key, None)
         parts = [json.dumps(told, sort_keys=True, indent=1)]

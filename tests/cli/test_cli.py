@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -341,7 +342,9 @@ def test_an_option_that_a_simulation_does_not_use_is_refused(tmp_path, capsys):
 
 def test_help_and_version_end_with_status_0(capsys):
     assert cli.status(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("bayesbl ")
+    assert re.fullmatch(
+        r"bayesbl \d+\.\d+\.\d+( \([0-9a-f]{40}(-dirty)?\))?\n", capsys.readouterr().out
+    )
     assert cli.status(["--help"]) == 0
     assert "compare" in capsys.readouterr().out
 

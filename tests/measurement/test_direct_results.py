@@ -106,6 +106,25 @@ def test_a_fit_shows_the_amplitude_route_beside_it(fit):
     assert width > 3.0 * (found["delta_rad"]["high"] - found["delta_rad"]["low"])
 
 
+def test_the_model_check_compares_what_can_be_named_with_what_the_bench_does(fit):
+    check = summary(fit)["model_check"]
+    items = {item["quantity"]: item for item in check["items"]}
+    assert check["agrees"]
+    bench = load_bench(KNOWN)
+    torque_constant = bench.value("torque_constant_nm_per_a")
+    for quantity, gain in (
+        ("proportional gain", "speed_gain_nm_s_per_rad"),
+        ("integral gain", "integral_gain_nm_per_rad"),
+    ):
+        assert items[quantity]["expected"] == pytest.approx(
+            bench.value(gain) / torque_constant, rel=0.01
+        )
+    named = ["proportional gain", "integral gain", "mean current", "current at load order 1"]
+    named += ["speed at load order 1", "ringing frequency", "ringing decay"]
+    # One of seven beyond four standard deviations: by chance in 4 of 10 000.
+    assert all(abs(items[quantity]["z"]) < 4.0 for quantity in named)
+
+
 def test_all_that_the_groups_declare_is_stored_and_what_is_taken_out_is_named(fit, compared):
     for folder in (fit, compared):
         tree = read_tree(folder)

@@ -1,0 +1,170 @@
+"""Every key of every configuration file, from the models that validate it.
+
+    python docs/make_configuration.py
+
+writes ``docs/configuration.md`` and, for editors that complete TOML by JSON Schema, a file for each
+kind into ``docs/schema``. ``tests/test_docs.py`` holds that both are as the models are.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from bayesbl.config.bench import BenchFile
+from bayesbl.config.kinds import FILES, KINDS
+from bayesbl.config.simulate import SimulateFile
+
+DOCS = Path(__file__).parent
+MODELS = {**KINDS, "simulate": SimulateFile, "bench": BenchFile}
+Schema = Mapping[str, Any]
+
+HEAD = """# Every key of a configuration
+
+Made by `python docs/make_configuration.py` from the models that validate the files. A file is TOML
+with `schema = 1` and its `kind`. An unknown key is refused with the nearest known one, and paths
+are relative to the file. `bayesbl init` writes a first file, `bayesbl check CONFIG` asks of it
+whatever can be asked without running it.
+
+For completion in an editor, [schema](schema) holds a JSON Schema of each kind; Taplo, for one,
+takes `#:schema docs/schema/compare.json` in the first line.
+"""
+
+
+def pages() -> dict[Path, str]:
+    """What the files should hold."""
+    found = {DOCS / "configuration.md": _page()}
+    for kind, model in MODELS.items():
+        text = json.dumps(_portable(model.model_json_schema()), indent=1, ensure_ascii=False)
+        found[DOCS / "schema" / f"{kind}.json"] = text + "\n"
+    return found
+
+
+def _portable(value: Any) -> Any:
+    """Without defaults that differ between machines."""
+    match value:
+        case {"title": "Workers", **rest}:
+            return {key: item for key, item in rest.items() if key != "default"}
+        case Mapping():
+            return {key: _portable(item) for key, item in value.items()}
+        case list():
+            return [_portable(item) for item in value]
+        case _:
+            return value
+
+
+def _page() -> str:
+    parts = [HEAD]
+    seen: set[str] = set()
+    for kind, what in FILES.items():
+        schema = MODELS[kind].model_json_schema()
+        parts.append(f'## `kind = "{kind}"`: {what}\n')
+        shared = []
+        for name, section in _sections(schema, schema, ""):
+            text = _table(name, section, schema)
+            if text in seen:
+                shared.append(f"`{name}`")
+            else:
+                seen.add(text)
+                parts.append(text)
+        if shared:
+            parts.append(f"As above: {', '.join(shared)}.\n")
+    return "\n".join(parts)
+
+
+def _sections(whole: Schema, section: Schema, name: str) -> Iterator[tuple[str, Schema]]:
+    """Header and schema of a section and of all below it."""
+    yield name, section
+    for key, value in section.get("properties", {}).items():
+        path = f"{name.strip('[]')}.{key}".strip(".")
+        for form, inner in _inner(whole, value):
+            yield from _sections(whole, inner, form.format(path))
+
+
+def _inner(whole: Schema, value: Schema) -> Iterator[tuple[str, Schema]]:
+    """Form of the header, and schema, of each section that a key holds."""
+    for option in (value, *value.get("anyOf", ())):
+        if "$ref" in option:
+            yield "[{}]", _resolved(whole, option)
+        elif "$ref" in option.get("items", {}):
+            yield "[[{}]]", _resolved(whole, option["items"])
+        elif "$ref" in (option.get("additionalProperties") or {}):
+            yield "[{}.NAME]", _resolved(whole, option["additionalProperties"])
+
+
+def _resolved(whole: Schema, reference: Schema) -> Schema:
+    found: Schema = whole["$defs"][reference["$ref"].rpartition("/")[2]]
+    return found
+
+
+def _table(name: str, section: Schema, whole: Schema) -> str:
+    lines = [f"### `{name}`\n"] if name else []
+    if name and "description" in section:
+        text = re.sub(r"``(.+?)``", r"`\1`", section["description"])
+        text = text.removeprefix(f"`{name}`: ")
+        lines += [text[0].upper() + text[1:] + "\n"]
+    rows = [
+        f"| `{key}` | {_kind(whole, value)} | {_default(key, value, section)} |"
+        for key, value in section.get("properties", {}).items()
+        if not any(True for _ in _inner(whole, value)) or "anyOf" in value
+    ]
+    if rows:
+        lines += ["| key | value | default |", "|---|---|---|", *rows, ""]
+    return "\n".join(lines)
+
+
+def _kind(whole: Schema, value: Schema) -> str:
+    if "anyOf" in value:
+        kinds = [_kind(whole, v) for v in value["anyOf"] if v.get("type") != "null"]
+        return " or ".join(dict.fromkeys(kinds))
+    if "const" in value:
+        return f"`{json.dumps(value['const'])}`"
+    if "enum" in value:
+        return ", ".join(f"`{json.dumps(v)}`" for v in value["enum"])
+    if "$ref" in value:
+        return "a table"
+    match value.get("type"):
+        case "array":
+            items = value.get("prefixItems") or [value.get("items", {})]
+            inner = [_kind(whole, item) for item in items]
+            return f"[{', '.join(inner)}{'' if 'prefixItems' in value else ', …'}]"
+        case "object":
+            inner = value.get("additionalProperties")
+            return f"a table of {_kind(whole, inner)}" if isinstance(inner, Mapping) else "a table"
+        case "string":
+            return {"path": "a path", "date": "a date"}.get(value.get("format", ""), "a text")
+        case "boolean":
+            return "true or false"
+        case "number" | "integer" as number:
+            bounds = [
+                f"{sign} {value[key]:g}"
+                for key, sign in (
+                    ("minimum", "≥"),
+                    ("exclusiveMinimum", ">"),
+                    ("maximum", "≤"),
+                    ("exclusiveMaximum", "<"),
+                )
+                if key in value and abs(value[key]) < 1e18
+            ]
+            return " ".join(["a whole number" if number == "integer" else "a number", *bounds])
+        case _:
+            return "any"
+
+
+def _default(key: str, value: Schema, section: Schema) -> str:
+    if key == "name" and "file" in section["properties"]:
+        return "made of the file's"
+    if key in section.get("required", ()):
+        return "required"
+    if value.get("default") is None:
+        return "all cores" if key == "workers" else ""
+    return f"`{json.dumps(value['default'])}`"
+
+
+if __name__ == "__main__":
+    (DOCS / "schema").mkdir(exist_ok=True)
+    for file, content in pages().items():
+        file.write_text(content, encoding="utf-8")
