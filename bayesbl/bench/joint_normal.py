@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
+
+FURTHEST = 5.0
+"""Standard deviations that a parameter may be from its value: further by chance once in two
+million; one that is there contradicts what it was identified from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +34,11 @@ class JointNormal:
         """Standard deviation of the logarithm of one parameter: about its relative one."""
         i = self.names.index(name)
         return float(np.sqrt(self.covariance[i, i]))
+
+    def range(self, name: str, value: float) -> tuple[float, float, float]:
+        """Lowest, middle and highest logarithm that a parameter of this value may have."""
+        middle, reach = math.log(value), FURTHEST * self.sd(name)
+        return middle - reach, middle, middle + reach
 
     def whitening(self, names: Sequence[str]) -> FloatArray:
         """W with Wᵀ W the inverse covariance of these parameters' logarithms, shape (n, n)."""

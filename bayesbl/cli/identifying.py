@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -42,7 +42,7 @@ def identify_command(
     """Find the bench of a joint from its data sheet and recordings, with the gap."""
     from bayesbl.config.loading import config_from_options
 
-    given: dict[str, object] = {"out": out, "seed": seed, "workers": workers}
+    given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
     if len(inputs) == 1 and inputs[0].suffix.lower() == ".toml":
         given |= {"bench": bench, "level": level}
         loaded = config_from_options("identify", (), inputs[0], **given)

@@ -28,7 +28,6 @@ from bayesbl.matching.signals import (
     Unknown,
     effect_unknowns,
     gap_unknown,
-    scale_unknown,
     start_angle_unknown,
 )
 from bayesbl.naming.candidates import Candidate, candidates
@@ -92,8 +91,21 @@ class Problem:
             *([gap] if self.shares_gap else (replace(gap, recording=name) for name in names)),
             *(start_angle_unknown(name) for name in names),
             *effect_unknowns(self.bench, names),
-            *(scale_unknown(self.bench, name) for name in self.parameters),
+            *(parameter_unknown(self.bench, name) for name in self.parameters),
         ]
+
+
+def parameter_unknown(bench: Bench, name: str) -> Unknown:
+    """A parameter uniform within its tolerance, by its logarithm where all of it is above zero.
+
+    What no recording can show, such as all torques and the torque constant times one factor, is a
+    straight line among logarithms, however wide the tolerances.
+    """
+    value, half = bench.value(name), bench.tolerances[name]
+    if value <= half:
+        return Unknown(name, value - half, value + half)
+    low, high = math.log(value - half), math.log(value + half)
+    return Unknown(name, low, high, logarithmic=True, flat_in_value=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +178,9 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     nominal = _nominal(problem)
-    final, beyond, missing = nominal, None, ()
+    final = nominal
+    beyond: BeyondDataSheet | None = None
+    missing: tuple[tuple[str, ...], ...] = ()
     if not _agrees(nominal):
         wrong = _beyond_data_sheet(nominal, problem)
         if wrong is not None:

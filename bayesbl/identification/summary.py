@@ -7,7 +7,7 @@ from typing import Literal, NotRequired, TypedDict
 
 import xarray as xr
 
-from bayesbl.diagnosis.summary import DisagreementTableSummary, SamplingSummary
+from bayesbl.diagnosis.summary import DisagreementTableSummary, HeldValue, SamplingSummary
 from bayesbl.identification.identify import Verdict
 from bayesbl.results.intervals import Interval
 from bayesbl.results.summary_types import Head, head
@@ -34,7 +34,7 @@ class EffectFound(TypedDict):
     """An effect that is missing or was free: its parameters, where it is in the bench found."""
 
     name: str
-    parameters: dict[str, Interval]
+    parameters: dict[str, Interval | HeldValue]
     indistinguishable_from: list[str]
 
 

@@ -38,10 +38,6 @@ LARGEST_SPEED_ERROR = 0.01
 bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
 """
 
-FURTHEST_IDENTIFIED = 5.0
-"""Standard deviations that an identified parameter may be from its value: further by chance once in
-two million; a parameter there contradicts what it was identified from."""
-
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
 
@@ -193,11 +189,11 @@ class Unknown:
     recording
         Name of the recording it belongs to; ``None`` if all share it.
     logarithmic
-        The coordinate is the natural logarithm of the value.
+        The coordinate is ln of the value.
     added
         The value is added to what the recording has without it.
     flat_in_value
-        The prior is uniform in the value where the coordinate is its logarithm.
+        The prior is uniform in the value, not in its logarithm.
     """
 
     name: str
@@ -242,35 +238,16 @@ def start_angle_unknown(recording: str) -> Unknown:
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
-    """Every bench parameter that is not known exactly: uniform within its tolerance, or identified.
-
-    Those identified have the joint prior of the bench (:attr:`SimulatedSignals.normal_prior`).
-    """
-    joint = bench.identified
-    return [
-        Unknown(name, bench.value(name) - half, bench.value(name) + half)
-        if joint is None or name not in joint.names
-        else _identified_unknown(name, math.log(bench.value(name)), joint.sd(name))
-        for name, half in bench.tolerances.items()
-    ]
-
-
-def _identified_unknown(name: str, centre: float, sd: float) -> Unknown:
-    reach = FURTHEST_IDENTIFIED * sd
-    return Unknown(name, centre - reach, centre + reach, centre, sd, logarithmic=True)
-
-
-def scale_unknown(bench: Bench, name: str) -> Unknown:
-    """A parameter uniform within its tolerance, by its logarithm where all of it is above zero.
-
-    What no recording can show, such as all torques and the torque constant times one factor, is a
-    straight line among logarithms, however wide the tolerances.
-    """
-    value, half = bench.value(name), bench.tolerances[name]
-    if value <= half:
-        return Unknown(name, value - half, value + half)
-    low, high = math.log(value - half), math.log(value + half)
-    return Unknown(name, low, high, logarithmic=True, flat_in_value=True)
+    """Every bench parameter not known exactly: uniform within its tolerance, or as identified."""
+    found, joint = [], bench.identified
+    for name, half in bench.tolerances.items():
+        value = bench.value(name)
+        if joint is None or name not in joint.names:
+            found.append(Unknown(name, value - half, value + half))
+        else:
+            low, middle, high = joint.range(name, value)
+            found.append(Unknown(name, low, high, middle, joint.sd(name), logarithmic=True))
+    return found
 
 
 def drift_unknowns(
@@ -328,7 +305,7 @@ class SimulatedSignals:
     normal_prior
         W of shape (k, d) and c (d,): normal priors have the density exp(−½|W (x − c)|²).
     prior_slope
-        Slope of the log prior beside it, 1 for what is flat in the value, shape (d,).
+        Slope of the log prior beside it, 1 where flat in the value, (d,).
     """
 
     bench: Bench
@@ -457,7 +434,7 @@ class SimulatedSignals:
 
     def prior_precision(self) -> FloatArray:
         """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
-        whitening, _ = self.normal_prior
+        whitening = self.normal_prior[0]
         flat = [0.0 if math.isfinite(u.sd) else u.prior_sd**-2.0 for u in self.unknowns]
         return np.asarray(whitening.T @ whitening + np.diag(flat))
 
@@ -466,14 +443,13 @@ def _normal_prior(
     unknowns: Sequence[Unknown], joint: JointNormal | None
 ) -> tuple[FloatArray, FloatArray]:
     normal = [i for i, u in enumerate(unknowns) if math.isfinite(u.sd)]
-    # One recording's own value of a parameter is another unknown.
     names = () if joint is None else joint.names
     together = [i for i in normal if unknowns[i].name in names and unknowns[i].recording is None]
     alone = [i for i in normal if i not in together]
     whitening = np.zeros((len(normal), len(unknowns)))
     for row, i in enumerate(alone):
         whitening[row, i] = 1.0 / unknowns[i].sd
-    if joint is not None and together:
+    if joint is not None:
         whitening[len(alone) :, together] = joint.whitening([unknowns[i].name for i in together])
     return whitening, np.array([u.centre for u in unknowns])
 

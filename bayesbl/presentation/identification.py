@@ -96,7 +96,7 @@ def advice(summary: IdentificationSummary) -> Advice:
 
 def assumptions(summary: IdentificationSummary) -> Iterator[str]:
     """What has to hold."""
-    yield "Before the recordings, every value within a tolerance of the data sheet is equally likely."
+    yield "Before the recordings, all values within a tolerance are equally likely."
     if summary["gap_shared"]:
         yield "All recordings have one gap; give their dates if they are from different days."
     else:
