@@ -1,7 +1,7 @@
 """A bench from its data sheet and recordings: recovery, what is known together, what is wrong.
 
-Recordings hold three rotations at 250 Hz. Statistical tests have fixed seeds; each says how often it
-would fail by chance.
+Recordings hold three rotations at 250 Hz. Statistical tests have fixed seeds; each says how often
+it would fail by chance.
 """
 
 from __future__ import annotations
