@@ -50,6 +50,7 @@ GAP_RANGE_RAD = (1e-4, 1e-2)
 GREW = 1.15
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0)
 LATER_RPM = (2000.0, -2000.0)
+ROTATIONS = 3.0
 SLOWEST_DECAY_PER_S = 1.0
 """Of the linear loop in contact: slower ones do not settle between two impacts."""
 LARGEST_CURRENT_SHARE = 0.6
@@ -115,7 +116,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD, shares_gap=True
     )
     begin = perf_counter()
-    found = identify(problem, LEVEL, identify_seed)
+    found = identify(problem, FAST_DIRECT, identify_seed)
     values = {name: math.nan for name in COLUMNS}
     values |= {
         "identify_seconds": perf_counter() - begin,
@@ -217,7 +218,7 @@ def recorded(
             "motor_start_angle_rad": motor,
         }
     )
-    recording = simulate(truth, rng, name=name).recording
+    recording = simulate(truth, rng, name=name, rotations=ROTATIONS).recording
     if not row.current:
         channels = {k: v for k, v in recording.channels.items() if k != MOTOR_CURRENT}
         recording = replace(recording, channels=channels)

@@ -166,7 +166,7 @@ class Identification:
 
 def identify(
     problem: Problem,
-    level: float,
+    sampler: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
 ) -> Identification:
@@ -192,7 +192,7 @@ def identify(
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
     if missing:
         verdict = "missing_effect"
-    posterior = sample_direct(final.fit, SamplerSettings(level=level), seed, progress)
+    posterior = sample_direct(final.fit, sampler, seed, progress)
     return Identification(nominal, final, verdict, beyond, missing, check, posterior)
 
 

@@ -24,6 +24,7 @@ from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
+from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
     from bayesbl.runs.summary import Summary
@@ -59,7 +60,7 @@ def run_identify(
     found = work.get(
         "identification",
         (settings_of(config), problem),
-        lambda: identify(problem, level, seed, report),
+        lambda: identify(problem, SamplerSettings(level=level), seed, report),
         Identification,
     )
     tree = identification_tree(found, problem, level, config.interval.kind)

@@ -40,8 +40,10 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
+from bayesbl.sampling.chains import SamplerSettings
 
 GAP_RAD = 8e-4
+SETTINGS = SamplerSettings(ensembles=2)
 SHARE = 0.25
 OFF = (0.12, -0.17, 0.08, 0.2, -0.1, 0.15, -0.05, 0.1)
 """By how much the data sheet is off in each parameter."""
@@ -86,7 +88,7 @@ def problem(sheet: Bench) -> Problem:
 
 @cache
 def identified() -> Identification:
-    return identify(problem(data_sheet()), 0.9, np.random.SeedSequence(1))
+    return identify(problem(data_sheet()), SETTINGS, np.random.SeedSequence(1))
 
 
 def test_the_true_gap_and_parameters_are_found_although_the_data_sheet_is_off() -> None:
@@ -139,7 +141,7 @@ def test_the_bench_found_keeps_the_joint_posterior() -> None:
 def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
     name = "speed_gain_nm_s_per_rad"
     sheet = data_sheet(**{name: 2.0})
-    found = identify(problem(sheet), 0.9, np.random.SeedSequence(2))
+    found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
     assert found.beyond is not None
     assert name in (found.beyond.name, *found.beyond.could_be)
     assert found.beyond.deviations > 3.0
