@@ -25,10 +25,13 @@ class JointNormal:
         Of k bench parameters, all above zero.
     covariance
         Of their logarithms, shape (k, k), positive definite.
+    sources
+        SHA-256 of the files that it was learned from.
     """
 
     names: tuple[str, ...]
     covariance: FloatArray
+    sources: tuple[str, ...] = ()
 
     def sd(self, name: str) -> float:
         """Standard deviation of the logarithm of one parameter: about its relative one."""

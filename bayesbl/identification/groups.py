@@ -86,10 +86,10 @@ def identification_tree(
 
 def _identified(found: Identification, problem: Problem, bench: Bench) -> xr.Dataset:
     names, joint = list(problem.parameters), bench.identified
-    assert joint is not None
     covariance = np.full((len(names), len(names)), np.nan)
-    own = [names.index(name) for name in joint.names]
-    covariance[np.ix_(own, own)] = joint.covariance
+    if joint is not None:
+        own = [names.index(name) for name in joint.names]
+        covariance[np.ix_(own, own)] = joint.covariance
     prior = np.array([problem.bench.value(name) for name in names])
     half = np.array([problem.bench.tolerances[name] for name in names])
     values = {

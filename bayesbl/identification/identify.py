@@ -309,6 +309,8 @@ def identified_bench(found: Identification, problem: Problem) -> Bench:
         half = math.sqrt(3.0) * float(own.std())
         parameters[name] = BenchParameter(middle, half)
     together = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
+    if not together:
+        return replace(bench, parameters=parameters)
     covariance = np.atleast_2d(np.cov(np.log(draws[:, together]).T))
     names = tuple(problem.parameters[i] for i in together)
     return replace(bench, parameters=parameters, identified=JointNormal(names, covariance))

@@ -228,7 +228,7 @@ def _walk(
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
     ensembles = [
-        Ensemble(target, centre, covariance, (model.low, model.high), s)
+        Ensemble(target, centre, covariance, (model.low, model.high), s, redrawn=True)
         for s in seed.spawn(settings.ensembles)
     ]
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
@@ -267,7 +267,8 @@ def _judge(
         failures.append(
             f"Only {effective:.0f} of {draws.shape[0] * draws.shape[1]} draws carry the weight "
             f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): the surrogate does "
-            "not have the shape of the posterior. Narrow the bench's tolerances."
+            "not have the shape of the posterior. Narrow the bench's tolerances, or find "
+            "them from recordings (bayesbl identify)."
         )
     if failed > LARGEST_FAILED_SHARE:
         failures.append(

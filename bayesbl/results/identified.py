@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -57,5 +58,6 @@ def bench_from(path: str | Path) -> Bench:
     covariance: FloatArray = stored["log_covariance"].values
     known = [i for i, row in enumerate(covariance) if row[i] == row[i]]
     names = tuple(str(stored["parameter"].values[i]) for i in known)
-    joint = JointNormal(names, covariance[known][:, known]) if names else None
+    sources = tuple(json.loads(tree.attrs["input_sha256"]).values())
+    joint = JointNormal(names, covariance[known][:, known], sources) if names else None
     return replace(parse_bench(text, path), identified=joint)

@@ -29,6 +29,8 @@ class Ensemble:
         Where the walkers start and how far they scatter there, shapes (d,) and (d, d).
     box
         Low and high end of every range, shapes (d,); infinite where there is none.
+    redrawn
+        Walkers that would start outside are drawn again; otherwise they start at the ends.
     """
 
     def __init__(
@@ -38,6 +40,8 @@ class Ensemble:
         local_covariance: FloatArray,
         box: tuple[FloatArray, FloatArray],
         seed: np.random.SeedSequence,
+        *,
+        redrawn: bool = False,
     ) -> None:
         import emcee
 
@@ -51,9 +55,9 @@ class Ensemble:
         low, high = low + margin, high - margin
         start = np.empty((walkers, d))
         outside = np.ones(walkers, dtype=bool)
-        for _ in range(START_ROUNDS):
-            moves = generator.standard_normal((int(outside.sum()), d)) @ root.T
-            start[outside] = centre + START_SPREAD * moves
+        for _ in range(START_ROUNDS if redrawn else 1):
+            steps = START_SPREAD * generator.standard_normal((int(outside.sum()), d))
+            start[outside] = centre + steps @ root.T
             outside = np.any((start < low) | (start > high), axis=1)
             if not outside.any():
                 break
