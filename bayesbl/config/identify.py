@@ -91,3 +91,14 @@ class IdentifyConfig(RecordedConfig):
                 expected='[[recordings]] with use = "fit", best at two speeds in both directions',
             )
         return self
+
+    @model_validator(mode="after")
+    def _held_out_with_the_same_gap(self) -> Self:
+        held = [recording.name for recording in self.recordings if recording.use == "hold_out"]
+        if held and not self.shares_gap:
+            refuse(
+                "A recording that is held out is predicted with the gap of the others.",
+                found=f"{', '.join(held)} held out, and dates that differ",
+                expected='one date for all recordings, or use = "fit"',
+            )
+        return self

@@ -300,7 +300,7 @@ def identified_bench(found: Identification, problem: Problem) -> Bench:
 
     The tolerance of each alone is that of a uniform prior of the same standard deviation.
     """
-    bench = augmented_bench(found.final) if found.final.candidates else problem.bench
+    bench = augmented_bench(found.final)
     draws = parameter_draws(found, problem.parameters)
     parameters = dict(bench.parameters)
     for name, own in zip(problem.parameters, draws.T, strict=True):

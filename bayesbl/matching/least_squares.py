@@ -54,8 +54,7 @@ class SimulatedFit:
 
         Such a prior is a measurement beside the recordings, of a start angle for instance.
         """
-        whitening, centre = self.model.normal_prior
-        return np.asarray(whitening @ (centre - self.point))
+        return self.model.normal_prior.deviations(self.point)
 
     @property
     def bound(self) -> FloatArray:
@@ -112,7 +111,7 @@ def fit_simulated(
     value = _objective(model, point, residual)
     damping = 1e-3
     jacobian = np.zeros((residual.size, point.size))
-    precision, normal = model.prior_precision(), _normal_precision(model)
+    precision, normal = model.prior_precision(), model.normal_prior.precision
     for _ in range(MOST_ROUNDS):
         jacobian, steps = _jacobian(model, point, residual, steps)
         gradient = jacobian.T @ residual + _prior_pull(model, point)
@@ -159,14 +158,9 @@ def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray)
     )
 
 
-def _normal_precision(model: SimulatedSignals) -> FloatArray:
-    whitening, _ = model.normal_prior
-    return np.asarray(whitening.T @ whitening)
-
-
 def _prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
-    _, centre = model.normal_prior
-    return np.asarray(model.prior_slope - _normal_precision(model) @ (point - centre))
+    prior = model.normal_prior
+    return np.asarray(model.prior_slope - prior.precision @ (point - prior.centre))
 
 
 def _bounded_step(

@@ -227,8 +227,10 @@ def _walk(
 ) -> Walk:
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
+    # Wide tolerances are cut by the ends of other parameters' ranges: most first draws are outside.
+    wide = bool(np.any(model.prior_slope))
     ensembles = [
-        Ensemble(target, centre, covariance, (model.low, model.high), s, redrawn=True)
+        Ensemble(target, centre, covariance, (model.low, model.high), s, redrawn=wide)
         for s in seed.spawn(settings.ensembles)
     ]
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]

@@ -18,11 +18,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
-from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds
 from bayesbl.errors import RecordingError
+from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
@@ -303,7 +303,7 @@ class SimulatedSignals:
     recent
         Simulations that another comparison of the same recordings has made.
     normal_prior
-        W of shape (k, d) and c (d,): normal priors have the density exp(−½|W (x − c)|²).
+        Of the unknowns that have one.
     prior_slope
         Slope of the log prior beside it, 1 where flat in the value, (d,).
     """
@@ -318,7 +318,12 @@ class SimulatedSignals:
 
     def __post_init__(self) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
-        self.normal_prior = _normal_prior(self.unknowns, self.bench.identified)
+        self.normal_prior = NormalPrior.of(
+            np.array([u.centre for u in self.unknowns]),
+            np.array([u.sd for u in self.unknowns]),
+            [u.name if u.recording is None and not u.added else None for u in self.unknowns],
+            self.bench.identified,
+        )
         self.prior_slope = np.array([float(u.flat_in_value) for u in self.unknowns])
         self._white_recordings = [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
@@ -428,30 +433,15 @@ class SimulatedSignals:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
         points = np.atleast_2d(points)
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
-        whitening, centre = self.normal_prior
-        normal = -0.5 * (((points - centre) @ whitening.T) ** 2).sum(axis=1)
-        return np.where(inside, normal + points @ self.prior_slope, -np.inf)
+        density = self.normal_prior.log_density(points)
+        return np.where(inside, density + points @ self.prior_slope, -np.inf)
 
     def prior_precision(self) -> FloatArray:
         """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
-        whitening = self.normal_prior[0]
-        flat = [0.0 if math.isfinite(u.sd) else u.prior_sd**-2.0 for u in self.unknowns]
-        return np.asarray(whitening.T @ whitening + np.diag(flat))
-
-
-def _normal_prior(
-    unknowns: Sequence[Unknown], joint: JointNormal | None
-) -> tuple[FloatArray, FloatArray]:
-    normal = [i for i, u in enumerate(unknowns) if math.isfinite(u.sd)]
-    names = () if joint is None else joint.names
-    together = [i for i in normal if unknowns[i].name in names and unknowns[i].recording is None]
-    alone = [i for i in normal if i not in together]
-    whitening = np.zeros((len(normal), len(unknowns)))
-    for row, i in enumerate(alone):
-        whitening[row, i] = 1.0 / unknowns[i].sd
-    if joint is not None:
-        whitening[len(alone) :, together] = joint.whitening([unknowns[i].name for i in together])
-    return whitening, np.array([u.centre for u in unknowns])
+        own = np.array([u.prior_sd**-2.0 for u in self.unknowns])
+        together = self.normal_prior.together
+        own *= 1.0 - self.normal_prior.is_together
+        return np.asarray(np.diag(own) + together.T @ together)
 
 
 def _simulated(

@@ -174,7 +174,7 @@ def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArr
     However far that extrapolates; 0 of those that are in the base already.
     """
     fit = base.fit
-    rows, _ = fit.model.normal_prior
+    rows = fit.model.normal_prior.rows
     explained, _ = np.linalg.qr(np.concatenate([fit.jacobian, rows]))
     residual = np.concatenate([fit.residual, fit.deviations])
     gains = np.zeros(len(candidates))

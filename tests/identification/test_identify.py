@@ -174,7 +174,7 @@ def test_a_joint_prior_is_the_normal_density_of_logarithms(correlation: float) -
     bench = together(correlation)
     model = matched(bench)
     assert bench.identified is not None
-    points = np.tile(model.normal_prior[1], (5, 1))
+    points = np.tile(model.normal_prior.centre, (5, 1))
     points[:, 0] = math.log(GAP_RAD)
     points[:, 2:] += np.random.default_rng(5).normal(0.0, 0.05, (5, 2))
     centre = np.log([bench.value(name) for name in bench.identified.names])
@@ -192,8 +192,8 @@ def test_a_fit_weighs_recordings_and_joint_prior_by_their_precisions() -> None:
     A fit ends where a round lowers χ² by less than 0.01: a tenth of a standard deviation away.
     """
     model = matched(together(0.9))
-    start = np.array([math.log(GAP_RAD), 0.4, *model.normal_prior[1][2:]])
+    start = np.array([math.log(GAP_RAD), 0.4, *model.normal_prior.centre[2:]])
     fit = fit_simulated(model, start)
-    whitening, centre = model.normal_prior
-    pull = fit.jacobian.T @ fit.residual - whitening.T @ whitening @ (fit.point - centre)
+    prior = model.normal_prior
+    pull = fit.jacobian.T @ fit.residual - prior.precision @ (fit.point - prior.centre)
     assert np.all(np.abs(pull) * np.sqrt(np.diag(fit.covariance)) < 0.15)
