@@ -20,6 +20,15 @@ DataSheet = Annotated[
     ),
 ]
 
+Effects = Annotated[
+    str | None,
+    typer.Option(
+        "--effects",
+        metavar="catalogue|NAME,NAME",
+        help="Effects that the data sheet lacks: found where recordings show any, or free by name.",
+    ),
+]
+
 
 def identify_command(
     inputs: Annotated[
@@ -30,6 +39,7 @@ def identify_command(
         ),
     ],
     bench: DataSheet = None,
+    effects: Effects = None,
     dates: options.Dates = None,
     config: options.BaseConfig = None,
     out: options.Out = None,
@@ -43,6 +53,8 @@ def identify_command(
     from bayesbl.config.loading import config_from_options
 
     given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    if effects is not None:
+        given["effects"] = effects if effects == "catalogue" else effects.split(",")
     if len(inputs) == 1 and inputs[0].suffix.lower() == ".toml":
         given |= {"bench": bench, "level": level}
         loaded = config_from_options("identify", (), inputs[0], **given)

@@ -38,6 +38,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
     {
         "curve": ("curve", "source"),
         "bench": ("estimator", "bench"),
+        "effects": ("identify", "effects"),
         "route": ("estimator", "route"),
         "level": ("interval", "level"),
         "limit_rad": ("joint", "limit_rad"),

@@ -27,8 +27,8 @@ class NextRecording:
     information_bits
         Expected: half the binary logarithm of how much the volume of what is unknown shrinks.
     sharpens
-        The unknown that gains most, with its standard deviation (of its logarithm, if it has one)
-        before and after.
+        The gap or parameter that gains most, with the standard deviation of its logarithm before
+        and after.
     """
 
     reference_speed_rpm: float
@@ -76,7 +76,8 @@ def _judged(
     after = np.linalg.inv(np.linalg.inv(before) + information)
     bits = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1]) / math.log(2.0)
     sd = np.sqrt(np.stack([np.diag(before), np.diag(after)]))
-    best = int(np.argmin(sd[1] / sd[0]))
+    relative = np.array([fit.model.unknowns[i].logarithmic for i in shared])
+    best = int(np.argmin(np.where(relative, sd[1] / sd[0], np.inf)))
     name = fit.model.unknowns[shared[best]].name
     return NextRecording(speed_rpm, float(bits), name, float(sd[0, best]), float(sd[1, best]))
 

@@ -13,8 +13,9 @@ def reason_of(found: Identification, problem: Problem) -> str | None:
     if found.missing and problem.effects != "catalogue":
         names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
         return (
-            f"The bench lacks an effect that these recordings show: {names}. Add it to the data "
-            'sheet under [[effects]], or let it be found: effects = "catalogue" under [identify].'
+            f"The bench lacks an effect that these recordings show: {names}. Let it be found "
+            '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
+            "data sheet under [[effects]]."
         )
     if found.verdict == "unexplained" or any(_stands_out(found)):
         return (

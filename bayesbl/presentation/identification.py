@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         IdentificationSummary,
         NextRecordingSummary,
         ParameterSummary,
+        PriorSummary,
         TogetherSummary,
     )
 
@@ -122,21 +123,28 @@ def cards(summary: IdentificationSummary) -> Iterator[Card]:
 def _parameters(summary: IdentificationSummary) -> Table:
     rows = [_row(name, found) for name, found in summary["parameters"].items()]
     level = next(iter(summary["parameters"].values()))["posterior"]["level"]
-    titles = ("Data sheet", "Found", f"{100.0 * level:g} % interval", "Learned")
-    return table((text("Parameter"), text("Unit"), *map(numbers, titles)), rows)
+    titles = ("Data sheet", f"Found ({100.0 * level:g} % interval)")
+    columns = (text("Parameter"), *map(numbers, titles), text("Unit"), numbers("Learned"))
+    return table(columns, rows)
 
 
 def _row(name: str, found: ParameterSummary) -> tuple[str, ...]:
     prior, posterior = found["prior"], found["posterior"]
-    half = prior["high"] - prior["value"]
+    low, middle, high = (words.significant(posterior[key], 3) for key in ("low", "median", "high"))
     return (
         in_words(name),
+        f"{words.significant(prior['value'], 3)} {_tolerance(prior)}",
+        f"{middle} ({low} to {high})",
         found["unit"],
-        f"{words.significant(prior['value'])} ± {words.significant(half, 2)}",
-        words.significant(posterior["median"], 4),
-        f"{words.significant(posterior['low'], 4)} to {words.significant(posterior['high'], 4)}",
         f"{max(0.0, 100.0 * found['learned']):.0f} %",
     )
+
+
+def _tolerance(prior: PriorSummary) -> str:
+    half = prior["high"] - prior["value"]
+    if not prior["value"]:
+        return f"± {words.significant(half, 2)}"
+    return f"±{100.0 * half / abs(prior['value']):.0f} %"
 
 
 def _together(found: TogetherSummary) -> str:
