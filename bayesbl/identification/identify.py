@@ -17,20 +17,22 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchParameter
+from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.least_squares import SimulatedFit, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     Observed,
+    SimulatedSignals,
     Unknown,
     effect_unknowns,
     gap_unknown,
     start_angle_unknown,
 )
-from bayesbl.naming.candidates import Candidate, candidates
+from bayesbl.naming.candidates import Candidate, candidates, steady_torque
 from bayesbl.naming.criteria import ALIKE, is_gross
 from bayesbl.naming.explanation import (
     Explanation,
@@ -55,6 +57,9 @@ FURTHEST_WRONG = 3.0
 
 POLISHED = 3
 """Parameters beyond their tolerance that are fitted to the end, the best of the rough fits."""
+
+STEADY_EFFECTS = tuple(e.name for e in EFFECTS if e.enters == "motor" and not e.is_periodic)
+"""Those that may be a constant torque at constant speed, or nearly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,11 +187,14 @@ def identify(
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
     if not _agrees(nominal):
-        wrong = _beyond_data_sheet(nominal, problem)
+        steady = _with_steady_torque(problem)
+        wrong = None
+        if steady is None or not _agrees(steady):
+            wrong = _beyond_data_sheet(nominal, problem)
         if wrong is not None:
             final, beyond = wrong
         else:
-            final, missing = _named(nominal, problem)
+            final, missing = _named(nominal, steady, problem)
     check = tuple(disagreements(final.fit))
     explained = agrees(list(check), FALSE_ALARM)
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
@@ -224,6 +232,21 @@ def _effects(
 
 def _agrees(explanation: Explanation) -> bool:
     return agrees(disagreements(explanation.fit), FALSE_ALARM)
+
+
+def _with_steady_torque(problem: Problem) -> Explanation | None:
+    """The parameters beside a constant torque in each recording; ``None`` if the bench has one.
+
+    At constant speed that is what all friction of the motor looks like, which real joints have and
+    data sheets lack: without it the parameters are drawn to the ends of their tolerances.
+    """
+    candidate = steady_torque(problem.bench, problem.used)
+    if candidate is None:
+        return None
+    unknowns = [*problem.unknowns, *candidate.unknowns]
+    bench = candidate.bench(problem.bench)
+    fit = fit_aligned(bench, problem.used, unknowns, problem.workers)
+    return Explanation((candidate,), fit)
 
 
 def _beyond_data_sheet(
@@ -268,20 +291,45 @@ def _widened(nominal: Explanation, name: str) -> Candidate:
 
 
 def _named(
-    nominal: Explanation, problem: Problem
+    nominal: Explanation, steady: Explanation | None, problem: Problem
 ) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
     """With the effects that the recordings name; in the bench only if that was asked for."""
     naming: Naming = name_missing(
-        nominal.fit,
-        partial(candidates, nominal.fit.model.bench, problem.used, declared=problem.parameters),
+        _to_name_from(nominal, steady),
+        partial(
+            candidates,
+            nominal.fit.model.bench,
+            problem.used,
+            "all" if steady is None or not _agrees(steady) else STEADY_EFFECTS,
+            declared=problem.parameters,
+        ),
         false_alarm=FALSE_ALARM,
     )
     missing = tuple(effect.members for effect in naming.effects)
-    if not missing:
-        return nominal, ()
-    if problem.effects != "catalogue":
+    if not missing or problem.effects != "catalogue":
         return nominal, missing
     return with_noise(naming.final, remaining_noise(naming.final.fit)), missing
+
+
+def _to_name_from(nominal: Explanation, steady: Explanation | None) -> SimulatedFit:
+    """The nominal comparison where the search begins.
+
+    Where constant torques explain more, that is at their parameters, the torques taken away and
+    nothing fitted again: so that friction, once added, finds them as they are.
+    """
+    if steady is None or steady.fit.chi_square >= nominal.fit.chi_square or nominal.candidates:
+        return nominal.fit
+    own, old = nominal.fit.point.size, nominal.fit.model
+    model = SimulatedSignals(
+        old.bench,
+        old.recordings,
+        old.unknowns,
+        steady.fit.model.noise,
+        old.workers,
+        recent=old.recent,
+    )
+    begun = replace(steady.fit, point=steady.fit.point[:own], steps=steady.fit.steps[:own])
+    return with_model(begun, model)
 
 
 def parameter_draws(found: Identification, names: Sequence[str]) -> FloatArray:

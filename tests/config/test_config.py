@@ -407,15 +407,23 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "before": date(2027, 1, 1),
     }
     of_a_study = {"scheduler": "tcp://host:8786"}
-    assert set(values | of_a_study) == set(OPTIONS)
+    of_an_identification = {"effects": "catalogue"}
+    assert set(values | of_a_study | of_an_identification) == set(OPTIONS)
     files, dates = [folder / "before.csv", folder / "after.csv"], [date(2026, 3, 1)] * 2
     config = config_from_options("compare", files, None, dates, **values)
     assert config.dates == tuple(dates)
     study = config_from_options("study", (), CONFIGS / "search_study.toml", **of_a_study)
+    bench = folder / "bench.toml"
+    identification = config_from_options(
+        "identify", files, None, (), bench=bench, **of_an_identification
+    )
+    assert identification.bench == bench
     for option, location in OPTIONS.items():
         field = attrgetter(".".join(map(str, location)))
         if option in of_a_study:
             assert field(study) == of_a_study[option]
+        elif option in of_an_identification:
+            assert field(identification) == of_an_identification[option]
         else:
             assert field(config) == values[option]
 
