@@ -14,7 +14,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayesbl.bench.bench import Bench, BenchParameter, Measurement
+from bayesbl.bench.bench import (
+    Bench,
+    BenchEffect,
+    BenchParameter,
+    EffectParameterValue,
+    Measurement,
+)
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
@@ -66,10 +72,14 @@ def data_sheet(**wrong: float) -> Bench:
 
 @cache
 def recordings() -> tuple[Observed, ...]:
+    return recordings_of(joint())
+
+
+def recordings_of(bench: Bench) -> tuple[Observed, ...]:
     """Forward, reverse, and at another speed."""
     found = []
     for seed, speed in enumerate((2000.0, -2000.0, 1200.0)):
-        recording = joint().simulate(
+        recording = bench.simulate(
             GAP_RAD,
             rotations=3.0,
             sampling_hz=250.0,
@@ -148,6 +158,20 @@ def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
     reason = reason_of(found, problem(sheet))
     assert reason is not None
     assert "outside its data sheet" in reason
+
+
+def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None:
+    """The gap within 3.5 standard deviations: fails by chance once in 2000 seeds."""
+    torque = {"torque_nm": EffectParameterValue(0.15)}
+    rubbing = joint().with_effects(BenchEffect("motor_coulomb_friction", torque))
+    seen, sheet = recordings_of(rubbing), data_sheet()
+    asked = Problem(sheet, seen, (), tuple(sheet.tolerances), "catalogue", (1e-4, 1e-2), True)
+    found = identify(asked, SETTINGS, np.random.SeedSequence(4))
+    assert found.verdict == "missing_effect"
+    assert "motor_coulomb_friction" in found.missing[0]
+    assert reason_of(found, asked) is None
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
 
 
 def matched(bench: Bench) -> SimulatedSignals:
