@@ -188,13 +188,15 @@ def identify(
     missing: tuple[tuple[str, ...], ...] = ()
     if not _agrees(nominal):
         steady = _with_steady_torque(problem)
-        wrong = None
-        if steady is None or not _agrees(steady):
-            wrong = _beyond_data_sheet(nominal, problem)
-        if wrong is not None:
-            final, beyond = wrong
-        else:
+        rubs = steady is not None and _agrees(steady)
+        if rubs:
             final, missing = _named(nominal, steady, problem)
+        if not missing:
+            wrong = _beyond_data_sheet(nominal, problem)
+            if wrong is not None:
+                final, beyond = wrong
+            elif not rubs:
+                final, missing = _named(nominal, steady, problem)
     check = tuple(disagreements(final.fit))
     explained = agrees(list(check), FALSE_ALARM)
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
