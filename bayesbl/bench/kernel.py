@@ -143,6 +143,8 @@ class Constants(NamedTuple):
     hard: bool
     rigid: bool
     reference: float
+    friction_width: float
+    load_friction_width: float
     gap: float
     reference_angle: float
     phase_offset: float
@@ -203,6 +205,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.hard_dead_zone] != 0.0,
         p[Slot.rigid] != 0.0,
         p[Slot.reference_speed_rpm] / RPM,
+        MOTOR_SIGN_WIDTH,
+        LOAD_SIGN_WIDTH,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -246,6 +250,8 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.hard,
         c.rigid,
         row[1],
+        c.friction_width,
+        c.load_friction_width,
         c.gap,
         c.reference_angle,
         c.phase_offset,
@@ -380,7 +386,7 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 @_jit
 def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
     """Torque against the motor from motor-side effects, N m."""
-    direction = direction_of(speed / MOTOR_SIGN_WIDTH)
+    direction = direction_of(speed / c.friction_width)
     drift = p[Slot.friction_drift__torque_nm]
     drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
     dry = p[Slot.motor_coulomb_friction__torque_nm] + drift
@@ -414,7 +420,7 @@ def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
         torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
             torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
-                speed / LOAD_SIGN_WIDTH
+                speed / c.load_friction_width
             )
     return torque
 
@@ -428,7 +434,7 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
     if mesh != 0.0:
         # The transmitted torque contains the acceleration: solved with its sign held.
         transmitted = reflected * acceleration + load * c.per_ratio
-        factor = 1.0 + mesh * direction_of(speed / MOTOR_SIGN_WIDTH) * math.copysign(
+        factor = 1.0 + mesh * direction_of(speed / c.friction_width) * math.copysign(
             1.0, transmitted
         )
         acceleration = (torque - losses - load * c.per_ratio * factor) / (

@@ -22,7 +22,7 @@ from bayesbl.recording.channels import did_you_mean
 Method = Literal["forward", "inverse", "free_motion"]
 
 
-def _effects(value: object) -> object:
+def effect_names(value: object) -> object:
     """Refused before the choice between ``"all"`` and a list, which would report every branch."""
     # Imported here: the catalogue needs the compiled simulator, which takes a second.
     from bayesbl.bench.effects import EFFECT_BY_NAME
@@ -42,7 +42,8 @@ def _effects(value: object) -> object:
     return tuple(value)
 
 
-def _bench_parameter(name: str) -> str:
+def bench_parameter(name: str) -> str:
+    """A name of a bench parameter; refused if there is none."""
     from bayesbl.bench.parameters import PARAMETER_INFO
 
     if name not in PARAMETER_INFO:
@@ -58,7 +59,8 @@ class Compared(Section):
 
     Without ``channels`` the method takes what the recordings hold. ``known_torque`` names columns
     that are added to the torque the bench asks for, N m at the motor. ``cutoff_hz`` belongs to the
-    zero-phase filter behind the derivatives of the inverse method.
+    zero-phase filter that both sides of the inverse method pass; without it, it is chosen where
+    the prediction stops being coherent with the measurement.
     """
 
     method: Method = "forward"
@@ -66,7 +68,7 @@ class Compared(Section):
     known_torque: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     load_angle_known: bool = False
     motor_angle_known: bool = False
-    cutoff_hz: Positive = 20.0
+    cutoff_hz: Positive | None = None
 
     @field_validator("known_torque")
     @classmethod
@@ -86,7 +88,7 @@ class Unknowns(Section):
 
     gap_rad: Range | None = None
     bench_parameters: Annotated[
-        tuple[Annotated[str, AfterValidator(_bench_parameter)], ...], BeforeValidator(as_tuple)
+        tuple[Annotated[str, AfterValidator(bench_parameter)], ...], BeforeValidator(as_tuple)
     ] = ()
 
 
@@ -97,10 +99,13 @@ class DiagnosedRecording(SnapshotRecording):
 
 
 class Candidates(Section):
-    """``[candidates]``: effects that may be named, how many, and the rate of false alarms."""
+    """``[candidates]``: effects that may be named, how many, and the rate of false alarms.
 
-    effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(_effects)] = "all"
-    max_effects: int = Field(default=3, ge=1, le=10)
+    Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
+    """
+
+    effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(effect_names)] = "all"
+    max_effects: int | None = Field(default=None, ge=1, le=10)
     false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
 
 

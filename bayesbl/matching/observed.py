@@ -69,6 +69,9 @@ class Observed:
         largest.
     cycle
         Samples after which the motion repeats; ``None`` where it does not.
+    begin_s
+        Time from the recording's first sample to the first one compared: a later part of it has
+        the drift of the whole.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Observed:
     motor_angle_rad: FloatArray | None = None
     motion: Motion | None = None
     cycle: int | None = None
+    begin_s: float = 0.0
 
     @property
     def samples(self) -> int:

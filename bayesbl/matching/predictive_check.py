@@ -7,6 +7,7 @@ does not repeat.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,11 @@ BANDS = (0, 8, 32, 128, 512)
 """Highest load order of each band; slow misfit stands out of few orders, fast out of many.
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
+
+
+ROUNDING = 0.02
+"""Of a rotation that a recording may lack of two: its own rounding, and the few samples that
+whitening takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +69,20 @@ def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
     return all(entry.probability * len(found) > false_alarm for entry in found)
 
 
+def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
+    """Whitened residuals (n,) by rotation, (r, lag).
+
+    Two that lack no more than their rounding are two: what they lack is taken for zero.
+    """
+    rotations = max(row.size // lag, min(2, math.floor(row.size / lag + ROUNDING)))
+    padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
+    return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
+
+
 def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
     """(highest order, ratio, probability) for each band."""
-    rotations = row.size // lag
-    turns = row[: rotations * lag].reshape(rotations, lag)
+    turns = whole_rotations(row, lag)
+    rotations = len(turns)
     spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
     entries = []
     for highest in BANDS:
