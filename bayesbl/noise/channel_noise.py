@@ -7,7 +7,6 @@ independent would count it twice.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,7 +86,7 @@ def estimate_channel_noise(
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
     both = None if kept is None else kept[lag:] & kept[:-lag]
-    return _noise_of((residual[:, lag:] - residual[:, :-lag]) / math.sqrt(2.0), both)
+    return _noise_of(residual[:, lag:] - residual[:, :-lag], 0.5, both)
 
 
 def estimate_fast_noise(
@@ -123,11 +122,11 @@ def estimate_fast_noise(
     mean = (sums[:, samples:] - sums[:, :-samples]) / samples
     middle = residual[:, samples // 2 : samples // 2 + count]
     own = None if kept is None else kept[samples // 2 : samples // 2 + count]
-    return _noise_of((middle - mean) / math.sqrt(1.0 - 1.0 / samples), own)
+    return _noise_of(middle - mean, 1.0 / (1.0 - 1.0 / samples), own)
 
 
-def _noise_of(noise: FloatArray, kept: BoolArray | None = None) -> ChannelNoise:
-    """The process that a stretch of noise, shape (c, n), is of, by its samples that are kept."""
+def _noise_of(noise: FloatArray, share: float, kept: BoolArray | None = None) -> ChannelNoise:
+    """The process with this share of the power of a stretch, shape (c, n), by the samples kept."""
     channels, count = noise.shape
     whole: BoolArray | None = None
     if kept is not None:
@@ -145,8 +144,8 @@ def _noise_of(noise: FloatArray, kept: BoolArray | None = None) -> ChannelNoise:
     coefficients, covariance = fits[best]
     return ChannelNoise(
         coefficients,
-        np.asarray(np.linalg.cholesky(covariance), dtype=np.float64),
-        np.sqrt(np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)),
+        np.asarray(np.linalg.cholesky(share * covariance), dtype=np.float64),
+        np.sqrt(share * np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)),
         count,
     )
 
