@@ -33,6 +33,7 @@ ROOMS = (
     "results",
     "measurement",
     "diagnosis",
+    "identification",
     "fleet",
     "runs",
     "presentation",
@@ -60,6 +61,8 @@ SAME_IDEA = {
     "direct_route": "the direct route: the measurement, its words",
     "first_configuration": "what init writes: the making, its words",
     "fleet": "the kind fleet: its configuration, its run, its words",
+    "groups": "what result.nc holds: of a diagnosis, of an identification",
+    "identify": "the kind identify: its configuration, the numbers, its run",
     "joint_check": "whether it is the same joint: what was found, its words",
     "measurement": "a measurement: its configuration, what every route returns",
     "method": "a method of diagnosis behind the protocol, one in each of its rooms",
@@ -73,6 +76,7 @@ SAME_IDEA = {
     "summary_types": "the keys of summary.json: of any result, of a measurement",
     "sweep": "the kind sweep: its configuration, the curve, its run, its words",
     "task": "what a run is given: of a measurement, of a diagnosis",
+    "verdict": "whether an answer stands, with its reason: of a gap, of an identified bench",
     "wear": "wear over dates: the numbers, their words, their figure",
 }
 """Names that several files share, and what these have in common."""

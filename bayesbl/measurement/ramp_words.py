@@ -72,6 +72,8 @@ def notes_on(
             f"The ramps of {held} N m hardly move the joint, as friction holds it; those of "
             f"±{level.amplitude_nm:.3g} N m were used."
         )
+    if any(file.turned for file in files):
+        yield "The torque counts against the position in the file, and was turned round."
     if not ratio_given:
         yield "No gear_ratio is given: position and torque are taken as those of the output."
     missing = sum(not file for file in level.files)
