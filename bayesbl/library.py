@@ -123,6 +123,10 @@ def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Pat
     ResultError
         If the result is a study's and there is no study file, or the reverse.
     """
+    if tree.attrs.get("kind") == "fleet":
+        from bayesbl.presentation.page.plant import write_pages
+
+        return write_pages(folder)
     require_study_file(tree, study)
     if study is not None:
         from bayesbl.runs.study import draw_study

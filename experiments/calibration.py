@@ -50,7 +50,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
-from bayesbl.matching.signals import GAP, observed
+from bayesbl.matching.observed import observed
+from bayesbl.matching.signals import GAP
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
 from bayesbl.measurement.stored_curve import read_curve

@@ -25,12 +25,12 @@ from calibration_statistics import LEVELS, coverage
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
     gap_unknown,
-    observed,
     start_angle_unknown,
     tolerance_unknowns,
 )

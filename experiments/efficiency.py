@@ -25,8 +25,9 @@ from bayesbl.config.bench import load_bench
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
-from bayesbl.matching.signals import GAP, gap_unknown, observed, start_angle_unknown
+from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording

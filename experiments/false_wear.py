@@ -34,7 +34,7 @@ from wear_detection import gaps_by_amplitude
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
-from bayesbl.matching.signals import observed
+from bayesbl.matching.observed import observed
 from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
 from bayesbl.measurement.model_check import check_of_comparison, undecided_change
 from bayesbl.measurement.stored_curve import read_curve

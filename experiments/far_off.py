@@ -24,7 +24,8 @@ from independent_bench import random_recordings
 
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
-from bayesbl.matching.signals import GAP, gap_unknown, observed, start_angle_unknown
+from bayesbl.matching.observed import observed
+from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.naming.criteria import GROSS
 
 STRENGTH = (0.02, 1.0)

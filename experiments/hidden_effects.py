@@ -43,8 +43,9 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
 )
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
-from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, observed
+from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown
 from bayesbl.matching.signals import start_angle_unknown as start_angle
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.explanation import Explanation, distance, explain

@@ -16,7 +16,7 @@ samples, a second gap behind a third mass.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,7 +25,14 @@ import numpy as np
 from scipy import signal, special
 
 from bayesbl.bench.effects import EFFECTS
-from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
+from bayesbl.recording.types import (
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    REFERENCE_POSITION,
+    REFERENCE_SPEED,
+    Recording,
+)
 
 RPM = 60.0 / (2.0 * math.pi)
 LONGEST_STEP_S = 2.5e-5
@@ -65,6 +72,7 @@ class Plant(NamedTuple):
     start_angle_rad: float
     stiffness_sharpness_per_rad: float = 1e6
     position_gain_per_s: float = 0.0
+    gravity_angle_rad: float = 0.0
     hard_dead_zone: float = 0.0
     motor_start_angle_rad: float = 0.0
     backlash__gap_rad: float = 0.0
@@ -146,21 +154,20 @@ def _measured(y, p, phase):
 
 
 @_jit
-def _demand(t, y, p, phase, ramp_start):
-    """Speed error and torque that the controller asks for, unlimited."""
+def _demand(y, p, phase, asked):
+    """Speed error and torque that the controller asks for, unlimited; asked: ω_ref, θ_ref."""
     angle, _, speed = _measured(y, p, phase)
-    reference = p.reference_speed_rpm / RPM
-    error = reference - speed
+    error = asked[0] - speed
     if p.position_gain_per_s != 0.0:
-        error += p.position_gain_per_s * (ramp_start + reference * t - angle)
+        error += p.position_gain_per_s * (asked[1] - angle)
     return error, p.speed_gain_nm_s_per_rad * error + p.integral_gain_nm_per_rad * y[4]
 
 
 @_jit
-def _slopes(t, y, p, phase, ramp_start, drift_start, dy):
+def _slopes(t, y, p, phase, asked, drift_start, dy):
     """θ_m, ω_m, θ_l, ω_l, ∫error, lagged torque, lagged speed, Dahl z, θ_k, ω_k."""
     n = p.gear_ratio
-    error, demand = _demand(t, y, p, phase, ramp_start)
+    error, demand = _demand(y, p, phase, asked)
     limit = p.torque_constant_nm_per_a * p.current_limit_a
     torque = min(max(demand, -limit), limit)
     dy[4] = error if torque == demand or error * demand < 0.0 else 0.0
@@ -218,7 +225,9 @@ def _slopes(t, y, p, phase, ramp_start, drift_start, dy):
         pulse = math.exp(sharpness * (math.cos(turn) - 1.0)) - p.outside__belt_mean
         lost += p.outside__belt_torque_nm * pulse
 
-    load = p.gravity_torque_nm * math.sin(y[2]) + p.load_torque_offset__torque_nm
+    load = (
+        p.gravity_torque_nm * math.sin(y[2] + p.gravity_angle_rad) + p.load_torque_offset__torque_nm
+    )
     load += p.gravity_phase__torque_nm * math.cos(y[2])
     load += p.load_viscous_friction__coefficient_nm_s_per_rad * y[3]
     if p.load_coulomb_friction__torque_nm != 0.0:
@@ -241,26 +250,26 @@ def _slopes(t, y, p, phase, ramp_start, drift_start, dy):
 
 
 @_jit
-def _step(t, y, h, p, phase, ramp_start, drift_start, k, trial):
-    """One step of Runge and Kutta, in place."""
-    _slopes(t, y, p, phase, ramp_start, drift_start, k[0])
+def _step(t, y, h, p, phase, asked, drift_start, k, trial):
+    """One step of Runge and Kutta, in place; asked, (3, 2): at its begin, middle and end."""
+    _slopes(t, y, p, phase, asked[0], drift_start, k[0])
     for i in range(10):
         trial[i] = y[i] + 0.5 * h * k[0, i]
-    _slopes(t + 0.5 * h, trial, p, phase, ramp_start, drift_start, k[1])
+    _slopes(t + 0.5 * h, trial, p, phase, asked[1], drift_start, k[1])
     for i in range(10):
         trial[i] = y[i] + 0.5 * h * k[1, i]
-    _slopes(t + 0.5 * h, trial, p, phase, ramp_start, drift_start, k[2])
+    _slopes(t + 0.5 * h, trial, p, phase, asked[1], drift_start, k[2])
     for i in range(10):
         trial[i] = y[i] + h * k[2, i]
-    _slopes(t + h, trial, p, phase, ramp_start, drift_start, k[3])
+    _slopes(t + h, trial, p, phase, asked[2], drift_start, k[3])
     for i in range(10):
         y[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
 @_jit
-def _outputs(t, y, p, phase, ramp_start, shown):
+def _outputs(y, p, phase, asked, shown):
     """Position in rad, speed in rpm, current in A."""
-    _, demand = _demand(t, y, p, phase, ramp_start)
+    _, demand = _demand(y, p, phase, asked)
     limit = p.torque_constant_nm_per_a * p.current_limit_a
     torque = min(max(demand, -limit), limit)
     if p.current_loop_lag__time_s > 0.0:
@@ -268,6 +277,14 @@ def _outputs(t, y, p, phase, ramp_start, shown):
     shown[0], _, speed = _measured(y, p, phase)
     shown[1] = speed * RPM
     shown[2] = torque / p.torque_constant_nm_per_a
+
+
+@_jit
+def _steadily(t, h, p, ramp_start, asked):
+    """What constant speed asks for at the begin, middle and end of a step."""
+    for i in range(3):
+        asked[i, 0] = p.reference_speed_rpm / RPM
+        asked[i, 1] = ramp_start + asked[i, 0] * (t + 0.5 * h * i)
 
 
 @_jit
@@ -283,7 +300,7 @@ def _run(p, settling_rotations, step, sampling_s, out):
     y[0] = n * y[2]
     y[1], y[3], y[9], y[6] = reference, reference / n, reference / n, reference
     ramp_start = y[0]
-    k, trial = np.empty((4, 10)), np.empty(10)
+    k, trial, asked = np.empty((4, 10)), np.empty(10), np.empty((3, 2))
     older, old, old_t, older_t = y.copy(), y.copy(), 0.0, 0.0
     each = int(CHECKPOINT_S / step)
     begin = -1.0
@@ -296,7 +313,8 @@ def _run(p, settling_rotations, step, sampling_s, out):
             old[:] = y
             old_t = t
         before = (y[2] - p.start_angle_rad) * direction
-        _step(t, y, step, p, phase, ramp_start, math.inf, k, trial)
+        _steadily(t, step, p, ramp_start, asked)
+        _step(t, y, step, p, phase, asked, math.inf, k, trial)
         after = (y[2] - p.start_angle_rad) * direction
         if before < 0.0 <= after:
             begin = t - step * before / (after - before)
@@ -321,13 +339,14 @@ def _run(p, settling_rotations, step, sampling_s, out):
         for c in range(3):
             if following[c] < samples:
                 due = due or begin + following[c] * sampling_s - skew[c] <= t + step
+        _steadily(t, step, p, ramp_start, asked)
         if due:
-            _outputs(t, y, p, phase, ramp_start, left)
-        _step(t, y, step, p, phase, ramp_start, begin, k, trial)
+            _outputs(y, p, phase, asked[0], left)
+        _step(t, y, step, p, phase, asked, begin, k, trial)
         i += 1
         if not due:
             continue
-        _outputs(t + step, y, p, phase, ramp_start, right)
+        _outputs(y, p, phase, asked[2], right)
         for c in range(3):
             while following[c] < samples:
                 share = (begin + following[c] * sampling_s - skew[c] - t) / step
@@ -336,6 +355,101 @@ def _run(p, settling_rotations, step, sampling_s, out):
                 out[c, following[c]] = left[c] + share * (right[c] - left[c])
                 following[c] += 1
     return True
+
+
+@_jit
+def _follow(p, side, speed, angle, held, step, each, out):
+    """Fill ``out``, shape (3, n), while the reference follows half-step values from rest.
+
+    ``held`` steps of rest on the flank ``side`` come before the first sample, to settle; a sample
+    is every ``each`` steps.
+    """
+    n = p.gear_ratio
+    phase = p.motor_start_angle_rad - n * p.start_angle_rad
+    load = p.gravity_torque_nm * math.sin(p.start_angle_rad + p.gravity_angle_rad)
+    load += p.gravity_phase__torque_nm * math.cos(p.start_angle_rad)
+    load += p.load_torque_offset__torque_nm
+    gap = p.gap_rad + p.backlash__gap_rad
+    y = np.zeros(10)
+    y[2] = p.start_angle_rad
+    y[8] = y[2]
+    y[0] = n * (y[2] + load / p.shaft_stiffness_nm_per_rad + side * gap)
+    if p.integral_gain_nm_per_rad > 0.0:
+        y[4] = load / n / p.integral_gain_nm_per_rad
+    y[5] = load / n
+    start, _, _ = _measured(y, p, phase)
+    k, trial, asked = np.empty((4, 10)), np.empty(10), np.zeros((3, 2))
+    asked[:, 1] = start
+    for _ in range(held):
+        _step(0.0, y, step, p, phase, asked, math.inf, k, trial)
+    shown = np.empty(3)
+    for i in range(out.shape[1] * each):
+        for j in range(3):
+            asked[j, 0] = speed[2 * i + j]
+            asked[j, 1] = start + angle[2 * i + j]
+        if i % each == 0:
+            _outputs(y, p, phase, asked[0], shown)
+            out[:, i // each] = shown
+        _step(i * step, y, step, p, phase, asked, 0.0, k, trial)
+
+
+SETTLED_AT_REST_S = 0.5
+
+Reference = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""ω_ref in rad/s and θ_ref − θ_ref(0) in rad of the motor, at some times in s."""
+
+
+def strokes(
+    gear_ratio: float,
+    range_rad: tuple[float, float],
+    speed_rpm: float,
+    acceleration_rpm_per_s: float,
+    dwell_s: float,
+) -> Reference:
+    """To and fro between two load angles, a dwell before each stroke."""
+    way = gear_ratio * (range_rad[1] - range_rad[0])
+    a = acceleration_rpm_per_s / RPM
+    top = min(speed_rpm / RPM, math.sqrt(way * a))
+    ramp, travel = top / a, way / top + top / a
+
+    def at(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        number, s = np.divmod(time, travel + dwell_s)
+        s = np.clip(s - dwell_s, 0.0, travel)
+        back = np.minimum(s, travel - s)
+        speed = np.minimum(a * back, top)
+        early = np.where(back < ramp, 0.5 * a * back**2, top * (back - 0.5 * ramp))
+        angle = np.where(s <= 0.5 * travel, early, way - early)
+        odd = number % 2 == 1
+        return np.where(odd, -speed, speed), np.where(odd, way - angle, angle)
+
+    return at
+
+
+def moving(
+    made: Plant,
+    reference: Reference,
+    duration_s: float,
+    sampling_hz: float = 1000.0,
+    step_s: float = LONGEST_STEP_S,
+    side: float | None = None,
+) -> np.ndarray:
+    """Position, speed, current of a motion from rest, shape (3, n), without noise.
+
+    ``side``: flank that the load begins on; the one that gravity presses on if ``None``.
+    """
+    each = math.ceil(1.0 / (sampling_hz * step_s))
+    step = 1.0 / sampling_hz / each
+    samples = round(duration_s * sampling_hz) + 1
+    half = 0.5 * step * np.arange(2 * samples * each + 1)
+    speed, angle = reference(half)
+    if side is None:
+        pull = made.gravity_torque_nm * math.sin(made.start_angle_rad + made.gravity_angle_rad)
+        side = math.copysign(1.0, pull)
+    out = np.full((3, samples), np.nan)
+    _follow(made, side, speed, angle, round(SETTLED_AT_REST_S / step), step, each, out)
+    if not np.all(np.isfinite(out)):
+        raise ValueError("the simulation diverged")
+    return out
 
 
 def plant(values: Mapping[str, float], **settings: float) -> Plant:
@@ -433,16 +547,56 @@ def simulate(
     if absolute_position:
         zero = made.gear_ratio * made.start_angle_rad - made.motor_start_angle_rad
     clean[0] -= zero
-    seen = clean.copy()
-    if rng is not None:
-        noise = noise or Noise()
-        count = 2.0 * math.pi / noise.encoder_counts
-        seen[0] = np.round(clean[0] / count) * count
-        seen[1] += _autoregressive(clean.shape[1], noise, rng)
-        seen[2] += noise.current_sd_a * rng.standard_normal(clean.shape[1])
-        _lose_samples(seen[1], made, sampling_hz, rng)
+    seen = _seen(clean, made, rng, noise, sampling_hz)
     time = np.arange(clean.shape[1]) / sampling_hz
     return Made(Recording(name, time, dict(zip(CHANNELS, seen, strict=True))), clean, made)
+
+
+def simulate_moving(
+    made: Plant,
+    reference: Reference,
+    duration_s: float,
+    rng: np.random.Generator | None = None,
+    *,
+    name: str = "simulated",
+    sampling_hz: float = 1000.0,
+    noise: Noise | None = None,
+    channels: Sequence[str] = (REFERENCE_SPEED,),
+    cut_s: float = 0.0,
+    side: float | None = None,
+) -> Made:
+    """One recording of a motion with these of its reference channels, the first seconds cut off."""
+    clean = moving(made, reference, duration_s + cut_s, sampling_hz, side=side)
+    time = np.arange(clean.shape[1]) / sampling_hz
+    speed, angle = reference(time)
+    asked = {REFERENCE_SPEED: speed * RPM, REFERENCE_POSITION: angle}
+    cut = round(cut_s * sampling_hz)
+    clean = clean[:, cut:]
+    clean[0] -= clean[0, 0]
+    seen = _seen(clean, made, rng, noise, sampling_hz)
+    measured = dict(zip(CHANNELS, seen, strict=True))
+    measured |= {channel: asked[channel][cut:] for channel in channels}
+    return Made(Recording(name, time[cut:] - time[cut], measured), clean, made)
+
+
+def _seen(
+    clean: np.ndarray,
+    made: Plant,
+    rng: np.random.Generator | None,
+    noise: Noise | None,
+    sampling_hz: float,
+) -> np.ndarray:
+    """As it is measured: encoder counts, noise, lost samples; as it is without a generator."""
+    seen = clean.copy()
+    if rng is None:
+        return seen
+    noise = noise or Noise()
+    count = 2.0 * math.pi / noise.encoder_counts
+    seen[0] = np.round(clean[0] / count) * count
+    seen[1] += _autoregressive(clean.shape[1], noise, rng)
+    seen[2] += noise.current_sd_a * rng.standard_normal(clean.shape[1])
+    _lose_samples(seen[1], made, sampling_hz, rng)
+    return seen
 
 
 def random_recordings(

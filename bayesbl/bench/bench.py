@@ -17,6 +17,7 @@ from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
+from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
     check_parameters,
@@ -26,6 +27,7 @@ from bayesbl.bench.parameters import (
 from bayesbl.bench.simulation import (
     DEFAULT_ACCURACY_RPM,
     simulate_channels,
+    simulate_motions,
     simulate_speeds,
 )
 from bayesbl.bench.steady import noise_through_loop
@@ -35,6 +37,8 @@ from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
+    REFERENCE_POSITION,
+    REFERENCE_SPEED,
     FloatArray,
     Recording,
 )
@@ -43,6 +47,8 @@ from bayesbl.units import RPM_PER_RAD_PER_S
 GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]
 SpeedSource = Literal["sensor", "encoder"]
+
+LATE_PARAMETERS = ("gravity_angle_rad",)
 
 # Increased when the same bench gives other signals, so that cached results are not mixed.
 _SIGNALS_VERSION = 1
@@ -196,10 +202,14 @@ class Bench:
         One number is drawn for each parameter, tolerance or not, so that giving one more
         parameter a tolerance does not change the others' draws.
         """
-        shifts = rng.uniform(-1.0, 1.0, len(self.parameters))
+        # A parameter that came later is drawn last and only where it has a tolerance, so that draws
+        # of benches without it stay as they were.
+        late = [name for name in LATE_PARAMETERS if self.parameters[name].tolerance]
+        names = [name for name in self.parameters if name not in LATE_PARAMETERS] + late
+        shifts = dict(zip(names, rng.uniform(-1.0, 1.0, len(names)), strict=True))
         drawn = {
-            name: BenchParameter(item.value + item.tolerance * float(shift))
-            for (name, item), shift in zip(self.parameters.items(), shifts, strict=True)
+            name: BenchParameter(item.value + item.tolerance * float(shifts.get(name, 0.0)))
+            for name, item in self.parameters.items()
         }
         if self.identified is not None:
             factors = self.identified.draw(rng, 1)[0]
@@ -375,6 +385,64 @@ class Bench:
                 "gap_rad": float(gap_rad),
                 "start_angle_rad": float(start_angle_rad),
                 "reference_speed_rpm": reference,
+            },
+        )
+
+    def simulate_motion(
+        self,
+        gap_rad: float,
+        motion: Motion,
+        *,
+        sampling_hz: float = 1000.0,
+        start_angle_rad: float | None = None,
+        motor_start_angle_rad: float | None = None,
+        seed: np.random.Generator | None = None,
+        name: str = "simulated",
+        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    ) -> Recording:
+        """One recording of a motion, with its references as channels.
+
+        Parameters
+        ----------
+        start_angle_rad
+            Load angle at the first sample; the motion's own if ``None``.
+        gap_rad, sampling_hz, motor_start_angle_rad, seed, name, accuracy_rpm
+            As :meth:`simulate`.
+
+        Raises
+        ------
+        BenchError
+            If a parameter makes no sense, the motor cannot follow or the simulation fails.
+        """
+        begin = motion.start_angle_rad if start_angle_rad is None else start_angle_rad
+        parameters = self.vector(
+            gap_rad=gap_rad,
+            start_angle_rad=begin,
+            motor_start_angle_rad=motor_start_angle_rad,
+        )
+        time = np.arange(math.floor(round(motion.duration_s * sampling_hz, 6)) + 1) / sampling_hz
+        position, speed, current = simulate_motions(
+            parameters, motion, time.size, sampling_hz, accuracy_rpm=accuracy_rpm
+        )[0]
+        offset = float(position[0])
+        if motor_start_angle_rad is not None:
+            start = parameters[0, Slot.start_angle_rad]
+            offset = parameters[0, Slot.gear_ratio] * start - motor_start_angle_rad
+        channels = self._measured(
+            position - offset, speed, current, parameters[0], sampling_hz, seed
+        )
+        channels[REFERENCE_SPEED] = motion.speed_rpm(time)
+        channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+        return Recording(
+            name=name,
+            time_s=time,
+            channels=channels,
+            metadata={
+                "simulated": True,
+                "bench": self.fingerprint(),
+                "gap_rad": float(gap_rad),
+                "start_angle_rad": float(parameters[0, Slot.start_angle_rad]),
+                "reference_speed_rpm": None,
             },
         )
 

@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from bayesbl.bench.kernel import MOTOR_SIGN_WIDTH, Slot
+from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import ComplexArray, FloatArray
@@ -75,6 +75,8 @@ class Amplitude(EffectParameter):
         What the simulator refuses: a value below zero, a size that reaches this.
     sought_from
         Lower end of a search in the loop, where it is not ``low``.
+    rate_of
+        The parameter whose change in a second this is.
     """
 
     _: KW_ONLY
@@ -83,6 +85,7 @@ class Amplitude(EffectParameter):
     not_negative: bool = False
     smaller_than: float | None = None
     sought_from: float | None = None
+    rate_of: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,10 @@ class RigidMotion(Protocol):
     def sway(self) -> ComplexArray:
         """d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²."""
 
+    @property
+    def friction_width(self) -> float:
+        """Motor speed over which dry friction changes its sign, rad/s."""
+
 
 class RigidBench(Protocol):
     """What a law may ask of the bench it acts in."""
@@ -163,8 +170,9 @@ class RigidLaw:
         The parameter that is zero when the effect is absent.
     linear
         Parameters beside the amplitude that the signal is linear in.
-    scanned, grid
-        A parameter to scan, and the values to try; an order gets its own grid.
+    scanned, grid, grid_unit
+        A parameter to scan, and the values to try in units of the recordings' own: RMS ``speed`` of
+        the motor, ``travel`` of the load. An order gets its own grid.
     same_as
         Effects that are the same law in this comparison, only named for another place.
     contains
@@ -180,6 +188,7 @@ class RigidLaw:
     linear: tuple[str, ...] = ()
     scanned: str | None = None
     grid: tuple[float, ...] = ()
+    grid_unit: Literal["speed", "travel"] = "travel"
     same_as: tuple[str, ...] = ()
     contains: str | None = None
     not_negative: bool = False
@@ -288,4 +297,6 @@ class Effect:
 
 def direction(motion: RigidMotion) -> FloatArray:
     """sign ω_m smoothed as tanh(ω_m / width), as the simulator's friction has it."""
-    return np.tanh(motion.speed / MOTOR_SIGN_WIDTH)
+    if motion.friction_width == 0.0:
+        return np.sign(motion.speed)
+    return np.tanh(motion.speed / motion.friction_width)

@@ -41,6 +41,7 @@ class Slot(IntEnum):
     shaft_stiffness_nm_per_rad = auto()
     shaft_damping_nm_s_per_rad = auto()
     gravity_torque_nm = auto()
+    gravity_angle_rad = auto()
     speed_gain_nm_s_per_rad = auto()
     integral_gain_nm_per_rad = auto()
     position_gain_per_s = auto()
@@ -53,6 +54,7 @@ class Slot(IntEnum):
     gap_rad = auto()
     start_angle_rad = auto()
     motor_start_angle_rad = auto()
+    reference_delay_s = auto()  # of a motion: the loop is given its reference that much later
     backlash__gap_rad = auto()
     motor_coulomb_friction__torque_nm = auto()
     motor_viscous_friction__coefficient_nm_s_per_rad = auto()
@@ -95,9 +97,9 @@ POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width); both widths are about 1 rpm at the motor of a 1:100 gear.
-MOTOR_SIGN_WIDTH = 0.1  # rad/s
-LOAD_SIGN_WIDTH = 1e-3  # rad/s
+# sign(ω) of friction is tanh(ω/width), width this share of the reference speed at motor and load:
+# 1 rpm of 2000. A share, so that a slow joint has the same friction as a fast one.
+FRICTION_WIDTH_SHARE = 1.0 / 2000.0
 # The integral fades out while the demand passes the current limit by this share of it.
 ANTI_WINDUP_BAND = 0.01
 
@@ -106,11 +108,16 @@ ANTI_WINDUP_BAND = 0.01
 LOCAL_SHARE = 0.004
 # Longest step in radians of the fastest oscillation: what the dense output still follows.
 LONGEST_PHASE = 1.0
-# rad/s: pace of a rigid bench that nothing drives.
-SLOWEST_RATE = 0.1
 
 DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
+
+
+# Share of gravity's largest torque below which a load at rest stands inside the gap.
+LOOSE_SHARE = 0.01
+
+# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since.
+PIECE_COLUMNS = 10
 
 
 class Constants(NamedTuple):
@@ -125,6 +132,7 @@ class Constants(NamedTuple):
     stiffness: float
     damping: float
     gravity: float
+    gravity_angle: float
     speed_gain: float
     integral_gain: float
     position_gain: float
@@ -133,11 +141,24 @@ class Constants(NamedTuple):
     hard: bool
     rigid: bool
     reference: float
+    friction_width: float
     gap: float
     reference_angle: float
     phase_offset: float
     drift_start: float
     effects: bool
+    direction: float
+    fastest_reference: float
+    follows: bool
+    piece_start: float
+    speed_1: float
+    speed_2: float
+    speed_3: float
+    angle_0: float
+    angle_1: float
+    angle_2: float
+    angle_3: float
+    angle_4: float
 
 
 _OPTIONS: dict[str, Any] = {
@@ -153,7 +174,10 @@ _inlined = compiled(**_OPTIONS, forceinline=True)
 
 @_jit
 def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
-    """Constants of one run; ``reference_angle`` is where the position loop's ramp starts."""
+    """Constants of one run at constant speed.
+
+    ``reference_angle`` is where the position loop's ramp starts.
+    """
     effects = False
     for i in range(FIRST_EFFECT, FIRST_SKEW):
         if p[i] != 0.0:
@@ -169,6 +193,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.shaft_stiffness_nm_per_rad],
         p[Slot.shaft_damping_nm_s_per_rad],
         p[Slot.gravity_torque_nm],
+        p[Slot.gravity_angle_rad],
         p[Slot.speed_gain_nm_s_per_rad],
         p[Slot.integral_gain_nm_per_rad],
         p[Slot.position_gain_per_s],
@@ -177,12 +202,88 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.hard_dead_zone] != 0.0,
         p[Slot.rigid] != 0.0,
         p[Slot.reference_speed_rpm] / RPM,
+        FRICTION_WIDTH_SHARE * abs(p[Slot.reference_speed_rpm]) / RPM,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
         drift_start,
         effects,
+        math.copysign(1.0, p[Slot.reference_speed_rpm]),
+        abs(p[Slot.reference_speed_rpm] / RPM),
+        False,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
     )
+
+
+@_jit
+def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
+    """The same constants on one piece of a motion (see ``bench/motion.py``)."""
+    row = pieces[number]
+    return Constants(
+        c.ratio,
+        c.per_ratio,
+        c.per_motor_inertia,
+        c.motor_inertia,
+        c.per_load_inertia,
+        c.load_inertia,
+        c.stiffness,
+        c.damping,
+        c.gravity,
+        c.gravity_angle,
+        c.speed_gain,
+        c.integral_gain,
+        c.position_gain,
+        c.torque_limit,
+        c.sharpness,
+        c.hard,
+        c.rigid,
+        row[1],
+        c.friction_width,
+        c.gap,
+        c.reference_angle,
+        c.phase_offset,
+        c.drift_start,
+        c.effects,
+        1.0,
+        c.fastest_reference,
+        True,
+        row[0],
+        row[2],
+        row[3],
+        row[4],
+        row[5],
+        row[6],
+        row[7],
+        row[8],
+        row[9],
+    )
+
+
+@_inlined
+def reference_speed(t, c):  # type: ignore[no-untyped-def]
+    """ω_ref of the motor, rad/s."""
+    if not c.follows:
+        return c.reference
+    s = t - c.piece_start
+    return c.reference + s * (c.speed_1 + s * (c.speed_2 + s * c.speed_3))
+
+
+@_inlined
+def reference_position(t, c):  # type: ignore[no-untyped-def]
+    """θ_ref of the motor, rad."""
+    if not c.follows:
+        return c.reference_angle + c.reference * t
+    s = t - c.piece_start
+    turned = c.angle_0 + s * (c.angle_1 + s * (c.angle_2 + s * (c.angle_3 + s * c.angle_4)))
+    return c.reference_angle + turned
 
 
 @_inlined
@@ -262,9 +363,9 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     angle, speed = sensed(y, p, c)
     if c.effects and p[Slot.speed_sensor_lag__time_s] > 0.0:
         speed = y[SENSED_SPEED]
-    error = c.reference - speed
+    error = reference_speed(t, c) - speed
     if c.position_gain != 0.0:
-        error += c.position_gain * (c.reference_angle + c.reference * t - angle)
+        error += c.position_gain * (reference_position(t, c) - angle)
     torque, share = limited(c.speed_gain * error + c.integral_gain * y[INTEGRAL], error, c)
     return speed, error, torque, share
 
@@ -280,7 +381,7 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 @_jit
 def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
     """Torque against the motor from motor-side effects, N m."""
-    direction = direction_of(speed / MOTOR_SIGN_WIDTH)
+    direction = direction_of(speed / c.friction_width)
     drift = p[Slot.friction_drift__torque_nm]
     drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
     dry = p[Slot.motor_coulomb_friction__torque_nm] + drift
@@ -306,7 +407,7 @@ def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped
 @_jit
 def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
     """Torque against the load: gravity and load-side effects, N m."""
-    torque = c.gravity * math.sin(angle)
+    torque = c.gravity * math.sin(angle + c.gravity_angle)
     if c.effects:
         if p[Slot.gravity_phase__torque_nm] != 0.0:
             torque += p[Slot.gravity_phase__torque_nm] * math.cos(angle)
@@ -314,7 +415,7 @@ def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
         torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
             torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
-                speed / LOAD_SIGN_WIDTH
+                speed * c.ratio / c.friction_width
             )
     return torque
 
@@ -328,7 +429,7 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
     if mesh != 0.0:
         # The transmitted torque contains the acceleration: solved with its sign held.
         transmitted = reflected * acceleration + load * c.per_ratio
-        factor = 1.0 + mesh * direction_of(speed / MOTOR_SIGN_WIDTH) * math.copysign(
+        factor = 1.0 + mesh * direction_of(speed / c.friction_width) * math.copysign(
             1.0, transmitted
         )
         acceleration = (torque - losses - load * c.per_ratio * factor) / (
@@ -405,15 +506,15 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
-    error = c.reference - speed
+    error = reference_speed(t, c) - speed
     if c.position_gain != 0.0:
-        error += c.position_gain * (c.reference_angle + c.reference * t - y[MOTOR_ANGLE])
+        error += c.position_gain * (reference_position(t, c) - y[MOTOR_ANGLE])
     torque = c.speed_gain * error + c.integral_gain * y[INTEGRAL]
     share = 1.0
     if abs(torque) > c.torque_limit:
         torque, share = limited(torque, error, c)
     shaft = shaft_torque(twist, twist_speed, region, c)
-    load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist)
+    load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist + c.gravity_angle)
     acceleration = (torque - shaft * c.per_ratio) * c.per_motor_inertia
     dy[MOTOR_ANGLE] = speed
     dy[MOTOR_SPEED] = acceleration
@@ -534,7 +635,7 @@ def beyond(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
     angle = interpolated(dense, MOTOR_ANGLE, s)
     twist = interpolated(dense, TWIST, s)
     if kind == 0:
-        return math.copysign(1.0, c.reference) * (angle * c.per_ratio - twist - edge)
+        return c.direction * (angle * c.per_ratio - twist - edge)
     return kind * (contact_twist(angle, twist, p, c) - edge)
 
 
@@ -603,9 +704,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
     fastest = math.sqrt(motor_rate**2 + load_rate**2)
     if c.rigid:
-        # Let go, it is gravity that sets the pace.
+        # Let go, it is gravity that sets the pace; without any, its own turning.
         swing = math.sqrt(c.gravity * c.per_ratio * c.per_ratio / inertia)
-        fastest = max(loop_rate, swing, SLOWEST_RATE)
+        fastest = max(loop_rate, swing, c.fastest_reference * c.per_ratio)
     torque = speed * inertia * max(fastest, loop_rate)
     scale[MOTOR_SPEED] = 1.0 / speed
     scale[MOTOR_ANGLE] = fastest / speed
@@ -617,23 +718,28 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
         scale[DRIVE_TORQUE] = 1.0 / torque
         scale[SENSED_SPEED] = 1.0 / speed
         scale[DAHL] = abs(p[Slot.shaft_hysteresis__torque_nm]) * c.per_ratio / torque
-        turning = abs(c.reference)
+        turning = c.fastest_reference
         if p[Slot.motor_torque_ripple__torque_nm] != 0.0:
             rate = max(rate, turning * abs(p[Slot.motor_torque_ripple__order]))
         if p[Slot.gear_transmission_error__angle_rad] != 0.0:
             rate = max(rate, turning * abs(p[Slot.gear_transmission_error__order]))
         if p[Slot.encoder_eccentricity__angle_rad] != 0.0:
             rate = max(rate, turning)
-    return min(LONGEST_PHASE / rate, 0.5 / (abs(c.reference * c.per_ratio) + 1e-3))
+    return min(LONGEST_PHASE / rate, 0.5 / (c.fastest_reference * c.per_ratio + 1e-3))
 
 
 @_jit
-def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm):  # type: ignore[no-untyped-def]
+def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, pieces):  # type: ignore[no-untyped-def]
     """Integrate ``y`` in place until a time or a load angle, sampling on the way.
 
-    Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew. Returns status, time
-    reached, number of right-hand sides.
+    Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew. ``pieces``: the motion
+    that the reference follows; steps end where a piece does. Returns status, time reached, number
+    of right-hand sides.
     """
+    piece = 0
+    if len(pieces) > 0:
+        c = on_piece(c, pieces, 0)
+    piece_end = pieces[1, 0] if len(pieces) > 1 else math.inf
     n = y.size
     k = np.empty((7, n))
     y_new = np.empty(n)
@@ -647,7 +753,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
     layer = 0.0 if c.hard else 1.0 / c.sharpness
     evaluations = 0
     budget = 1000 + int(MAX_STEPS_PER_SECOND * max(1.0, stop_time - t))
-    runaway = 50.0 * abs(c.reference) + 1e3
+    runaway = 50.0 * c.fastest_reference + 1e3
     twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
     region = region_of(twist, c) if has_edges else 0
     if not has_edges and not c.hard:
@@ -661,6 +767,11 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
         last = t + h >= stop_time
         if last:
             h = stop_time - t
+        h_usual = h
+        ends = t + h >= piece_end
+        if ends:
+            h = piece_end - t
+            last = False
         step(t, y, h, region, p, c, k, y_new)
         evaluations += 6
         error = error_of(h, k, scale)
@@ -705,6 +816,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
             h_next = h * factor
             h *= share
             last = False
+            ends = False
             step(t, y, h, region, p, c, k, y_new)
             evaluations += 6
             dense_coefficients(y, y_new, h, k, dense)
@@ -720,12 +832,20 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm): 
                     next_sample[row] = emit(
                         t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
                     )
-        t = stop_time if last else t + h
+        t = stop_time if last else piece_end if ends else t + h
         for i in range(n):
             y[i] = y_new[i]
             k[0, i] = k[6, i]
         if arrived:
             return DONE, t, evaluations
+        if ends:
+            piece += 1
+            c = on_piece(c, pieces, piece)
+            piece_end = pieces[piece + 1, 0] if piece + 1 < len(pieces) else math.inf
+            right_hand_side(t, y, region, p, c, k[0])
+            evaluations += 1
+            # What the piece's end cut short says nothing of the next step.
+            h_next = max(h_next, min(h_usual, longest))
         if crossed != 0:
             region += crossed
             right_hand_side(t, y, region, p, c, k[0])
@@ -778,6 +898,7 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     direction = math.copysign(1.0, load_speed)
     start_angle = p[Slot.start_angle_rad]
     flank = 0.5 * math.pi - math.atan2(p[Slot.gravity_phase__torque_nm], c.gravity)
+    flank -= c.gravity_angle
     ahead = (start_angle - flank) * direction - settle_s * abs(load_speed)
     begin = flank + direction * math.pi * math.floor(ahead / math.pi)
     y = np.empty(STATES if c.effects else STATES - 3)
@@ -788,7 +909,10 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     none = np.empty((1, 0))
     longest = 4.0 * (start_angle - begin) / load_speed + 1.0
     first = y.copy()
-    status, t, cost = integrate(0.0, y, longest, start_angle, 0.0, dt, none, p, c, accuracy_rpm)
+    steady = np.empty((0, PIECE_COLUMNS))
+    status, t, cost = integrate(
+        0.0, y, longest, start_angle, 0.0, dt, none, p, c, accuracy_rpm, steady
+    )
     if status != DONE:
         return status, cost
     if t >= longest:
@@ -802,10 +926,64 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     if lag > 0.0:
         # A channel that lags shows what was before the start: once more, now with the time known.
         status, _, more = integrate(
-            0.0, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm
+            0.0, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
         )
     else:
         status, _, more = integrate(
-            t, y, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm
+            t, y, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
         )
     return status, cost + more
+
+
+@_jit
+def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
+    """Start of a motion: the load at its start angle, all torques balanced on the loaded flank.
+
+    Speed and acceleration are those of the reference at that time, zero for a motion from rest.
+    Returns the constants, with the reference angle that the controller stands at.
+    """
+    speed = reference_speed(t, c)
+    acceleration = c.speed_1
+    angle = p[Slot.start_angle_rad]
+    load = load_torque(angle, speed * c.per_ratio, p, c)
+    load += c.load_inertia * acceleration * c.per_ratio
+    # A load that hardly presses may stand anywhere in the gap; so is the start continuous.
+    side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
+    y[:] = 0.0
+    if not c.rigid:
+        y[TWIST] = load / c.stiffness + side * c.gap
+    y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
+    y[MOTOR_SPEED] = speed
+    torque = load * c.per_ratio + c.motor_inertia * acceleration
+    if c.effects:
+        torque += motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    torque, _ = limited(torque, 0.0, c)
+    shown, _ = sensed(y, p, c)
+    reference_angle = shown - reference_position(t, c) + c.reference_angle
+    if c.integral_gain > 0.0:
+        y[INTEGRAL] = torque / c.integral_gain
+    elif c.position_gain > 0.0:
+        reference_angle += torque / (c.speed_gain * c.position_gain)
+    else:
+        y[MOTOR_SPEED] -= torque / c.speed_gain
+    if c.effects:
+        y[DRIVE_TORQUE] = torque
+        y[SENSED_SPEED] = y[MOTOR_SPEED]
+    return reference_angle
+
+
+@_jit
+def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untyped-def]
+    """A motion from the state it starts in, into ``out``; returns status, right-hand sides."""
+    lag = max(0.0, p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
+    lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
+    y = np.empty(STATES if p[FIRST_EFFECT:FIRST_SKEW].any() else STATES - 3)
+    pieces = pieces.copy()
+    pieces[:, 0] += p[Slot.reference_delay_s]
+    q = p.copy()
+    q[Slot.reference_speed_rpm] = np.max(np.abs(pieces[:, 1])) * RPM
+    begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
+    c = constants(q, standing_state(-lag, p, begun, y), 0.0)
+    stop = (out.shape[1] - 1) * dt + lead + 1e-9
+    status, _, cost = integrate(-lag, y, stop, math.inf, 0.0, dt, out, p, c, accuracy_rpm, pieces)
+    return status, cost

@@ -19,11 +19,11 @@ from bayesbl.recording.types import FloatArray
 class ParameterInfo:
     """What a bench parameter is.
 
-    ``positive``: it must be above zero; if not, zero is allowed, and negative values only where
-    ``signed``. ``default``: value in a bench file that does not give it, ``None`` if it must.
-    ``idle``: value in the file of a rigid bench that does not give it and is only compared with
-    recordings, never driven. ``correctable``: a wrong value of it is an explanation of its own (a
-    parameter error) when recordings and bench disagree.
+    ``positive``: it must not be zero, and above it unless ``signed``; if not, zero is allowed too.
+    ``default``: value in a bench file that does not give it, ``None`` if it must. ``idle``: value
+    in the file of a rigid bench that does not give it and is only compared with recordings, never
+    driven. ``correctable``: a wrong value of it is an explanation of its own (a parameter error)
+    when recordings and bench disagree.
     """
 
     name: str
@@ -108,6 +108,14 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
         "sharpness α of the arctan stiffness at the edges of the gap",
         default=1e6,
     ),
+    ParameterInfo(
+        "gravity_angle_rad",
+        "rad",
+        "angle φ_g that gravity's torque m g l sin(θ_l + φ_g) is ahead of the load's",
+        positive=False,
+        signed=True,
+        default=0.0,
+    ),
 )
 
 PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
@@ -169,11 +177,11 @@ def check_parameters(matrix: FloatArray) -> None:
     for info in BENCH_PARAMETERS:
         slot = Slot[info.name]
         values = matrix[:, slot]
-        if info.signed:
+        if info.signed and info.positive:
             _refuse_where(values == 0.0, matrix, slot, "a number other than zero")
         elif info.positive:
             _refuse_where(values <= 0.0, matrix, slot, "a number above zero")
-        else:
+        elif not info.signed:
             _refuse_where(values < 0.0, matrix, slot, "zero or a number above it")
     _check_gap(matrix)
     _check_effects(matrix)

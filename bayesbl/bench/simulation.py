@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayesbl.bench import kernel
 from bayesbl.bench.kernel import STATES, Slot
+from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import BenchError
@@ -84,6 +86,36 @@ def simulate_channels(
     return out
 
 
+def simulate_motions(
+    parameter_matrix: FloatArray,
+    motion: Motion,
+    samples: int,
+    sampling_hz: float,
+    *,
+    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    workers: int = 1,
+    failures: str = "raise",
+    states: bool = False,
+) -> FloatArray:
+    """As :func:`simulate_channels` where the speed loop follows a motion: shape (m, 3, n).
+
+    The first sample lies at the motion's start, with the load at ``start_angle_rad``, all torques
+    balanced on the flank that the load's torque presses on. With ``states`` all states as
+    :func:`simulate_states` gives them, shape (m, 8, n).
+    """
+    out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
+    matrix = _sound(parameter_matrix, out, sampling_hz, accuracy_rpm)
+
+    def run(row: int) -> int:
+        found: int = kernel.simulate_motion(
+            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy_rpm, out[row]
+        )[0]
+        return found
+
+    _in_threads(run, matrix, out, workers, failures)
+    return out
+
+
 def simulate_states(
     parameters: FloatArray,
     initial_state: FloatArray,
@@ -91,14 +123,19 @@ def simulate_states(
     sampling_hz: float,
     *,
     accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    friction_width_rad_per_s: float | None = None,
 ) -> FloatArray:
     """All states from a given one on: free motion, transients, laws. Shape (8, n), SI.
 
     States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
     sensed speed, Dahl z; the last three are zero while no effect is on. The position loop's ramp
-    starts at the initial motor angle. No check of the parameters, so gains may be zero here.
+    starts at the initial motor angle. Dry friction changes its sign over the given width at the
+    motor, by default the share of the reference speed that holds elsewhere. No check of the
+    parameters, so gains may be zero here.
     """
     c = kernel.constants(parameters, initial_state[0], 0.0)
+    if friction_width_rad_per_s is not None:
+        c = c._replace(friction_width=friction_width_rad_per_s)
     size = STATES if c.effects else kernel.DRIVE_TORQUE
     state = np.array(initial_state[:size], dtype=float)
     out = np.zeros((STATES, samples))
@@ -114,6 +151,7 @@ def simulate_states(
         parameters,
         c,
         accuracy_rpm,
+        np.empty((0, kernel.PIECE_COLUMNS)),
     )
     if status != kernel.DONE:
         raise BenchError(f"At {time:.4g} s {_REASONS[status]}.")
@@ -139,6 +177,23 @@ def _fill(
     failures: str,
     states: FloatArray | None = None,
 ) -> None:
+    matrix = _sound(matrix, out, sampling_hz, accuracy_rpm)
+    settling = settling_time_s(matrix, accuracy_rpm)
+    ends = np.empty((matrix.shape[0], STATES)) if states is None else states
+
+    def run(row: int) -> int:
+        found: int = kernel.simulate(
+            matrix[row], settling[row], 1.0 / sampling_hz, accuracy_rpm, out[row], ends[row]
+        )[0]
+        return found
+
+    _in_threads(run, matrix, out, workers, failures)
+
+
+def _sound(
+    matrix: FloatArray, out: FloatArray, sampling_hz: float, accuracy_rpm: float
+) -> FloatArray:
+    """The parameter vectors as the kernel takes them; raises where nothing can be simulated."""
     if not (accuracy_rpm > 0.0 and sampling_hz > 0.0 and out.shape[2] > 0):
         raise BenchError(
             "A simulation needs an accuracy, a sampling rate and a number of samples above zero.",
@@ -146,26 +201,28 @@ def _fill(
         )
     matrix = np.ascontiguousarray(matrix, dtype=float)
     check_parameters(matrix)
-    settling = settling_time_s(matrix, accuracy_rpm)
-    if states is None:
-        states = np.empty((matrix.shape[0], STATES))
+    return matrix
+
+
+def _in_threads(
+    run: Callable[[int], int], matrix: FloatArray, out: FloatArray, workers: int, failures: str
+) -> None:
+    """Run every row, which returns its status; rows that fail are raised, or filled with nan."""
     status = np.empty(matrix.shape[0], dtype=np.int64)
 
-    def run(rows: NDArray[np.int64]) -> None:
+    def run_all(rows: NDArray[np.int64]) -> None:
         for row in rows:
-            status[row], _ = kernel.simulate(
-                matrix[row], settling[row], 1.0 / sampling_hz, accuracy_rpm, out[row], states[row]
-            )
+            status[row] = run(row)
 
     rows = np.arange(matrix.shape[0])
     if workers <= 1 or rows.size == 1:
-        run(rows)
+        run_all(rows)
     else:
         # Small pieces, so that slow rows do not leave a core idle; each row is on its own, so
         # the numbers do not depend on how they are dealt out.
         pieces = np.array_split(rows, min(rows.size, 8 * workers))
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(run, pieces))
+            list(pool.map(run_all, pieces))
     failed = np.flatnonzero(status != kernel.DONE)
     if failed.size and failures == "nan":
         out[failed] = np.nan

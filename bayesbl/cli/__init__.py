@@ -13,8 +13,14 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl import __version__
-from bayesbl.cli.bench import diagnose_command, effects_command, simulate_command, sweep_command
-from bayesbl.cli.configurations import check_command, init_command, run_command
+from bayesbl.cli.bench import (
+    diagnose_command,
+    effects_command,
+    plan_command,
+    simulate_command,
+    sweep_command,
+)
+from bayesbl.cli.configurations import check_command, fleet_command, init_command, run_command
 from bayesbl.cli.identifying import identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
@@ -44,10 +50,12 @@ app.command("run")(run_command)
 app.command("check")(check_command)
 app.command("fit")(fit_command)
 app.command("compare")(compare_command)
+app.command("fleet")(fleet_command)
 app.command("simulate")(simulate_command)
 app.command("sweep")(sweep_command)
 app.command("diagnose")(diagnose_command)
 app.command("identify")(identify_command)
+app.command("plan")(plan_command)
 app.command("effects")(effects_command)
 app.command("figures")(figures_command)
 app.command("report")(report_command)

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from bayesbl.cli.options import ConfigPath, Force, Json, Out, Seed, Workers
-from bayesbl.cli.running import run_file
+from bayesbl.cli.options import (
+    Acceleration,
+    BenchFile,
+    ConfigPath,
+    Duration,
+    Force,
+    GapRad,
+    Json,
+    Out,
+    RangeRad,
+    Seed,
+    SpeedRpm,
+    Workers,
+)
+from bayesbl.cli.running import run_config, run_file
 
 
 def _command(kind: str, what: str) -> Callable[..., None]:
@@ -31,6 +45,37 @@ def _command(kind: str, what: str) -> Callable[..., None]:
 simulate_command = _command("simulate", "Make recordings on a virtual bench.")
 sweep_command = _command("sweep", "Sweep a virtual bench over its gap, for a gap curve of its own.")
 diagnose_command = _command("diagnose", "Find what a bench lacks that recordings show.")
+
+
+def plan_command(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration in TOML.")
+    ] = None,
+    bench: BenchFile = None,
+    range_rad: RangeRad = None,
+    speed_rpm: SpeedRpm = None,
+    acceleration_rpm_per_s: Acceleration = None,
+    duration_s: Duration = None,
+    gap_rad: GapRad = None,
+    out: Out = None,
+    workers: Workers = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Rank motions within limits by how well they would tell the gap."""
+    from bayesbl.config.loading import config_from_options
+
+    options: dict[str, Any] = {
+        "bench": bench,
+        "range_rad": range_rad,
+        "speed_rpm": speed_rpm,
+        "acceleration_rpm_per_s": acceleration_rpm_per_s,
+        "duration_s": duration_s,
+        "gap_rad": gap_rad,
+        "out": Path("results", "plan") if out is None and config is None else out,
+        "workers": workers,
+    }
+    run_config(config_from_options("plan", (), config, **options), force, json, config)
 
 
 def effects_command(

@@ -30,16 +30,30 @@ def run_command(
     from bayesbl.runs.run import kind_of
 
     kind = kind_of(config)
-    if scheduler is not None and kind not in ("study", ""):
+    if scheduler is not None and kind not in ("study", "fleet", ""):
         raise ConfigError(
-            "Only studies run on a cluster.",
+            "Only studies and fleets run on a cluster.",
             file=config,
             where="--scheduler",
             found=f'kind = "{kind}"',
-            expected='kind = "study"',
+            expected='kind = "study" or "fleet"',
         )
     options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
     run_file(config, force, json, **options, scheduler=scheduler, before=before)
+
+
+def fleet_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Measure what is new of many joints, and write their tables and pages."""
+    options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    run_file(config, force, json, kind="fleet", **options, scheduler=scheduler)
 
 
 def check_command(config: ConfigPath) -> None:
@@ -88,7 +102,7 @@ def init_command(
     path, guess = start_config(recordings, out, force=force)
     plan = check(path)
     print_blocks(guessed(guess), make_console())
-    say(what_next(path, sound=not plan.problems))
+    say(what_next(path, sound=not plan.problems, torque_ramps=guess.torque_ramps))
     _print_findings(plan)
 
 

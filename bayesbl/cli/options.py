@@ -68,7 +68,7 @@ Scheduler = Annotated[
     _option(
         "--scheduler",
         "ADDRESS",
-        "Run a study on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
+        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
@@ -94,9 +94,9 @@ Route = Annotated[
     str | None,
     _option(
         "--route",
-        "auto|amplitude|direct",
-        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both. "
-        "[default: auto with a bench]",
+        "auto|amplitude|direct|torque_ramp",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; or "
+        "by ramps of torque with the output held. [default: auto with a bench]",
     ),
 ]
 StartFrom = Annotated[
@@ -147,4 +147,33 @@ GearRatio = Annotated[
 Level = Annotated[
     float | None,
     _option("--level", "P", "Level of the credible intervals. [default: 0.9]", _number),
+]
+RangeRad = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--range-rad",
+        metavar="LOW HIGH",
+        help="Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
+        "[default: -0.5 0.5]",
+    ),
+]
+SpeedRpm = Annotated[
+    float | None,
+    _option("--speed-rpm", "RPM", "Largest speed of the motor. [default: 1500]", _number),
+]
+Acceleration = Annotated[
+    float | None,
+    _option(
+        "--acceleration-rpm-per-s",
+        "RPM/S",
+        "Largest acceleration of the motor. [default: 6000]",
+        _number,
+    ),
+]
+Duration = Annotated[
+    float | None, _option("--duration-s", "S", "Length of the recording. [default: 20]", _number)
+]
+GapRad = Annotated[
+    float | None,
+    _option("--gap-rad", "RAD", "Gap that a plan is reckoned at. [default: 0.0008]", _gap),
 ]

@@ -35,7 +35,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
     from bayesbl.runs.run import run
 
     console = make_console(stderr=True)
-    with progress(console, of_cases=config.kind == "study") as tell:
+    with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
     if json:
         print_json(config.run.output)

@@ -59,7 +59,8 @@ class Compared(Section):
 
     Without ``channels`` the method takes what the recordings hold. ``known_torque`` names columns
     that are added to the torque the bench asks for, N m at the motor. ``cutoff_hz`` belongs to the
-    zero-phase filter behind the derivatives of the inverse method.
+    zero-phase filter that both sides of the inverse method pass; without it, it is chosen where
+    the prediction stops being coherent with the measurement.
     """
 
     method: Method = "forward"
@@ -67,7 +68,7 @@ class Compared(Section):
     known_torque: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     load_angle_known: bool = False
     motor_angle_known: bool = False
-    cutoff_hz: Positive = 20.0
+    cutoff_hz: Positive | None = None
 
     @field_validator("known_torque")
     @classmethod
@@ -98,10 +99,13 @@ class DiagnosedRecording(SnapshotRecording):
 
 
 class Candidates(Section):
-    """``[candidates]``: effects that may be named, how many, and the rate of false alarms."""
+    """``[candidates]``: effects that may be named, how many, and the rate of false alarms.
+
+    Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
+    """
 
     effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(effect_names)] = "all"
-    max_effects: int = Field(default=3, ge=1, le=10)
+    max_effects: int | None = Field(default=None, ge=1, le=10)
     false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
 
 

@@ -19,6 +19,7 @@ from bayesbl.recording.channels import (
     did_you_mean_file,
     is_mappable,
 )
+from bayesbl.recording.input_bytes import stem_of
 from bayesbl.ringing.symbols import SYMBOLS
 
 RESULT_FILE = "result.nc"
@@ -134,7 +135,7 @@ def _name(name: str) -> str:
 
 def names_of(files: Sequence[str | Path]) -> list[str]:
     """A different name for each file, made from what it is called."""
-    names = [name_of(Path(file).stem) for file in files]
+    names = [name_of(stem_of(Path(file))) for file in files]
     numbered = [f"{name[: LONGEST_NAME - 4]}-{n}" for n, name in enumerate(names, start=1)]
     mixed = [
         name if names.count(name) == 1 else other

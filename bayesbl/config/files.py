@@ -17,7 +17,7 @@ from bayesbl.config.problems import Problem, config_error, line_numbers, problem
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats
-from bayesbl.recording.input_bytes import read_input
+from bayesbl.recording.input_bytes import read_input, suffix_of
 
 _Model = TypeVar("_Model", bound=Section)
 
@@ -73,7 +73,7 @@ def read_toml(
     ConfigError
         If there is no such file, or it is not TOML.
     """
-    if path.suffix.lower() in formats() and os.path.isfile(path):
+    if suffix_of(path) in formats() and os.path.isfile(path):
         raise ConfigError(
             "This is a recording, or not a configuration at all.",
             file=path,

@@ -33,6 +33,7 @@ from bayesbl.config.problems import (
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
+from bayesbl.recording.input_bytes import stem_of
 
 OPTIONS: Mapping[str, Location] = MappingProxyType(
     {
@@ -50,6 +51,11 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "workers": ("run", "workers"),
         "scheduler": ("run", "scheduler"),
         "out": ("run", "output"),
+        "range_rad": ("limits", "range_rad"),
+        "speed_rpm": ("limits", "speed_rpm"),
+        "acceleration_rpm_per_s": ("limits", "acceleration_rpm_per_s"),
+        "duration_s": ("limits", "duration_s"),
+        "gap_rad": ("gap_rad",),
     }
 )
 """Command-line option to the field it sets."""
@@ -57,7 +63,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
 
 _OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
-    {"identify": {"bench": ("bench",)}}
+    {"identify": {"bench": ("bench",)}, "plan": {"bench": ("bench",)}}
 )
 """Options that set another field in some kinds."""
 
@@ -254,7 +260,7 @@ def _default_output(kind: str, recordings: Sequence[str | Path], config: str | P
     """Below ``results``: of recordings with the command, of a configuration by its name alone."""
     if not recordings:
         return str(Path("results", Path(config or "run").stem).absolute())
-    stems = dict.fromkeys(name_of(Path(path).stem) for path in (recordings[0], recordings[-1]))
+    stems = dict.fromkeys(name_of(stem_of(Path(p))) for p in (recordings[0], recordings[-1]))
     name = "_".join((kind, *stems)).encode()[:_LONGEST_OUTPUT].decode(errors="ignore")
     return str(Path("results", name).absolute())
 

@@ -52,10 +52,12 @@ class Joint(Section):
     """``[joint]``: what is known of the joint itself.
 
     ``may_drift``: how far a bench parameter or ``"effect.parameter"`` may move between the first
-    snapshot and each later one; the interval of the change then includes it.
+    snapshot and each later one; the interval of the change then includes it. ``rated_torque_nm``,
+    at the output: lost motion is stated at 3 % of it.
     """
 
     gear_ratio: Positive | None = None
+    rated_torque_nm: Positive | None = None
     limit_rad: Positive | None = None
     decide_before: Date | None = None
     may_drift: dict[str, Drift] = Field(default_factory=dict)
@@ -130,10 +132,11 @@ class Estimator(Section):
 
     Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
     the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
-    range of the direct route's log-uniform prior.
+    range of the direct route's log-uniform prior. ``torque_ramp`` reads ramps of the motor's torque
+    with the output held, and needs neither bench nor curve.
     """
 
-    route: Literal["auto", "amplitude", "direct"] = "amplitude"
+    route: Literal["auto", "amplitude", "direct", "torque_ramp"] = "amplitude"
     bench: BenchSource | None = None
     gap_rad: Range = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
@@ -156,7 +159,15 @@ class Estimator(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.route != "amplitude" and self.bench is None:
+        if self.route == "torque_ramp":
+            if self.bench is not None:
+                refuse(
+                    "Ramps of torque are read without a bench.",
+                    found='a bench with route = "torque_ramp"',
+                    expected="no bench",
+                    at=("bench",),
+                )
+        elif self.route != "amplitude" and self.bench is None:
             refuse(
                 "This route needs a bench.",
                 found=f'route = "{self.route}" without a bench',
@@ -165,7 +176,7 @@ class Estimator(Section):
             )
         if self.route != "amplitude" and self.search.start_from is not None:
             refuse(
-                "The direct route starts from its bench and cannot start from an earlier result.",
+                "This route has no search, and cannot start from an earlier result.",
                 found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
                 expected='route = "amplitude", or no start_from',
             )
@@ -245,8 +256,7 @@ class SnapshotConfig(RecordedConfig):
         estimator = info.data.get("estimator")  # absent if it was refused itself
         if estimator is not None and estimator.route != "amplitude" and posterior.check_sampler:
             refuse(
-                "The second sampler samples the amplitude route's posterior only; by the direct "
-                "route, full simulations check the draws.",
+                "The second sampler samples the amplitude route's posterior only.",
                 found=f'check_sampler = true with route = "{estimator.route}"',
                 expected='route = "amplitude", or no check_sampler',
                 at=("check_sampler",),
@@ -254,10 +264,38 @@ class SnapshotConfig(RecordedConfig):
         return posterior
 
     @model_validator(mode="after")
+    def _ramps_alone(self) -> Self:
+        """What only ramps of torque have, and what they have no use for."""
+        ramps = self.estimator.route == "torque_ramp"
+        if ramps and self.curve.source is not None:
+            refuse(
+                "Ramps of torque are read without a gap curve.",
+                found='a curve with route = "torque_ramp"',
+                expected="no curve",
+                at=("curve", "source"),
+            )
+        for number, recording in enumerate(self.recordings):
+            if not ramps and len(recording.every_file) > 1:
+                refuse(
+                    "A snapshot of several files is one of torque ramps.",
+                    found=f"{len(recording.every_file)} files of {recording.name}",
+                    expected='route = "torque_ramp" in [estimator], or one file',
+                    at=("recordings", number, "files"),
+                )
+            if ramps and recording.reference_speed_rpm is not None:
+                refuse(
+                    "Ramps of torque have no reference speed: the output is held.",
+                    found=f"reference_speed_rpm of {recording.name}",
+                    expected="no reference speed",
+                    at=("recordings", number, "reference_speed_rpm"),
+                )
+        return self
+
+    @model_validator(mode="after")
     def _known_of_a_bench_in_use(self) -> Self:
         """What is known of the joint beside its bench file reaches the answer, or is refused."""
         by_amplitude = self.estimator.route == "amplitude"
-        if self.joint.may_drift and by_amplitude:
+        if self.joint.may_drift and (by_amplitude or self.estimator.bench is None):
             refuse(
                 "What may drift is part of the direct route, which needs a bench.",
                 found="may_drift, and the amplitude route",

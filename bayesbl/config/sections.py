@@ -9,6 +9,7 @@ imported, so that ``bayesbl check`` answers at once.
 from __future__ import annotations
 
 import os
+import re
 from datetime import date as Date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -23,12 +24,14 @@ from bayesbl.config.fields import (
     Range,
     Section,
     SymbolName,
+    as_tuple,
     column_entry,
     name_of,
     refuse,
     require_different,
 )
 from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.input_bytes import stem_of
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -54,6 +57,20 @@ class Run(Section):
     output: OutputPath
 
 
+def _scheduler(address: str) -> str:
+    if not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:\d+", address):
+        refuse(
+            "This is not the address of a Dask scheduler.", expected="one such as tcp://host:8786"
+        )
+    return address
+
+
+class ClusterRun(Run):
+    """``[run]`` of a study or a fleet: with a scheduler, work is done on its Dask cluster."""
+
+    scheduler: Annotated[str, AfterValidator(_scheduler)] | None = None
+
+
 class RunConfig(Section):
     """What every kind of run shares."""
 
@@ -75,12 +92,17 @@ ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
 class SnapshotRecording(Section):
     """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
 
-    ``repaired`` marks the first one after a repair. ``bench``: what is known to have been another
-    value than the bench file's when it was made, a bench parameter or ``"effect.parameter"``.
+    ``files``: the positions round the turn at which ramps of torque were made, one file each;
+    ``file`` is then the first of them. ``repaired`` marks the first one after a repair. ``bench``:
+    what is known to have been another value than the bench file's when it was made, a bench
+    parameter or ``"effect.parameter"``.
     """
 
     name: Name
     file: InputPath
+    files: Annotated[tuple[InputPath, ...], BeforeValidator(as_tuple)] | None = Field(
+        default=None, min_length=1
+    )
     date: Date | None = None
     repaired: bool = False
     reference_speed_rpm: float | None = None
@@ -88,10 +110,33 @@ class SnapshotRecording(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _name_after_file(cls, value: Any) -> Any:
-        if isinstance(value, dict) and "name" not in value and isinstance(value.get("file"), str):
-            return {"name": name_of(Path(value["file"]).stem), **value}
+    def _named_after_first_file(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        files = value.get("files")
+        if "file" not in value and isinstance(files, list) and files:
+            value = {"file": files[0], **value}
+        if "name" not in value and isinstance(value.get("file"), str):
+            return {"name": name_of(stem_of(Path(value["file"]))), **value}
         return value
+
+    @model_validator(mode="after")
+    def _file_is_the_first(self) -> Self:
+        if self.files is not None and self.file != self.files[0]:
+            refuse(
+                "A snapshot has either one file or a list of files.",
+                found=f"file = {self.file} beside files",
+                expected="file, or files",
+                at=("file",),
+            )
+        if self.files is not None:
+            require_different([str(file) for file in self.files], "A file is named twice.")
+        return self
+
+    @property
+    def every_file(self) -> tuple[Path, ...]:
+        """All files of the snapshot."""
+        return self.files or (self.file,)
 
 
 class RecordedConfig(RunConfig):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.config.fields import (
     InputPath,
@@ -14,13 +14,19 @@ from bayesbl.config.fields import (
     Positive,
     Section,
     as_tuple,
+    refuse,
     require_different,
 )
 from bayesbl.config.files import load_file
+from bayesbl.config.motion import MotionSection
 
 
 class SimulatedRecording(Section):
-    """An entry of ``[[recordings]]`` to be simulated; without a start angle one is drawn."""
+    """An entry of ``[[recordings]]`` to be simulated.
+
+    In steady rotation, from a start angle that is drawn unless given; or in a motion, which begins
+    where it begins.
+    """
 
     name: Name
     file: str = Field(min_length=1)
@@ -30,6 +36,18 @@ class SimulatedRecording(Section):
     sampling_hz: Positive = 1000.0
     start_angle_rad: float | None = None
     motor_start_angle_rad: float | None = None
+    motion: MotionSection | None = None
+
+    @model_validator(mode="after")
+    def _either_turns_or_moves(self) -> Self:
+        steady = {"rotations", "reference_speed_rpm", "start_angle_rad"} & self.model_fields_set
+        if self.motion is not None and steady:
+            refuse(
+                "A motion has its own speed, length and start.",
+                found=f"motion and {', '.join(sorted(steady))}",
+                expected="motion alone, or steady rotation without it",
+            )
+        return self
 
 
 class SimulateRun(Section):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_validator
 
 from bayesbl.config.fields import InputPath, as_tuple, refuse, require_different, resolve
-from bayesbl.config.sections import Run, RunConfig
+from bayesbl.config.sections import ClusterRun, RunConfig
 
 
 def _resolve_row(row: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
@@ -26,20 +25,6 @@ def _names_file(text: str, info: ValidationInfo) -> bool:
     return os.path.isfile(resolve(text, info))
 
 
-def _scheduler(address: str) -> str:
-    if not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:\d+", address):
-        refuse(
-            "This is not the address of a Dask scheduler.", expected="one such as tcp://host:8786"
-        )
-    return address
-
-
-class StudyRun(Run):
-    """``[run]`` of a study: with a scheduler, cases run on its Dask cluster."""
-
-    scheduler: Annotated[str, AfterValidator(_scheduler)] | None = None
-
-
 class StudyConfig(RunConfig):
     """``kind = "study"``: an experiment from a file of its own, row by row.
 
@@ -47,7 +32,7 @@ class StudyConfig(RunConfig):
     """
 
     kind: Literal["study"]
-    run: StudyRun
+    run: ClusterRun
     study: InputPath
     rows: Annotated[
         tuple[Annotated[dict[str, Any], AfterValidator(_resolve_row)], ...],

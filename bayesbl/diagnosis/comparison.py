@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +27,8 @@ class Piece:
         Shape (n,), evenly spaced; the channel's unit.
     excluded
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+    shown
+        Whether the answer tells its disagreement: not of what the comparison could not explain.
     """
 
     name: str
@@ -34,10 +37,20 @@ class Piece:
     time_s: FloatArray
     measured: FloatArray
     excluded: BoolArray | None = None
+    shown: bool = True
 
     def kept(self, values: FloatArray) -> FloatArray:
         """Values of the samples that count, (n, …) to (k, …)."""
         return values if self.excluded is None else values[~self.excluded]
+
+    def half(self, second: bool) -> Piece:
+        """The first or the second half."""
+        middle = self.time_s.size // 2
+        rows = slice(middle, None) if second else slice(None, middle)
+        excluded = None if self.excluded is None else self.excluded[rows]
+        return replace(
+            self, time_s=self.time_s[rows], measured=self.measured[rows], excluded=excluded
+        )
 
     @property
     def period_s(self) -> float:
@@ -61,6 +74,12 @@ class TestedEffect:
         A simpler effect that this one holds as a special case, and replaces.
     not_negative
         The amplitude has a sign: friction brakes.
+    at_most
+        Largest amplitude that makes sense, of one without a unit.
+    acts_above
+        It is seen in pieces that the answer does not show.
+    is_plain
+        Linear in one amplitude, without a shape to be found, and no special case of another.
     """
 
     name: str
@@ -69,6 +88,13 @@ class TestedEffect:
     same_as: tuple[str, ...] = ()
     contains: str | None = None
     not_negative: bool = False
+    at_most: float = math.inf
+    acts_above: bool = False
+    is_plain: bool = False
+
+    def is_physical(self, amplitude: float) -> bool:
+        """Whether it can have this size."""
+        return amplitude <= self.at_most and (amplitude >= 0.0 or not self.not_negative)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +118,8 @@ class EffectsFit:
         Effect to the number of independent shapes that were tried to find it.
     at_edge
         Effects with a parameter at the end of its range: not an optimum, so not to be believed.
+    shared
+        Shapes that belong to no single effect.
     """
 
     effects: Mapping[str, Mapping[str, float]]
@@ -101,6 +129,7 @@ class EffectsFit:
     names: tuple[str, ...]
     trials: Mapping[str, float] = field(default_factory=dict)
     at_edge: frozenset[str] = frozenset()
+    shared: Mapping[str, float] = field(default_factory=dict)
 
 
 class Comparison(Protocol):
@@ -116,6 +145,9 @@ class Comparison(Protocol):
 
     def fit(self, effects: tuple[str, ...], start: EffectsFit | None) -> EffectsFit:
         """Fit on the used pieces; what ``start`` has found is where the search starts."""
+
+    def folds(self) -> Sequence[Comparison]:
+        """The used pieces alone, some to fit on and some to predict, each predicted once."""
 
 
 def residuals_of_pieces(
@@ -133,6 +165,7 @@ def residuals_of_pieces(
         for piece, first, last in zip(
             comparison.pieces, before.predictions, after.predictions, strict=True
         )
+        if piece.shown
     ]
 
 

@@ -1,25 +1,32 @@
-"""Effects named one by one, by evidence and by prediction of what was held out.
+"""Effects named in sets, by evidence and by prediction of what they were not fitted on.
 
 For comparisons that are cheap least squares; the closed loop has a search of its own
 (:mod:`bayesbl.naming.search`).
 
-One effect at a time: every candidate is fitted beside those named already. It is believed if
+Effects that are linear in one amplitude and have no shape to be found (Coulomb and viscous
+friction, an offset, an asymmetry, …) are much alike in most recordings: alone each would take what
+belongs to another. They are therefore fitted together, and the smallest of their sets is taken that
+all the rest adds nothing to. The others are tried one at a time beside that set, and the set is
+chosen again whenever one of them is named. An effect is believed if
 
 - its amplitude stands out of the noise: Wald's χ² under the sandwich covariance, corrected for
   the number of candidates and of shapes tried, below the false-alarm rate;
-- held-out pieces are predicted better with it than without, beyond what the noise does to that;
+- the used pieces are predicted better with it than without, each from a fit on the others, beyond
+  what the noise does to that;
 - it has the sign that physics gives it.
 
-Of those, the one that closes most of the disagreement is named; an earlier one that no longer
-stands out is dropped. Evidence is Schwarz's approximation, ½χ² − ½k ln n − ln(trials), n the
-effective samples.
+Of those tried one at a time, the one with the most evidence is named; an earlier one that no longer
+stands out is dropped. Nothing here looks at held-out pieces: their disagreement is
+that of data which no decision has seen. Evidence is Schwarz's approximation, ½χ² − ½k ln n −
+ln(trials), n the effective samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import chi2
@@ -31,7 +38,6 @@ from bayesbl.diagnosis.comparison import (
     TestedEffect,
     residuals,
     residuals_of_pieces,
-    sum_of_squares,
 )
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
@@ -50,8 +56,10 @@ from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
+MOST_EFFECTS = 6
+
 BETTER = 2.0
-"""Standard errors by which held-out pieces must be predicted better."""
+"""Standard errors by which pieces must be predicted better."""
 
 SURE_PARAMETER = 3.0
 
@@ -60,7 +68,7 @@ SURE_PARAMETER = 3.0
 class Settings:
     """``most``: effects named at the end; ``false_alarm``: of one step with nothing missing."""
 
-    most: int = 3
+    most: int = MOST_EFFECTS
     false_alarm: float = 0.01
 
 
@@ -97,24 +105,17 @@ class BySelection:
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
         """The answer."""
         asked = task.config.candidates
-        settings = Settings(asked.max_effects, asked.false_alarm)
+        settings = Settings(asked.max_effects or MOST_EFFECTS, asked.false_alarm)
         return diagnose(self.problem(task), task.bench, settings, progress)
 
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    candidate: TestedEffect
-    fit: EffectsFit
-    log_p: float
-    held_out_z: float
-    closed: float
-    squares: float
+    """A candidate tried beside ``base``."""
 
-    def believed(self, threshold: float) -> bool:
-        amplitude = self.fit.effects[self.candidate.name][self.candidate.amplitude]
-        physical = amplitude >= 0.0 or not self.candidate.not_negative
-        physical = physical and self.candidate.name not in self.fit.at_edge
-        return physical and self.held_out_z > BETTER and self.log_p < math.log(threshold)
+    candidate: TestedEffect
+    base: EffectsFit
+    fit: EffectsFit
 
 
 def diagnose(
@@ -155,6 +156,7 @@ def _signals(
         for piece, *made in zip(
             comparison.pieces, before.predictions, after.predictions, strict=True
         )
+        if piece.shown
     )
 
 
@@ -163,7 +165,9 @@ def _select(
 ) -> EffectsFit:
     """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
-    current, dropped = before, set[str]()
+    folds = _Folds(comparison)
+    dropped = set[str]()
+    current = _with_set(comparison, folds, before, settings.most, threshold)
     while len(current.effects) < settings.most:
         trials = []
         open_ones = _open(comparison.candidates, current, dropped)
@@ -171,7 +175,8 @@ def _select(
             trials.append(_trial(comparison, current, candidate))
             if progress is not None:
                 progress(f"effect {len(current.effects) + 1}", done + 1, len(open_ones))
-        good = [trial for trial in trials if trial.believed(threshold)]
+        good = [t for t in trials if _stands_out(comparison, t.fit, t.candidate, threshold)]
+        good = [trial for trial in good if folds.predicts(trial.base, trial.fit, trial.candidate)]
         if not good:
             break
         best = _simplest(comparison, good)
@@ -181,15 +186,150 @@ def _select(
             if _wald(comparison, current, candidate)[1] > math.log(threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
+        current = _with_set(comparison, folds, current, settings.most, threshold)
     return current
 
 
+def _with_set(
+    comparison: Comparison,
+    folds: _Folds,
+    current: EffectsFit,
+    most: int,
+    threshold: float,
+) -> EffectsFit:
+    """The fit with the best set of the plain effects beside those others that are named.
+
+    What does not help to predict is dropped, and the set chosen again.
+    """
+    dropped = set[str]()
+    while True:
+        inside = {_by_name(comparison, name).contains for name in current.effects}
+        plain = [
+            c
+            for c in comparison.candidates
+            if c.is_plain and c.name not in dropped and c.name not in inside
+        ]
+        others = tuple(e for e in current.effects if not _by_name(comparison, e).is_plain)
+        if not plain:
+            return current
+        every = comparison.fit((*others, *(c.name for c in plain)), current)
+        chosen = _smallest_set(comparison, every, plain, most - len(others), threshold)
+        fit = comparison.fit((*chosen, *others), every)
+        idle = []
+        for name in chosen:
+            without = comparison.fit(tuple(e for e in fit.effects if e != name), fit)
+            candidate = _by_name(comparison, name)
+            if not (
+                _stands_out(comparison, fit, candidate, threshold)
+                and folds.predicts(without, fit, candidate)
+            ):
+                idle.append(name)
+        if not idle:
+            return fit
+        dropped.update(idle[:1])
+
+
+def _smallest_set(
+    comparison: Comparison,
+    every: EffectsFit,
+    plain: list[TestedEffect],
+    most: int,
+    threshold: float,
+) -> tuple[str, ...]:
+    """Of the sets of plain effects, the smallest that the best set adds nothing to.
+
+    Around the fit with all of them the problem is linear. The best set has the smallest residual of
+    those in which every size is physical. With X the columns of a set and Z those that the best one
+    has besides, cleared of X, s = Zᵀr of the set's residual r has covariance ZᵀΣZ, and sᵀ(ZᵀΣZ)⁻¹s
+    is χ² if they are not there. Of several such sets that look alike the first in the catalogue.
+    """
+    sets = _plain_sets(comparison, every, plain, most)
+    noises = _noises(comparison, every)
+    ends = np.cumsum([part.shape[0] for part in every.columns])[:-1]
+
+    def spread(values: FloatArray) -> FloatArray:
+        """Columns times the noise's covariance, shape (p, p)."""
+        pairs = zip(np.split(values, ends), noises, strict=True)
+        return np.asarray(sum(part.T @ noise.covariance_times(part) for part, noise in pairs))
+
+    best = min(sets, key=lambda made: made.squares)
+    adequate: list[_PlainSet] = []
+    for made in sets:
+        if adequate and len(made.members) > len(adequate[0].members):
+            break
+        more = [best.columns[m] for m in best.members if m not in made.members]
+        if not more:
+            adequate.append(made)
+            continue
+        others = np.column_stack(more)
+        kept = made.matrix
+        if kept.shape[1]:
+            others = others - kept @ np.linalg.lstsq(kept, others, rcond=1e-10)[0]
+        noise = spread(others)
+        rank = int(np.linalg.matrix_rank(noise, rtol=1e-10, hermitian=True))
+        score = others.T @ made.left
+        if rank == 0 or (
+            chi2.sf(float(score @ np.linalg.pinv(noise, 1e-10, True) @ score), rank) > threshold
+        ):
+            adequate.append(made)
+    nearest = min(adequate, key=lambda made: made.squares)
+    for made in adequate:
+        apart = made.left - nearest.left
+        size = float(apart @ apart)
+        if size == 0.0 or size < ALIKE * math.sqrt(float(spread(apart[:, None])[0, 0])):
+            return tuple(plain[m].name for m in made.members)
+    raise AssertionError("the nearest set is like itself")
+
+
+@dataclass(frozen=True, slots=True)
+class _PlainSet:
+    """Least squares with some plain effects, by number, beside all else that is fitted.
+
+    ``matrix``: columns of the fit, (n, p); ``columns``: those of every plain effect, by number;
+    ``left``: residual, (n,).
+    """
+
+    members: tuple[int, ...]
+    matrix: FloatArray
+    columns: Sequence[FloatArray]
+    left: FloatArray
+    squares: float
+
+
+def _plain_sets(
+    comparison: Comparison, every: EffectsFit, plain: list[TestedEffect], most: int
+) -> list[_PlainSet]:
+    """All sets of at most so many effects in which every size is physical, small ones first."""
+    places = [every.names.index(f"{c.name}.{c.amplitude}") for c in plain]
+    matrix = np.vstack(every.columns)
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    matrix = matrix / scale
+    columns = [matrix[:, place] for place in places]
+    target = np.concatenate(residuals(comparison, every, "used"))
+    for c, place in zip(plain, places, strict=True):
+        target = target + matrix[:, place] * scale[place] * every.effects[c.name][c.amplitude]
+    # A shape that all share is held: beside nothing with that shape it would stand for anything.
+    held = [every.names.index(name) for name in every.shared if name in every.names]
+    common = [k for k in range(matrix.shape[1]) if k not in places and k not in held]
+    found = []
+    for size in range(min(most, len(plain)) + 1):
+        for members in combinations(range(len(plain)), size):
+            kept = matrix[:, common + [places[m] for m in members]]
+            fitted = np.linalg.lstsq(kept, target, rcond=1e-10)[0] if kept.shape[1] else np.zeros(0)
+            values = zip(members, fitted[len(common) :], strict=True)
+            if all(plain[m].is_physical(value / scale[places[m]]) for m, value in values):
+                left = target - kept @ fitted
+                found.append(_PlainSet(members, kept, columns, left, float(left @ left)))
+    return found
+
+
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
-    """The trial with the smallest residual, or a simpler one that cannot be told from it.
+    """The trial with the most evidence, or a simpler one that cannot be told from it.
 
     Simpler: fewer parameters, then earlier in the catalogue.
     """
-    best = min(good, key=lambda trial: trial.squares)
+    best = max(good, key=lambda trial: _wald(comparison, trial.fit, trial.candidate)[2])
     noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
@@ -224,7 +364,8 @@ def _open(
     return [
         c
         for c in candidates
-        if c.name not in current.effects
+        if not c.is_plain
+        and c.name not in current.effects
         and c.name not in dropped
         and c.name not in inside
         and (c.contains is None or c.contains in current.effects)
@@ -233,11 +374,18 @@ def _open(
 
 def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect) -> _Trial:
     kept = tuple(name for name in current.effects if name != candidate.contains)
-    fit = comparison.fit((*kept, candidate.name), current)
-    _, log_p, _ = _wald(comparison, fit, candidate)
-    held_out_z, closed = _held_out(comparison, current, fit)
-    squares = sum_of_squares(residuals(comparison, fit, "used"))
-    return _Trial(candidate, fit, log_p, held_out_z, closed, squares)
+    return _Trial(candidate, current, comparison.fit((*kept, candidate.name), current))
+
+
+def _stands_out(
+    comparison: Comparison, fit: EffectsFit, candidate: TestedEffect, threshold: float
+) -> bool:
+    """Whether an effect of a fit stands out of the noise, with a size that physics allows."""
+    if candidate.name in fit.at_edge:
+        return False
+    if not candidate.is_physical(fit.effects[candidate.name][candidate.amplitude]):
+        return False
+    return _wald(comparison, fit, candidate)[1] < math.log(threshold)
 
 
 def _wald(
@@ -258,22 +406,39 @@ def _wald(
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
 
 
-def _held_out(comparison: Comparison, old: EffectsFit, new: EffectsFit) -> tuple[float, float]:
-    """How surely held-out pieces are predicted better: z, and the share of the RMS closed.
+class _Folds:
+    """Prediction of used pieces from fits on the others; each fit's made once."""
 
-    ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise.
-    """
-    first = residuals(comparison, old, "held_out")
-    last = residuals(comparison, new, "held_out")
-    gain = sum_of_squares(first) - sum_of_squares(last)
-    spread = 0.0
-    for a, b in zip(first, last, strict=True):
-        d = a - b
-        spread += float(d @ ResidualNoise.of(b).covariance_times(d))
-    if spread <= 0.0:
-        return 0.0, 0.0
-    closed = 1.0 - math.sqrt(sum_of_squares(last) / sum_of_squares(first))
-    return gain / (2.0 * math.sqrt(spread)), closed
+    def __init__(self, comparison: Comparison) -> None:
+        self._folds = comparison.folds()
+        self._left: dict[int, tuple[EffectsFit, list[list[FloatArray]]]] = {}
+
+    def predicts(self, old: EffectsFit, new: EffectsFit, candidate: TestedEffect) -> bool:
+        """Whether they are predicted surely better with the new effects.
+
+        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise. Pieces that
+        the answer does not show count only for what acts there.
+        """
+        gain = spread = 0.0
+        for fold, first, last in zip(
+            self._folds, self._residuals(old), self._residuals(new), strict=True
+        ):
+            predicted = [piece for piece in fold.pieces if piece.use == "held_out"]
+            for piece, a, b in zip(predicted, first, last, strict=True):
+                if piece.shown or candidate.acts_above:
+                    d = a - b
+                    gain += float(a @ a - b @ b)
+                    spread += float(d @ ResidualNoise.of(b).covariance_times(d))
+        return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
+
+    def _residuals(self, fit: EffectsFit) -> list[list[FloatArray]]:
+        if id(fit) not in self._left:
+            made = [
+                residuals(fold, fold.fit(tuple(fit.effects), fit), "held_out")
+                for fold in self._folds
+            ]
+            self._left[id(fit)] = fit, made
+        return self._left[id(fit)][1]
 
 
 def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:
@@ -301,7 +466,7 @@ def _rivals(comparison: Comparison, after: EffectsFit, named: TestedEffect) -> l
             continue
         fit = comparison.fit((*others, rival.name), without)
         amplitude = fit.effects[rival.name][rival.amplitude]
-        if rival.name in fit.at_edge or (rival.not_negative and amplitude < 0.0):
+        if rival.name in fit.at_edge or not rival.is_physical(amplitude):
             continue  # at the end of its range it is only the named effect in disguise
         if distance(used, _used(comparison, fit), noises) < ALIKE:
             found += [rival.name, *rival.same_as]

@@ -12,7 +12,7 @@ from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.checks import require_channels
 from bayesbl.recording.clipping import require_unclipped, without_rails
-from bayesbl.recording.types import Recording
+from bayesbl.recording.types import BoolArray, Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 MOST_EXCLUDED = 0.5
@@ -74,7 +74,13 @@ def cuts(config: DiagnoseConfig, recordings: Sequence[Recording]) -> list[tuple[
 
 def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
     """A recording, or some samples of it, as it is compared."""
-    excluded = recording.excluded
+    require_enough(recording, channel, recording.excluded)
+    values = recording.channels[channel]
+    return Piece(recording.name, channel, use, recording.time_s, values, recording.excluded)
+
+
+def require_enough(recording: Recording, channel: str, excluded: BoolArray | None) -> None:
+    """Refuse a recording of which most samples are lost or strays."""
     if excluded is not None and excluded.mean() > MOST_EXCLUDED:
         raise RecordingError(
             "Too little remains to compare beside lost and stray samples.",
@@ -85,8 +91,6 @@ def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
             expected=f"at most {100.0 * MOST_EXCLUDED:g} %; use the part with fewer lost samples, "
             "or a higher [comparison] cutoff_hz, which reaches less far",
         )
-    values = recording.channels[channel]
-    return Piece(recording.name, channel, use, recording.time_s, values, excluded)
 
 
 def rows_of(recording: Recording, rows: slice) -> Recording:

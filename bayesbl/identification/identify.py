@@ -22,10 +22,10 @@ from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, with_model
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
-    Observed,
     SimulatedSignals,
     Unknown,
     effect_unknowns,

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
-from bayesbl.matching.signals import GAP, START_ANGLE, Observed, SimulatedSignals, Unknown
+from bayesbl.matching.observed import Observed
+from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.recording.types import FloatArray
 
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)

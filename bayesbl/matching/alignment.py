@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +13,16 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import (
-    GAP,
-    START_ANGLE,
-    Observed,
-    SimulatedSignals,
-    Unknown,
-)
-from bayesbl.noise.channel_noise import ChannelNoise, estimate_channel_noise
+from bayesbl.matching.motions import noise_of, start_angles, undecided_starts
+from bayesbl.matching.observed import Observed, without_start
+from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
+from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.recording.moving import first_move
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
+GAPS_TRIED_IN_MOTION = 96
+"""Steps of 5 %: where many flanks change, χ² has a valley for each sequence of impacts."""
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 
@@ -39,22 +39,38 @@ def fit_aligned(
     simulation by correlation; the best few are fitted, and the noise is estimated again from the
     residuals.
     """
-    noise = [estimate_channel_noise(seen.signals, seen.lag) for seen in recordings]
+    noise = [noise_of(seen, seen.signals) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
-    fits = [fit_simulated(model, start) for start in aligned_starts(model)]
+    fits = [fit_simulated(model, start) for start in _each_settled(model, aligned_starts(model))]
     best = min(fits, key=lambda fit: fit.chi_square)
+    for i in undecided_starts(best):
+        recordings = _started_later(recordings, i, bench)
+    return refitted(SimulatedSignals(bench, recordings, unknowns, noise, workers), best)
+
+
+def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
+    """The fit of a model from where another one ended, the noise estimated again from it, twice."""
+    best = replace(fit, model=model)
     for _ in range(NOISE_ROUNDS):
-        noise = remaining_noise(best)
-        model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
+        model = replace(model, noise=remaining_noise(best))
         best = fit_simulated(model, best.point, best.steps)
     return with_model(best, model)
+
+
+def _started_later(recordings: Sequence[Observed], index: int, bench: Bench) -> list[Observed]:
+    """The recordings, one of them without its start, in which the teeth need not touch."""
+    seen = recordings[index]
+    assert seen.motion is not None
+    time = np.arange(seen.samples) / seen.sampling_hz
+    later = without_start(seen, bench, first_move(seen.motion.speed_rpm(time)))
+    return [later if i == index else r for i, r in enumerate(recordings)]
 
 
 def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
     """Noise of each recording from rotation differences of the fit's residuals."""
     model = fit.model
     return [
-        estimate_channel_noise(seen.left_by(model.signals(fit.point, i)[0]), seen.lag)
+        noise_of(seen, seen.left_by(model.signals(fit.point, i)[0]))
         for i, seen in enumerate(model.recordings)
     ]
 
@@ -83,9 +99,14 @@ def aligned_starts(
     for place, members in by_gap.items():
         scanned = dict(grids or {})
         if place is not None:
-            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
+            moving = any(model.recordings[i].motion is not None for i in members)
+            count = GAPS_TRIED_IN_MOTION if moving and grids is None else GAPS_TRIED
+            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], count))
         points, shape = _combinations(start, scanned)
-        aligned = [_align(model, points, i) for i in members]
+        aligned = [
+            (_align if model.recordings[i].motion is None else start_angles)(model, points, i)
+            for i in members
+        ]
         chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0), shape)
         for coordinate in scanned:
             starts[:, coordinate] = points[chosen, coordinate]
@@ -96,6 +117,38 @@ def aligned_starts(
                 starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
     _, first = np.unique(starts, axis=0, return_index=True)
     return [starts[k] for k in np.sort(first)]
+
+
+def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[FloatArray]:
+    """The starts, with every motion's own unknowns where it alone is fitted best from any of them.
+
+    A motion has more valleys than a rotation, and the best of one recording is not that of another.
+    """
+    settled = [start.copy() for start in starts]
+    for i, seen in enumerate(model.recordings):
+        if seen.motion is None:
+            continue
+        own = [k for k, u in enumerate(model.unknowns) if u.recording == seen.name]
+        shared = {
+            u.name: float(u.value(starts[0][k]))
+            for k, u in enumerate(model.unknowns)
+            if u.recording is None
+        }
+        alone = SimulatedSignals(
+            model.bench,
+            [seen],
+            [model.unknowns[k] for k in own],
+            [model.noise[i]],
+            model.workers,
+            {**model.settings, **shared},
+            model.recent,
+        )
+        fits = [fit_simulated(alone, start[own]) for start in starts]
+        best = min(fits, key=lambda fit: fit.chi_square)
+        for start in settled:
+            start[own] = best.point
+    _, first = np.unique(settled, axis=0, return_index=True)
+    return [settled[k] for k in np.sort(first)]
 
 
 def _combinations(

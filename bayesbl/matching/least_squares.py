@@ -58,10 +58,16 @@ class SimulatedFit:
 
     @property
     def bound(self) -> FloatArray:
-        """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,)."""
+        """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,).
+
+        Infinite where nothing depends on a coordinate, as on the angle of an axis without gravity.
+        """
         norms = np.linalg.norm(self.jacobian, axis=0)
-        scaled = self.jacobian / norms
-        return np.asarray(np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms)
+        told = norms > 0.0
+        scaled = self.jacobian[:, told] / norms[told]
+        found = np.full(norms.size, np.inf)
+        found[told] = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms[told]
+        return found
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""
@@ -133,6 +139,15 @@ def fit_simulated(
         if gained < max(CONVERGED, converged_share * (value - residual.size)):
             break
     jacobian, steps = _jacobian(model, point, residual, steps)
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
+    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
+
+
+def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:
+    """A point as it is, with the derivatives there."""
+    residual = model.whitened(point)[0]
+    jacobian, steps = _jacobian(model, point, residual, _first_steps(model, point))
+    precision = np.diag(model.prior_precision())
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return SimulatedFit(model, point, residual, jacobian, covariance, steps)
 

@@ -7,18 +7,25 @@ does not repeat.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import begin_of
 from bayesbl.recording.types import FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
 """Highest load order of each band; slow misfit stands out of few orders, fast out of many.
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
+
+
+ROUNDING = 0.02
+"""Of a rotation that a recording may lack of two: its own rounding, and the few samples that
+whitening takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +54,13 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     parts = fit.model.by_recording(fit.residual)
     for seen, part in zip(fit.model.recordings, parts, strict=True):
         for channel, row in zip(seen.channels, part, strict=True):
-            found += [
-                RepeatingPower(seen.name, channel, *entry) for entry in _repeating(row, seen.lag)
-            ]
+            part = row[begin_of(seen) :]
+            entries = (
+                _repeating(part, seen.lag)
+                if seen.motion is None or seen.cycle is not None
+                else _slow(part, seen.lag)
+            )
+            found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
     return found
 
 
@@ -58,10 +69,20 @@ def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
     return all(entry.probability * len(found) > false_alarm for entry in found)
 
 
+def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
+    """Whitened residuals (n,) by rotation, (r, lag).
+
+    Two that lack no more than their rounding are two: what they lack is taken for zero.
+    """
+    rotations = max(row.size // lag, min(2, math.floor(row.size / lag + ROUNDING)))
+    padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
+    return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
+
+
 def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
     """(highest order, ratio, probability) for each band."""
-    rotations = row.size // lag
-    turns = row[: rotations * lag].reshape(rotations, lag)
+    turns = whole_rotations(row, lag)
+    rotations = len(turns)
     spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
     entries = []
     for highest in BANDS:
@@ -75,5 +96,25 @@ def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
         scatter = float(np.sum(np.abs(band - mean) ** 2))
         ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
         probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
+        entries.append((highest, ratio, probability))
+    return entries
+
+
+def _slow(row: FloatArray, quarter: int) -> list[tuple[int, float, float]]:
+    """The same of a motion that does not repeat: its slow power over that of the fastest half.
+
+    The bands are in cycles per quarter of the recording; whitened noise has the same power in all.
+    """
+    spectrum = np.abs(np.fft.rfft(row)) ** 2 / row.size
+    fast = spectrum[spectrum.size // 2 : -1]
+    entries = []
+    for highest in BANDS:
+        last = 1 + highest * row.size // quarter
+        if last > spectrum.size // 2:
+            continue
+        band = spectrum[:1] if highest == 0 else spectrum[1:last]
+        degrees = 1 if highest == 0 else 2 * band.size
+        ratio = float(band.mean() / fast.mean())
+        probability = float(f_distribution.sf(ratio, degrees, 2 * fast.size))
         entries.append((highest, ratio, probability))
     return entries

@@ -17,160 +17,31 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named, repeat_each_rotation, turn_with_the_motor
+from bayesbl.bench.effects import (
+    after,
+    effect_named,
+    repeat_each_rotation,
+    turn_with_the_motor,
+)
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
-from bayesbl.bench.simulation import simulate_channels, simulate_speeds
-from bayesbl.errors import RecordingError
+from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
 from bayesbl.matching.normal_prior import NormalPrior
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
-from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
-from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
+from bayesbl.recording.types import FloatArray
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
+REFERENCE_DELAY = "reference_delay_s"
+MOST_DELAY_S = 0.02
+"""Some cycles of the slowest usual bus."""
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
 
-LARGEST_SPEED_ERROR = 0.01
-"""Relative difference of a recording's mean speed from the one it is simulated at: on the reference
-bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
-"""
-
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
-
-
-@dataclass(frozen=True, slots=True)
-class Observed:
-    """A recording as the simulator is compared with it.
-
-    Attributes
-    ----------
-    signals
-        Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
-    reference_speed_rpm
-        Of the motor, negative for reverse.
-    known
-        What else is known about this recording, named as in :meth:`Bench.vector`.
-    excluded
-        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
-    motor_angle_rad
-        Shape (n,): reading of an absolute encoder of the motor; ``None`` where there is none.
-    """
-
-    name: str
-    signals: FloatArray
-    sampling_hz: float
-    reference_speed_rpm: float
-    rotation_period_s: float
-    known: Mapping[str, float] = field(default_factory=dict)
-    excluded: BoolArray | None = None
-    motor_angle_rad: FloatArray | None = None
-
-    @property
-    def samples(self) -> int:
-        """Number of samples n."""
-        return int(self.signals.shape[1])
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the rows of ``signals``."""
-        return ("motor_speed_rpm", "motor_current_a")[: len(self.signals)]
-
-    @property
-    def lag(self) -> int:
-        """Samples in one load rotation, to the nearest."""
-        return round(self.rotation_period_s * self.sampling_hz)
-
-    def left_by(self, simulated: FloatArray) -> FloatArray:
-        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there."""
-        left = self.signals - simulated
-        return left if self.excluded is None else np.where(self.excluded, 0.0, left)
-
-    @property
-    def motor_start_rad(self) -> float | None:
-        """What the motor's encoder shows at the first sample; ``None`` if it is not absolute."""
-        return None if self.motor_angle_rad is None else float(self.motor_angle_rad[0])
-
-
-def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None = None) -> float:
-    """The speed that a recording was made at, rpm, negative in reverse.
-
-    Parameters
-    ----------
-    stated_rpm
-        If ``None``, the bench's own, with the recording's direction.
-
-    Raises
-    ------
-    RecordingError
-        If the recording's mean speed is another.
-    """
-    mean = float(recording.motor_speed_rpm.mean())
-    reference = stated_rpm or math.copysign(bench.value("reference_speed_rpm"), mean)
-    if abs(mean / reference - 1.0) > LARGEST_SPEED_ERROR:
-        raise RecordingError(
-            " ".join(
-                [
-                    "The recording was made at another speed than the bench's.",
-                    speed_in_another_unit(recording, reference) or "",
-                ]
-            ).strip(),
-            file=recording.name,
-            found=f"{mean:.6g} rpm on average",
-            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
-        )
-    return reference
-
-
-def observed(
-    recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
-) -> Observed:
-    """The part of a recording that is compared with the bench.
-
-    Parameters
-    ----------
-    reference_speed_rpm
-        If ``None``, the bench's own, with the recording's direction.
-
-    Raises
-    ------
-    RecordingError
-        If the samples are uneven, the speed is not the reference's, or there are fewer
-        than two load rotations.
-    """
-    speed = recording.motor_speed_rpm
-    reference = reference_speed(recording, bench, reference_speed_rpm)
-    period = recording.sampling_period_s
-    grid = recording.time_s[0] + period * np.arange(speed.size)
-    if np.max(np.abs(recording.time_s - grid)) > 0.1 * period:
-        raise RecordingError(
-            "A comparison with the simulation needs evenly spaced samples.",
-            file=recording.name,
-            expected="time stamps within a tenth of the sampling period of an even grid",
-        )
-    rotation = bench.rotation_period_s(reference)
-    if speed.size * period < 1.9 * rotation:
-        raise RecordingError(
-            "The recording is too short to tell noise from what repeats every load rotation.",
-            file=recording.name,
-            found=f"{speed.size * period / rotation:.2g} load rotations",
-            expected="at least two",
-        )
-    rows = [speed]
-    if MOTOR_CURRENT in recording.channels:
-        require_plausible_current(recording, bench.value("current_limit_a"))
-        rows.append(recording.channels[MOTOR_CURRENT])
-    return Observed(
-        recording.name,
-        np.stack(rows),
-        1.0 / period,
-        reference,
-        rotation,
-        excluded=recording.excluded,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +106,14 @@ def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
 def start_angle_unknown(recording: str) -> Unknown:
     """Start angle of one recording, flat."""
     return Unknown(START_ANGLE, recording=recording)
+
+
+def reference_delay_unknown(recording: str) -> Unknown:
+    """How much later a motion's loop was given its reference than the recording says, flat.
+
+    A controller holds its reference from sample to sample and gets it over a bus.
+    """
+    return Unknown(REFERENCE_DELAY, -MOST_DELAY_S, MOST_DELAY_S, recording=recording)
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
@@ -355,13 +234,22 @@ class SimulatedSignals:
         matrix = self.bench.vector(**self.settings_of(points, seen))
         if len(matrix) < len(points):
             matrix = np.repeat(matrix, len(points), axis=0)
+        if seen.begin_s:
+            matrix = after(matrix, seen.begin_s)
         # Points often differ only in the unknowns of other recordings.
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
         found = self.recent.signals(
             matrix,
-            (len(seen.signals), samples, seen.sampling_hz, accuracy, seen.motor_start_rad),
+            (
+                len(seen.signals),
+                samples,
+                seen.sampling_hz,
+                accuracy,
+                seen.motor_start_rad,
+                seen.motion,
+            ),
             partial(_simulated, seen, samples, accuracy, self.workers),
         )
         return found[place.ravel()]
@@ -448,10 +336,13 @@ def _simulated(
     seen: Observed, samples: int, accuracy_rpm: float, workers: int, matrix: FloatArray
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
+    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": "nan"}
+    if seen.motion is not None:
+        rows = [SPEED, CURRENT][: len(seen.signals)]
+        return simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)[:, rows]  # type: ignore[arg-type]
     if seen.motor_start_rad is not None:
         matrix = _begun_at(matrix, seen.motor_start_rad, workers)
     size = samples, seen.sampling_hz
-    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": "nan"}
     if len(seen.signals) == 1:
         return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
     return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
@@ -484,6 +375,8 @@ def _continued(begun: FloatArray, samples: int) -> FloatArray:
 
 def _repeats(matrix: FloatArray, seen: Observed) -> bool:
     """Whether simulation and sampling are both periodic in the load rotation, all rows alike."""
+    if seen.motion is not None:
+        return False
     turns = rotation_period_s(matrix) * seen.sampling_hz
     if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
         return False

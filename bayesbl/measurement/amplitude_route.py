@@ -7,7 +7,9 @@ from pathlib import Path
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.errors import RecordingError
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
 from bayesbl.measurement.amplitude_summary import summarise_amplitude
 from bayesbl.measurement.bench_of import bench_of
@@ -26,8 +28,9 @@ from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.ringing_check import ringing_check
 from bayesbl.measurement.same_joint import change_reason, same_joint
-from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.second_sampler import require_second_sampler
@@ -48,6 +51,8 @@ class AmplitudeMeasurer:
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The curve, and what else a run needs: an earlier optimum, the second sampler."""
+        estimator = self.estimator
+        yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
         yield "curve", self.source.describe
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
@@ -63,8 +68,20 @@ class AmplitudeMeasurer:
                 "which refuses a recording of fewer than two."
             )
 
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
+
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
+        if moves(recording):
+            raise RecordingError(
+                "This joint does not turn at one speed, and no gap curve belongs to the ringing of "
+                "a motion.",
+                file=recording.place,
+                found="a reference that varies over time",
+                expected="the direct route, which needs a bench: --bench FILE",
+            )
         self.source.require_usable(recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
@@ -128,7 +145,7 @@ class AmplitudeMeasurer:
                 recording,
                 seed,
                 task.config.joint.gear_ratio,
-                earlier_of(recording.name, earlier),
+                earlier_of(recording.name, earlier) or task.earlier.get(recording.name),
                 check,
                 task.work,
             )

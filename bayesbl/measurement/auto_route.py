@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.bench_of import bench_of
@@ -22,8 +23,9 @@ from bayesbl.measurement.direct_route import DirectMeasurer
 from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import Measurement, Snapshot
 from bayesbl.measurement.other_route import OTHER, other_route
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.task import Task, recording_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 
 FALSE_ALARM = 0.01
@@ -60,9 +62,16 @@ class AutoMeasurer:
         """Those of the amplitude."""
         return self.amplitude.notes()
 
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
+
     def require_usable(self, recording: Recording) -> None:
-        """The amplitude can be measured; where only the direct route cannot, it is left out."""
-        self.amplitude.require_usable(recording)
+        """The amplitude can be measured; where only the direct route cannot, it is left out.
+
+        Motions are the direct route's alone.
+        """
+        (self.direct if moves(recording) else self.amplitude).require_usable(recording)
 
     def doubts(self, recording: Recording) -> Iterator[str]:
         """None: what cannot be compared with the bench is refused or left to the amplitude."""
@@ -70,6 +79,8 @@ class AutoMeasurer:
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """What holds for the amplitude; the direct route takes any."""
+        if any(map(moves, recordings)):
+            return self.direct.require_together(recordings)
         return self.amplitude.require_together(recordings)
 
     def measure(self, task: Task) -> Measurement:
@@ -80,6 +91,8 @@ class AutoMeasurer:
         UserError
             If neither can measure these recordings.
         """
+        if any(map(moves, task.recordings)):
+            return _with_attributes(self.direct.measure(task))
         direct, amplitude = _tried(self.direct.measure, task), _tried(self.amplitude.measure, task)
         match direct, amplitude:
             case UserError(), UserError():

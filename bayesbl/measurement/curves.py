@@ -21,7 +21,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve, published_curve
 from bayesbl.curve.sweep import SweepSettings
 from bayesbl.curve.swept_curve import swept_curve
-from bayesbl.matching.signals import reference_speed
+from bayesbl.matching.observed import reference_speed
 from bayesbl.measurement.bench_of import bench_with
 from bayesbl.measurement.bench_sweep import SweepProblem
 from bayesbl.measurement.compatibility import (

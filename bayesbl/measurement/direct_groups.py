@@ -14,10 +14,13 @@ import xarray as xr
 
 from bayesbl.bench.effects import EFFECT_BY_NAME
 from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.motions import flank_changes
+from bayesbl.matching.observed import begin_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower
 from bayesbl.matching.signals import GAP as GAP_UNKNOWN
-from bayesbl.matching.signals import Unknown
+from bayesbl.matching.signals import REFERENCE_DELAY, Unknown
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.other_route import AMPLITUDE_ROUTE
 from bayesbl.recording.types import Recording
@@ -45,6 +48,8 @@ def unit_and_meaning(name: str) -> tuple[str, str]:
         return unit, f"change since the first snapshot of: {meaning}"
     if name == DELTA:
         return shared.DELTA.unit, shared.DELTA.meaning
+    if name == REFERENCE_DELAY:
+        return "s", "how much later the controller was given its reference than is recorded"
     if name in PARAMETER_INFO:
         return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
     if "__" in name:
@@ -84,7 +89,18 @@ SAMPLE_STATS = Group(
 )
 
 PREDICTIVE = Group(
-    "predictive", table("rotation_period_s | s | one load rotation"), named=_predicted
+    "predictive",
+    table("""
+        rotation_period_s | s | one load rotation, or one cycle of a motion
+        reference_speed_rpm? (sample) | rpm | what the motor of a motion was asked for
+        compared_from_s? | s | begin of what was compared of a motion, from the first sample
+        repeats? | 1 | 1 where a motion repeats, 0 where it does not
+        flank_changes? | 1 | how often the load passed from one flank to the other
+        flank_left_s? (flank) | s | when the teeth parted, from the first sample
+        flank_met_s? (flank) | s | when they met on the other side
+        flank_side? (flank) | 1 | flank met: 1 where the motor pushes forward, −1 backward
+    """),
+    named=_predicted,
 )
 
 OPTIMUM = Group(
@@ -212,11 +228,30 @@ def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
     fit = posterior.fit
     seen = fit.model.recordings[index]
     simulated = fit.model.signals(fit.point, index)[0]
-    values: dict[str, object] = {"rotation_period_s": seen.rotation_period_s}
+    values: dict[str, object] = {"rotation_period_s": seen.rotation_period_s, **_motion(fit, index)}
     for channel, measured, model in zip(seen.channels, seen.signals, simulated, strict=True):
         values[f"simulated_{channel}"] = model
         values[f"residual_{channel}"] = measured - model
     return dataset(PREDICTIVE, values)
+
+
+def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
+    """What a motion has beside: its reference, what was compared, its changes of flank."""
+    seen = fit.model.recordings[index]
+    if seen.motion is None:
+        return {}
+    changes = flank_changes(fit, index)
+    found: dict[str, object] = {
+        "reference_speed_rpm": seen.motion.speed_rpm(np.arange(seen.samples) / seen.sampling_hz),
+        "compared_from_s": begin_of(seen) / seen.sampling_hz,
+        "repeats": float(seen.cycle is not None),
+        "flank_changes": float(len(changes)),
+    }
+    if changes:
+        found["flank_left_s"] = np.array([change.left_s for change in changes])
+        found["flank_met_s"] = np.array([change.met_s for change in changes])
+        found["flank_side"] = np.array([float(change.side) for change in changes])
+    return found
 
 
 def _optimum(posterior: DirectPosterior, recording: str) -> xr.Dataset:

@@ -16,17 +16,19 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.matching.alignment import fit_aligned
+from bayesbl.config.sections import SnapshotRecording
+from bayesbl.matching.alignment import fit_aligned, refitted
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import Observed, observed, without_standstill
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
-    Observed,
     Unknown,
     drift_unknowns,
     effect_unknowns,
     gap_unknown,
-    observed,
+    reference_delay_unknown,
     start_angle_unknown,
     tolerance_unknowns,
 )
@@ -44,7 +46,8 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
-from bayesbl.measurement.task import StageProgress, Task, estimator_of
+from bayesbl.measurement.motion_verdict import motion_notes, unseen_gap
+from bayesbl.measurement.task import StageProgress, Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
@@ -131,6 +134,10 @@ class DirectMeasurer:
         """Nothing that only a run can find out."""
         return iter(())
 
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """With one constant speed and enough rotations."""
+        return recording_of(entry, self.config)
+
     def require_usable(self, recording: Recording) -> None:
         """The bench can be compared with it."""
         observed_of(self.config, self.bench, recording)
@@ -210,14 +217,17 @@ def direct_unknowns(
     names: Sequence[str],
     gap_rad: tuple[float, float],
     may_drift: Mapping[str, float] = NO_DRIFT,
+    moving: Sequence[str] = (),
 ) -> list[Unknown]:
     """A gap and a start angle for each recording, and what is not known of their bench.
 
-    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it.
+    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it; ``moving``: names of
+    those that are of motions.
     """
     return [
         *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
         *(start_angle_unknown(name) for name in names),
+        *(reference_delay_unknown(name) for name in moving),
         *effect_unknowns(bench, names),
         *tolerance_unknowns(bench),
         *drift_unknowns(bench, may_drift, names),
@@ -242,12 +252,25 @@ def fit_directly(
 
     ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift)
-    fit, joint = find_changes(fit_aligned(bench, recordings, unknowns, workers))
+    moving = [r.name for r in recordings if r.motion is not None]
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
+    fit, joint = find_changes(_believed(fit_aligned(bench, recordings, unknowns, workers)))
     name = " and ".join(r.name for r in recordings)
     report = None if progress is None else partial(progress, name)
     posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
+
+
+def _believed(fit: SimulatedFit) -> SimulatedFit:
+    """The fit; without the standstills of its motions where the bench is wrong in them alone."""
+    model = fit.model
+    if agrees(disagreements(fit), FALSE_ALARM) or all(s.motion is None for s in model.recordings):
+        return fit
+    moving = [without_standstill(seen, model.bench) for seen in model.recordings]
+    if any(seen.excluded is not None and seen.excluded.all() for seen in moving):
+        return fit
+    found = refitted(replace(model, recordings=moving), fit)
+    return found if agrees(disagreements(found), FALSE_ALARM) else fit
 
 
 def direct_verdict(
@@ -264,30 +287,37 @@ def direct_verdict(
     repeating = found.repeating(recording.name)
     against = [
         found.posterior.beyond_tolerance(recording.name, level),
-        _disagreement_in_words(repeating) if repeating else None,
+        _disagreement_in_words(repeating, recording.motion is not None) if repeating else None,
         None if repeating or found.joint.explained else UNEXPLAINED,
         against_the_bench(found.joint),
         undecided_gap(found.joint, index, gap, level),
     ]
-    if any(against):
+    unseen = unseen_gap(found.posterior, index)
+    if any(against) or unseen:
         outcome = "withheld"
-        reasons = [*filter(None, against), *reasons]
+        # Where δ is not seen, its prior's range decides: that needs no saying.
+        reasons = [*filter(None, against), *([unseen] if unseen else reasons)]
     reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:
         reasons.append(
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
         )
+    reasons += motion_notes(found.posterior.fit, index)
     return Verdict(outcome, (*reasons, *notes), reason)
 
 
-def _disagreement_in_words(entries: Sequence[RepeatingPower]) -> str:
+def _disagreement_in_words(entries: Sequence[RepeatingPower], moving: bool) -> str:
     worst = max(entries, key=lambda entry: entry.ratio)
     others = sorted({f"{e.channel} of {e.recording}" for e in entries})
     which = f"up to load order {worst.highest_order}" if worst.highest_order else "in the mean"
+    repeats = "repeats every rotation"
+    if moving:
+        which = which.replace("load order", "order") + " of the cycle"
+        repeats = "is left"
     return (
         "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
-        f"{worst.channel} of {worst.recording}, {which}, what repeats every rotation has "
+        f"{worst.channel} of {worst.recording}, {which}, what {repeats} has "
         f"{worst.ratio:.3g} times the power that noise would leave (disagreement in "
         f"{', '.join(others)}). The bench file lacks an effect or has wrong "
         "values; `bayesbl diagnose` looks for what is missing."

@@ -8,6 +8,7 @@ import xarray as xr
 from bayesbl.measurement.other_route import summarised_routes
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import (
+    MotionSummary,
     NoiseSummary,
     PredictiveCheckEntry,
     SnapshotSummary,
@@ -22,7 +23,7 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
     amplitude = routes["amplitude"].get("amplitude_rpm") if "amplitude" in routes else None
     posterior, optimum = stored.groups["posterior"], stored.groups["optimum"]
     names = [str(n) for n in optimum["parameter"].values]
-    return {
+    found: SnapshotSummary = {
         "route": "direct",
         "routes": routes,
         "delta_rad": stored.delta_rad,
@@ -44,6 +45,19 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
         },
         "reason": stored.reason,
         "model_check": stored.model_check,
+    }
+    if "flank_changes" in stored.groups["predictive"]:
+        found["motion"] = _motion(stored)
+    return found
+
+
+def _motion(stored: StoredSnapshot) -> MotionSummary:
+    repeats = stored.number("predictive", "repeats") > 0.0
+    return {
+        "cycle_s": stored.number("predictive", "rotation_period_s") if repeats else None,
+        "cycles": stored.number("diagnostics", "rotations") if repeats else None,
+        "flank_changes": round(stored.number("predictive", "flank_changes")),
+        "compared_from_s": stored.number("predictive", "compared_from_s"),
     }
 
 

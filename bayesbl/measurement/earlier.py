@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import xarray as xr
+
 from bayesbl.errors import ResultError
 from bayesbl.measurement.amplitude_groups import OPTIMUM
 from bayesbl.measurement.stored_snapshot import stored_snapshots
@@ -41,9 +43,14 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
             expected='a result of route = "amplitude"',
         )
     require_declared(tree, [OPTIMUM], path)
+    return optima_of(tree, f" in {path}")
+
+
+def optima_of(tree: xr.DataTree, where: str = "") -> dict[str, EarlierOptimum]:
+    """Optima of a result of the amplitude route; ``where`` it is, in words."""
     return {
         stored.name: EarlierOptimum(
-            f'the optimum of "{stored.name}" in {path}',
+            f'the optimum of "{stored.name}"{where}',
             {symbol: stored.number("optimum", symbol) for symbol in SYMBOLS},
             stored.number("optimum", "rmse_rpm"),
             withheld=stored.verdict.outcome == "withheld",

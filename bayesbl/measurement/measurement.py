@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 import xarray as xr
 
 from bayesbl.config.fields import PUBLISHED
+from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
@@ -132,6 +133,9 @@ class Measurer(Protocol):
 
     def notes(self) -> Iterator[str]:
         """Sentences for a user who asks what a run would do."""
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """The recording of a snapshot as this route takes it; raises where it cannot."""
 
     def require_usable(self, recording: Recording) -> None:
         """Raises where this recording cannot be measured."""

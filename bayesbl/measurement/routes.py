@@ -6,7 +6,7 @@ row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its resu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 
 import xarray as xr
@@ -18,15 +18,17 @@ from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
-from bayesbl.measurement.task import Seeds, StageProgress, Task, recording_of
+from bayesbl.measurement.task import Seeds, StageProgress, Task
 from bayesbl.measurement.tree import measurement_tree
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.ringing.warm_start import EarlierOptimum
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
     "direct": "bayesbl.measurement.direct_route",
     "auto": "bayesbl.measurement.auto_route",
+    "torque_ramp": "bayesbl.measurement.ramp_route",
 }
 """Name to the module, which is imported only where it is used."""
 
@@ -79,6 +81,8 @@ def measure(
     work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
     swept: WorkStore = NOTHING_KEPT,
+    seeds: Seeds | None = None,
+    earlier: Mapping[str, EarlierOptimum] | None = None,
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -90,6 +94,10 @@ def measure(
         Called with a sentence on what each search started from, if from an earlier optimum.
     swept
         Keeps swept benches for this run and others.
+    seeds
+        Those of the configuration by default.
+    earlier
+        Optima to start searches from, by recording, where the configuration names no result.
 
     Returns
     -------
@@ -104,10 +112,10 @@ def measure(
     """
     measurer = measurer_of(config)
     require_plausible_limit(config.joint.limit_rad, measurer.gap_range_rad)
-    recordings = tuple(recording_of(entry, config) for entry in config.recordings)
+    recordings = tuple(measurer.read(entry) for entry in config.recordings)
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)
-    seeds = Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say, swept)
+    seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
+    task = Task(config, recordings, seeds, progress, work, say, swept, earlier or {})
     return measurement_tree(measurer.measure(task), task)

@@ -54,6 +54,7 @@ OBSERVED = Group(
         time_s (sample) | s | time
         excluded? (sample) | 1 | sample that was lost or cannot be trusted (1), bridged and left
             out of the fit
+        file? (sample) | 1 | number of the file, of a snapshot of several
     """),
     named=_channel,
 )
@@ -80,11 +81,15 @@ CHANGE = Group(
 )
 
 
-def observed_group(recording: Recording) -> xr.Dataset:
-    """Every channel that was recorded: later figures lay simulations over them."""
+def observed_group(recording: Recording, **beside: object) -> xr.Dataset:
+    """Every channel that was recorded: later figures lay simulations over them.
+
+    ``beside``: further variables of :data:`OBSERVED`.
+    """
     excluded = np.zeros(recording.samples) if recording.excluded is None else recording.excluded
     channels = {"time_s": recording.time_s, **recording.channels}
-    return dataset(OBSERVED, channels | {"excluded": np.asarray(excluded, dtype=np.float64)})
+    values = {"excluded": np.asarray(excluded, dtype=np.float64), **beside}
+    return dataset(OBSERVED, channels | values)
 
 
 def sampling_values(diagnostics: Diagnostics, rotations: float) -> dict[str, object]:

@@ -109,15 +109,57 @@ class _FromRinging(TypedDict, total=False):
     sampler_check: SamplerCheckSummary
 
 
+class MotionSummary(TypedDict):
+    """Of a joint that follows a reference over time.
+
+    ``cycle_s`` and ``cycles`` are ``None`` where the motion does not repeat.
+    """
+
+    cycle_s: float | None
+    cycles: float | None
+    flank_changes: int
+    compared_from_s: float
+
+
 class _FromSimulation(TypedDict, total=False):
     """Of the simulated bench."""
 
     cramer_rao_sd: dict[str, float]
     posterior_sd: dict[str, float]
     predictive_check: list[PredictiveCheckEntry]
+    motion: MotionSummary
 
 
-class SnapshotSummary(_FromRinging, _FromSimulation):
+class RampsSummary(TypedDict):
+    """The ramps that tell the play; ``width_rad`` is the mean of each position round the turn."""
+
+    positions: int
+    cycles: int
+    torque_nm: float
+    width_rad: list[float]
+
+
+class _FromRamps(TypedDict, total=False):
+    """Of torque ramps with the output held, all at the output.
+
+    ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: there is no play, and
+    ``preload_torque_nm`` is what the joint bears at least before there is; 0 with play.
+    ``held_windup_rad``: what of δ is compliance that friction holds at zero torque.
+    """
+
+    lost_motion_rad: Interval
+    lost_motion_torque_nm: float
+    compliance_rad_per_nm: Interval
+    friction_torque_nm: Interval
+    held_windup_rad: Interval
+    preload_torque_nm: Interval
+    preloaded: bool
+    probability_of_play: float
+    relative_compliance: float
+    ramps: RampsSummary
+
+
+class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
     """One snapshot; every route gives the keys here, and some of its own.
 
     ``route`` is the one that answers, ``routes`` has the answer of each that was run.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.symbols import DisturbanceModel
+from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.sampling.chains import SamplerSettings
 
 StageProgress = Callable[[str, int, int], None]
@@ -50,6 +51,8 @@ class Task:
         Called with a sentence on what each search started from, if from an earlier optimum.
     swept
         Keeps swept benches for this run and others.
+    earlier
+        Optima to start searches from, by recording, where the configuration names no result.
     """
 
     config: SnapshotConfig
@@ -59,6 +62,7 @@ class Task:
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
     swept: WorkStore = NOTHING_KEPT
+    earlier: Mapping[str, EarlierOptimum] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

@@ -20,7 +20,8 @@ from bayesbl.bench.effect_declaration import (
 )
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
-from bayesbl.matching.signals import GAP, Observed, Unknown
+from bayesbl.matching.observed import Observed
+from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.motor_orders import OrderPeak
 from bayesbl.recording.types import FloatArray
 

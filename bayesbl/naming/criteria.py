@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import RepeatingPower, agrees
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, whole_rotations
 from bayesbl.naming.explanation import Explanation
 from bayesbl.recording.types import FloatArray
 
@@ -117,9 +117,7 @@ def gains_per_rotation(base: SimulatedFit, more: SimulatedFit) -> list[FloatArra
     gains = []
     parts = base.model.by_recording(base.residual**2 - more.residual**2)
     for seen, change in zip(base.model.recordings, parts, strict=True):
-        rows = change.sum(axis=0)
-        whole = rows.size // seen.lag
-        gains.append(rows[: whole * seen.lag].reshape(whole, seen.lag).sum(axis=1))
+        gains.append(whole_rotations(change.sum(axis=0), seen.lag).sum(axis=1))
     return gains
 
 

@@ -215,10 +215,15 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[OrderPeak]) -> list[Candidate
     """All that may differ from the bench, in all recordings together and in each alone."""
     model = fit.model
     bench, recordings = model.bench, model.recordings
+    # A parameter of zero changes by no factor: an axis without gravity keeps none.
+    changeable = {name: (name,) for name in CORRECTABLE_PARAMETERS} | CHANGED_TOGETHER
     found = [
         *(c for c in candidates(bench, recordings, "all", peaks) if c.kind == "effect"),
-        *(_changed(bench, name, (name,)) for name in CORRECTABLE_PARAMETERS),
-        *(_changed(bench, name, names) for name, names in CHANGED_TOGETHER.items()),
+        *(
+            _changed(bench, name, names)
+            for name, names in changeable.items()
+            if all(bench.value(parameter) != 0.0 for parameter in names)
+        ),
         *_own_effects(bench),
     ]
     shared = {u.name for u in model.unknowns if u.recording is None}

@@ -7,13 +7,15 @@ independent would count it twice.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
 from bayesbl.noise.autoregression import bic
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10
 FEWEST_DIFFERENCES = 200
@@ -58,7 +60,9 @@ class ChannelNoise:
         return np.asarray(np.einsum("ab,...bn->...an", inverse, left))
 
 
-def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
+def estimate_channel_noise(
+    residual: FloatArray, lag: int, kept: BoolArray | None = None
+) -> ChannelNoise:
     """Noise of all channels from differences at one load rotation, its order chosen by BIC.
 
     Parameters
@@ -67,6 +71,8 @@ def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
         Shape (c, n): recording minus anything that repeats every rotation.
     lag
         Samples in a rotation.
+    kept
+        Shape (n,): samples to go by; all if ``None``.
 
     Raises
     ------
@@ -80,31 +86,86 @@ def estimate_channel_noise(residual: FloatArray, lag: int) -> ChannelNoise:
             found=f"{max(count, 0)} samples with a counterpart one rotation later",
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
-    d = residual[:, lag:] - residual[:, :-lag]
-    channels = len(d)
-    fits = [_autoregression(d, order) for order in range(HIGHEST_ORDER + 1)]
+    both = None if kept is None else kept[lag:] & kept[:-lag]
+    return _noise_of((residual[:, lag:] - residual[:, :-lag]) / math.sqrt(2.0), both)
+
+
+def estimate_fast_noise(
+    residual: FloatArray, samples: int, kept: BoolArray | None = None
+) -> ChannelNoise:
+    """Noise of all channels where nothing repeats: from what is faster than a running mean.
+
+    What a mean over w samples takes of white noise, 1/w of its power, is given back; of noise that
+    lasts longer than that this sees too little.
+
+    Parameters
+    ----------
+    residual
+        Shape (c, n): recording minus its simulation.
+    samples
+        w, at most a third of n.
+    kept
+        Shape (n,): samples to go by; all if ``None``.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is too short.
+    """
+    count = residual.shape[1] - samples + 1
+    if count < FEWEST_DIFFERENCES:
+        raise RecordingError(
+            "The recording is too short to tell noise from motion.",
+            found=f"{residual.shape[1]} samples",
+            expected=f"at least {FEWEST_DIFFERENCES + samples}",
+        )
+    sums = np.cumsum(np.pad(residual, ((0, 0), (1, 0))), axis=1)
+    mean = (sums[:, samples:] - sums[:, :-samples]) / samples
+    middle = residual[:, samples // 2 : samples // 2 + count]
+    own = None if kept is None else kept[samples // 2 : samples // 2 + count]
+    return _noise_of((middle - mean) / math.sqrt(1.0 - 1.0 / samples), own)
+
+
+def _noise_of(noise: FloatArray, kept: BoolArray | None = None) -> ChannelNoise:
+    """The process that a stretch of noise, shape (c, n), is of, by its samples that are kept."""
+    channels, count = noise.shape
+    whole: BoolArray | None = None
+    if kept is not None:
+        whole = np.asarray(sliding_window_view(kept, HIGHEST_ORDER + 1).all(axis=1))
+        count = int(whole.sum())
+        if count < FEWEST_DIFFERENCES:
+            raise RecordingError(
+                "Too little of the recording is compared to tell its noise.",
+                found=f"{count} samples",
+                expected=f"at least {FEWEST_DIFFERENCES}",
+            )
+    fits = [_autoregression(noise, order, whole) for order in range(HIGHEST_ORDER + 1)]
     determinants = np.array([np.linalg.slogdet(covariance)[1] for _, covariance in fits])
     best = int(np.argmin(bic(determinants, count, channels**2)))
     coefficients, covariance = fits[best]
     return ChannelNoise(
         coefficients,
-        np.asarray(np.linalg.cholesky(0.5 * covariance), dtype=np.float64),
-        np.sqrt(0.5 * np.mean(d**2, axis=1)),
+        np.asarray(np.linalg.cholesky(covariance), dtype=np.float64),
+        np.sqrt(np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)),
         count,
     )
 
 
-def _autoregression(d: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+def _autoregression(
+    d: FloatArray, order: int, whole: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
 
-    All orders use the same samples, so that their likelihoods can be compared.
+    All orders use the same samples, so that their likelihoods can be compared: those with a whole
+    past, shape (n − HIGHEST_ORDER,).
     """
     channels, n = d.shape
-    now = d[:, HIGHEST_ORDER:]
+    chosen = slice(None) if whole is None else whole
+    now = d[:, HIGHEST_ORDER:][:, chosen]
     tiny = 1e-24 * np.diag(np.maximum(np.mean(d**2, axis=1), 1e-300))
     if order == 0:
         return np.zeros((0, channels, channels)), now @ now.T / now.shape[1] + tiny
-    past = np.concatenate([d[:, HIGHEST_ORDER - k : n - k] for k in range(1, order + 1)])
+    past = np.concatenate([d[:, HIGHEST_ORDER - k : n - k][:, chosen] for k in range(1, order + 1)])
     stacked = np.linalg.lstsq(past.T, now.T, rcond=None)[0].T
     left = now - stacked @ past
     coefficients = stacked.reshape(channels, order, channels).swapaxes(0, 1)

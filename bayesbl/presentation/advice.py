@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, ringing, wear
+from bayesbl.presentation import answer, diagnosis, ringing, torque_ramps, wear
 from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         SnapshotSummary,
         WearSummary,
     )
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
@@ -49,6 +50,20 @@ def of_sweep(_: SweepSummary) -> Advice:
     )
 
 
+def of_plan(summary: PlanSummary) -> Advice:
+    """What to record."""
+    if summary["reason"]:
+        return Advice("withheld", "Widen the limits.", (summary["reason"],))
+    return Advice(
+        "note",
+        "Record the first motion of the table.",
+        (
+            "With the motor's speed and current, and the speed or position that the controller was "
+            "asked for, at 1 kHz or so. Then: bayesbl fit RECORDING --bench FILE.",
+        ),
+    )
+
+
 def of_study(summary: StudySummary) -> Advice:
     """Whether all cases of a study count."""
     failed = sum(int(row["failed"]) for row in summary["rows"])
@@ -64,13 +79,16 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
     if ringing.is_alone(summary):
         return _of_ringing(summary)
     if last["delta_rad"] is None:
+        again = "longer and at one constant speed"
+        if torque_ramps.is_by_ramps(summary):
+            again = "with the ramps that are asked for"
         return Advice(
             "withheld",
             "Do not decide from these recordings.",
             (
                 *(why for label, why in answer.reasons(summary) if label == "Withheld"),
-                "Fix this, or record again, longer and at one constant speed; until then decide "
-                "as you would without this measurement.",
+                f"Fix this, or record again, {again}; until then decide as you would without this "
+                "measurement.",
             ),
         )
     compared = summary if summary["kind"] == "compare" else None

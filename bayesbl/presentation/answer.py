@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import direct_route, joint_check, ringing, wear, words
+from bayesbl.presentation import direct_route, joint_check, ringing, torque_ramps, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -55,6 +55,9 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     if summary["kind"] == "compare" and summary["wear"] is not None:
         yield from wear.blocks(summary, summary["wear"])
     yield Sentence(ringing.EXPLAINED if ringing.is_alone(summary) else GAP_EXPLAINED, "aside")
+    if torque_ramps.is_by_ramps(summary):
+        for sentence in torque_ramps.of_positions(snapshots(summary)):
+            yield Sentence(sentence, "aside")
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
     for sentence in direct_route.other_route(snapshots(summary)):
@@ -85,8 +88,11 @@ def headline(summary: MeasuredSummary) -> str:
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
-            return f"{by}{change_in_words(change)}; {grew(growth)}."
+            unless = joint_check.UNLESS if joint_check.could_be_unseen(summary, change) else ""
+            return f"{by}{change_in_words(change)}; {grew(growth)}{unless}."
     elif summary["delta_rad"] is not None:
+        if (preloaded := torque_ramps.no_play(summary)) is not None:
+            return preloaded
         return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     what = "change of the gap" if summary["kind"] == "compare" else "gap"
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
@@ -140,8 +146,12 @@ def is_by_other_machine(summary: MeasuredSummary) -> bool:
 
 def explained(summary: MeasuredSummary) -> str:
     """What δ and the range beneath it are, and what they rest on."""
-    direct = direct_route.is_direct(summary)
-    condition = "the bench is as its file says" if direct else "the curve fits your joint"
+    if torque_ramps.is_by_ramps(summary):
+        condition = "the ramps reach both flanks"
+    elif direct_route.is_direct(summary):
+        condition = "the bench is as its file says"
+    else:
+        condition = "the curve fits your joint"
     return (
         "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point "
         "1 m away by 1 mm). The range below a number holds the true value with the stated "
@@ -227,10 +237,13 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
     compared = summary["kind"] == "compare"
     first = parts[0][1]
     # There may be an answer where the ringing gives no amplitude.
-    kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
+    if torque_ramps.is_by_ramps(summary):
+        return torque_ramps.snapshot_table(parts, places)
+    kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
     alone = ringing.is_alone(summary)
     beside = direct_route.beside(first)
+    repeats = "Motion\ncycles" if "motion" in first else "Load\nrotations"
     columns = (
         *([text("Snapshot")] if compared else []),
         *([] if alone else [numbers("Gap δ\n(mrad)"), numbers(f"{kind}\n(mrad)")]),
@@ -238,7 +251,7 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
         numbers("Ringing A\n(rpm)"),
         *([numbers(f"{kind}\n(rpm)")] if alone else []),
         # Eighty columns hold no more.
-        *([] if beside else [numbers("Load\nrotations"), numbers("Noise sd\n(rpm)")]),
+        *([] if beside else [numbers(repeats), numbers("Noise sd\n(rpm)")]),
         text("Outcome"),
     )
     rows = [

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route, ringing
+from bayesbl.presentation import answer, direct_route, ringing, torque_ramps
 from bayesbl.presentation.words import interval_kind
 
 if TYPE_CHECKING:
     from bayesbl.diagnosis.summary import DiagnosisSummary
-    from bayesbl.measurement.summary_types import MeasuredSummary
+    from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
@@ -29,6 +30,12 @@ def of_diagnosis(_: DiagnosisSummary) -> Iterator[str]:
     yield "The bench's other parameters have the values in its file, within their tolerances."
 
 
+def of_plan(_: PlanSummary) -> Iterator[str]:
+    """Assumptions of a plan."""
+    yield "The joint behaves as its bench file says, within the tolerances given there."
+    yield "Its noise is that of the bench file, and it starts from rest."
+
+
 def of_study(_: StudySummary) -> Iterator[str]:
     """Assumptions of a study."""
     yield "Each case has random numbers of its own, from the seed, the row and its number."
@@ -37,7 +44,16 @@ def of_study(_: StudySummary) -> Iterator[str]:
 def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
     """Assumptions of a measured gap."""
     last = answer.snapshots(summary)[-1][1]
-    yield "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
+    if torque_ramps.is_by_ramps(summary):
+        yield from _of_ramps(summary)
+        yield from _of_interval(last)
+        return
+    if "motion" in last:
+        yield "The joint was asked for the motion that its reference channel shows."
+    else:
+        yield (
+            "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
+        )
     if direct_route.is_direct(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
     elif ringing.is_alone(summary):
@@ -47,11 +63,28 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
         yield "The paper's test bench turned at 2000 rpm, which the paper does not state."
     else:
         yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
-    yield "Noise is what does not repeat from one rotation to the next, and is steady."
+    again = "cycle" if "motion" in last else "rotation"
+    yield f"Noise is what does not repeat from one {again} to the next, and is steady."
     if not ringing.is_alone(summary):
         yield "Before the recording every gap is equally likely in ln δ."
     if summary["kind"] == "compare":
         yield "Nothing but the gap changed between the snapshots: same joint, controller and load."
+    yield from _of_interval(last)
+
+
+def _of_ramps(summary: MeasuredSummary) -> Iterator[str]:
+    yield "The output was held, and does not give way; position and torque are scaled to it."
+    yield "The ramps are slow: friction and inertia do not depend on how fast the joint moves."
+    yield "The positions measured are as good as any round the turn."
+    yield (
+        "Play is what the joint does not go back through at zero torque. Where it is soft, part of "
+        "that is compliance held by friction."
+    )
+    if summary["kind"] == "compare":
+        yield "Nothing but the gap changed between the snapshots: same joint, torque and stand."
+
+
+def _of_interval(last: SnapshotSummary) -> Iterator[str]:
     found = last["delta_rad"] or last["amplitude_rpm"]
     if found is not None:
         yield (

@@ -27,6 +27,13 @@ CHECK_EXPLAINED = (
 )
 
 
+CHECK_OF_MOTION = (
+    "Power of the difference between recording and simulation that repeats every cycle, or is slow "
+    "where the motion does not repeat, over the power expected from noise; the probability that "
+    "noise alone gives as much."
+)
+
+
 def is_direct(summary: MeasuredSummary) -> bool:
     """Whether the answer comes from simulations of the bench."""
     first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
@@ -38,7 +45,7 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
     yield _parameter_table(part)
     yield Sentence(BOUND_EXPLAINED, "aside")
     yield _check_table(part)
-    yield Sentence(CHECK_EXPLAINED, "aside")
+    yield Sentence(CHECK_OF_MOTION if "motion" in part else CHECK_EXPLAINED, "aside")
     lines = {
         "Noise": joint_noise(part),
         "Sampling": words.sampling(part),
@@ -122,7 +129,8 @@ def _row(part: SnapshotSummary, name: str) -> tuple[str, ...]:
 
 
 def _check_table(part: SnapshotSummary) -> Table:
-    titles = ("Load orders\nup to", "Repeating\nover noise", "Probability")
+    orders = "Orders of the\ncycle up to" if "motion" in part else "Load orders\nup to"
+    titles = (orders, "Repeating\nover noise", "Probability")
     rows = [
         (
             entry["channel"],

@@ -28,10 +28,15 @@ def guessed(guess: Guess) -> Iterator[Block]:
             yield Sentence(unit, "warning", "Check")
 
 
-def what_next(path: Path, *, sound: bool) -> str:
+def what_next(path: Path, *, sound: bool, torque_ramps: bool = False) -> str:
     """Where the configuration is, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
+    if torque_ramps:
+        return (
+            f"Written to {path}, for ramps of torque with the output held. Correct units and "
+            f"gear_ratio there, then: bayesbl run {shlex.quote(str(path))}"
+        )
     return (
         f"Written to {path}. Correct it there, fill in gear_ratio, limit_rad (the gap at which "
         f"the joint is to be repaired, in rad) and bench (what is known of the joint), then: "

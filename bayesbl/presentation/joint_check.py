@@ -9,10 +9,21 @@ from bayesbl.presentation.blocks import Block, Sentence
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import MeasuredSummary
+    from bayesbl.measurement.summary_types import ComparisonSummary, MeasuredSummary
+    from bayesbl.results.intervals import Interval
 
 MOST_TOLD = 3
 """Blind spots that are told; all are stored."""
+
+UNLESS = " if nothing else in the joint changed; a change too small to show could do as much"
+"""Behind the probability of a change that a blind spot could make."""
+
+
+def could_be_unseen(summary: ComparisonSummary, change: Interval) -> bool:
+    """Whether the interval leaves zero, but by no more than a blind spot may move it."""
+    errors = [spot["delta_error_rad"] or 0.0 for spot in summary["same_joint"]["blind_spots"]]
+    nearest = max(change["low"], -change["high"])
+    return 0.0 < nearest <= max(errors, default=0.0)
 
 
 def blocks(summary: MeasuredSummary) -> Iterator[Block]:

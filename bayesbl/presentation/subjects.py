@@ -14,7 +14,9 @@ from bayesbl.presentation import (
     cards,
     diagnosis,
     estimates,
+    fleet,
     identification,
+    plan,
     study,
     sweep,
 )
@@ -96,8 +98,22 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             advice.of_sweep,
             assumptions.of_sweep,
         ),
+        "plan": Subject(
+            "Motions that would show the gap",
+            plan.headline,
+            plan.blocks,
+            advice.of_plan,
+            assumptions.of_plan,
+        ),
         "study": Subject(
             "Study", study.headline, study.blocks, advice.of_study, assumptions.of_study
+        ),
+        "fleet": Subject(
+            "Backlash gaps of a plant",
+            fleet.headline,
+            fleet.blocks,
+            fleet.advice,
+            fleet.assumptions,
         ),
         "compare": _measured("Backlash gap of a joint and its change"),
         "fit": _measured("Backlash gap of a joint"),

@@ -29,6 +29,8 @@ _SOURCES = {
     "regression": "coefficients of the curve",
     "lack_of_fit": "lack of fit of the curve",
     "bench": "tolerances of the bench",
+    "repeated_ramps": "scatter of repeated ramps",
+    "positions_round_the_turn": "positions round the turn",
 }
 
 

@@ -19,6 +19,7 @@ MOTOR_CURRENT = "motor_current_a"
 MOTOR_TORQUE = "motor_torque_nm"
 LOAD_POSITION = "load_position_rad"
 REFERENCE_SPEED = "reference_speed_rpm"
+REFERENCE_POSITION = "reference_position_rad"
 
 CHANNELS: Mapping[str, str] = MappingProxyType(
     {
@@ -28,6 +29,7 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
         MOTOR_TORQUE: "motor torque",
         LOAD_POSITION: "load position",
         REFERENCE_SPEED: "reference speed",
+        REFERENCE_POSITION: "reference position",
     }
 )
 """Channels the package knows by name, with their long names."""

@@ -26,6 +26,7 @@ from bayesbl.recording.channels import (
 )
 from bayesbl.recording.clipping import require_unclipped, without_rails
 from bayesbl.recording.lost_samples import GRID_TOLERANCE, deviation_from_grid, runs
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
@@ -59,12 +60,19 @@ DRIFT_OVER_SCATTER = 3.0
 UNIT_AGREEMENT = 0.02
 """Relative difference that another unit must leave to be the likely one."""
 
+WHAT_A_MOTION_NEEDS = (
+    "what the controller was asked for over time, as a column reference_speed_rpm or "
+    "reference_position_rad of the motor, and a bench"
+)
+
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
 
 
 def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Recording:
     """The recording as a fit of the speed's disturbance pattern takes it, strays excluded.
+
+    A recording of a motion, with its reference, is asked for neither one speed nor rotations.
 
     Rotations are counted only if the gear ratio is known; otherwise the fit, which finds the
     rotation period itself, asks :func:`require_rotations` with what it found.
@@ -77,6 +85,9 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
+    if moves(recording):
+        require_varying(recording, MOTOR_SPEED)
+        return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
     recording = without_rails(recording, MOTOR_SPEED)
     require_varying(recording, MOTOR_SPEED)
     require_alive(recording, (MOTOR_POSITION,))
@@ -276,8 +287,8 @@ def require_one_speed(recording: Recording) -> None:
         file=recording.place,
         where=f"{MOTOR_SPEED} {where} s",
         found=found,
-        expected="one speed; split the file there into one recording per speed, each of two "
-        "load rotations or more",
+        expected="one speed; split the file there into one recording per speed, each of two load "
+        f"rotations or more. If the joint cannot turn round: {WHAT_A_MOTION_NEEDS}",
     )
 
 
@@ -303,7 +314,7 @@ def _require_a_speed(recording: Recording, means: FloatArray) -> None:
         where=MOTOR_SPEED,
         found=f"{means.min():.5g} to {means.max():.5g} in means over {BLOCK_S:g} s",
         expected="the motor's speed; are columns exchanged, or is the wrong one named under "
-        "[columns]?",
+        f"[columns]? If the joint moves to and fro: {WHAT_A_MOTION_NEEDS}",
     )
 
 

@@ -50,6 +50,9 @@ NO_UNIT = "no unit found: check it"
 
 _USUAL_RATES_HZ = (100.0, 1e5)
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
+_SIDES_ALIKE = 2.5
+"""Ratio of the largest torques each way, up to which they may be ramps to and fro."""
+
 _AGREEMENT = 0.02
 """Relative; speed and position, or speed and reference, that differ by less belong together."""
 
@@ -67,10 +70,15 @@ class GuessedColumn:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """All columns that were recognised, time first, and the names of the others."""
+    """All columns that were recognised, time first, and the names of the others.
+
+    ``torque_ramps``: there is no speed, but a position and a torque that goes both ways, as where
+    the output is held.
+    """
 
     columns: tuple[GuessedColumn, ...]
     unused: tuple[str, ...]
+    torque_ramps: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +101,8 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     Raises
     ------
     RecordingError
-        If no column can be time, or none the motor's speed, or these two do not hold numbers.
+        If no column can be time, or none the motor's speed (nor position and torque, as of ramps
+        with the output held), or these do not hold numbers.
     """
     named = [_Named(i, name, *_parsed(table, i, name)) for i, name in enumerate(table.columns)]
     chosen = _by_name(named)
@@ -103,7 +112,8 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
-    if MOTOR_SPEED not in chosen:
+    ramps = MOTOR_SPEED not in chosen and _is_of_ramps(table, chosen)
+    if MOTOR_SPEED not in chosen and not ramps:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
         channel: _series(path, table, column)
@@ -119,7 +129,20 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     return Guess(
         tuple(sorted(columns, key=lambda c: order.index(c.channel))),
         tuple(name for name in table.columns if name and name not in taken),
+        ramps,
     )
+
+
+def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
+    """Whether there is a position, and a torque that is as large on one side as on the other."""
+    if not {MOTOR_POSITION, MOTOR_TORQUE} <= chosen.keys():
+        return False
+    torque = _numbers(table, chosen[MOTOR_TORQUE])
+    torque = torque[np.isfinite(torque)]
+    if torque.size == 0:
+        return False
+    low, high = -float(torque.min()), float(torque.max())
+    return 0.0 < max(low, high) <= _SIDES_ALIKE * min(low, high)
 
 
 def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
@@ -199,6 +222,8 @@ def _units(
     if time is not None:
         found[TIME] = time
     factor = conversion_factor(TIME, time[0] if time else _stated(TIME, chosen[TIME]).unit)
+    if MOTOR_SPEED not in values:
+        return found
     speed = float(np.nanmean(np.abs(values[MOTOR_SPEED])))
     if MOTOR_POSITION in values:
         good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
@@ -244,7 +269,8 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
         return "datetime", "holds dates"
     if _stated(TIME, column).sure:
         return None
-    step = float(np.median(np.diff(time[np.isfinite(time)])))
+    steps = np.diff(time[np.isfinite(time)])
+    step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     for unit in ("s", "ms", "us", "ns"):
         rate = 1.0 / (step * conversion_factor(TIME, unit)) if step > 0.0 else 0.0
         if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:

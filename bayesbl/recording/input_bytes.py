@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import errno
+import gzip
+import io
 import os
 import stat
+import zlib
 from pathlib import Path
+
+from bayesbl.errors import RecordingError
 
 LIMIT_VARIABLE = "BAYESBL_LARGEST_FILE_MB"
 """Environment variable that raises or lowers :data:`LARGEST_FILE_MB`."""
 
 LARGEST_FILE_MB = 1000.0
 """Reading a text file takes up to six times its size in memory."""
+
+PACKED = ".gz"
 
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
@@ -47,6 +54,48 @@ def read_input(path: Path) -> bytes:
     if len(data) > largest:
         raise _too_large("more")
     return data
+
+
+def suffix_of(path: Path) -> str:
+    """The suffix that says what a file holds, in small letters: ``.csv`` of ``ramps.csv.gz``."""
+    packed = path.suffix.lower() == PACKED
+    return (Path(path.stem) if packed else path).suffix.lower()
+
+
+def stem_of(path: Path) -> str:
+    """The file's name without the suffixes of what it holds and how it is packed."""
+    return Path(path.stem).stem if path.suffix.lower() == PACKED else path.stem
+
+
+def unpacked(path: Path, data: bytes) -> bytes:
+    """The bytes of a file as they were before gzip, where its name says that it is packed.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged, or larger than the limit once unpacked.
+    """
+    if path.suffix.lower() != PACKED:
+        return data
+    largest = int(1e6 * _largest_mb())
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
+            whole = stream.read(largest + 1)
+    except (OSError, EOFError, zlib.error):
+        raise RecordingError(
+            "This file cannot be unpacked: it is damaged, or not packed by gzip.",
+            file=path,
+            found=f"{len(data)} bytes",
+            expected="a file packed by gzip",
+        ) from None
+    if len(whole) > largest:
+        raise RecordingError(
+            "The unpacked file is too large.",
+            file=path,
+            found=f"more than {_largest_mb():g} MB",
+            expected=f"less; the environment variable {LIMIT_VARIABLE} raises the limit",
+        )
+    return whole
 
 
 def _kind(mode: int) -> str | None:

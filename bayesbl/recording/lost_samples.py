@@ -83,6 +83,16 @@ def sample_numbers(time_s: FloatArray) -> FloatArray | None:
     return min(found, key=lambda number: float(number[-1]), default=None)
 
 
+def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
+    """The samples that have a value in every column; arguments as :func:`bridge` takes them."""
+    whole = ~np.isnan(values).any(axis=1)
+    lost = int(np.sum(~whole))
+    if whole.sum() < 2:
+        return bridge(file, time_s, values, place)  # which refuses it
+    notes = (f"{lost} of {whole.size} samples lack a value and are left out.",) if lost else ()
+    return Bridged(time_s[whole], values[whole], np.zeros(whole.size - lost, dtype=bool), notes)
+
+
 def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
     """Bridge short runs of lost samples by straight lines.
 

@@ -17,8 +17,9 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.formats import Format, formats
-from bayesbl.recording.input_bytes import read_input
-from bayesbl.recording.lost_samples import bridge
+from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
+from bayesbl.recording.lost_samples import bridge, without_lost
+from bayesbl.recording.ticks import spread_ticks
 from bayesbl.recording.types import FloatArray, Recording, Source
 
 MINIMUM_SAMPLES = 16
@@ -33,6 +34,7 @@ def read_recording(
     *,
     name: str | None = None,
     columns: Mapping[str, ColumnSpec] | None = None,
+    even: bool = True,
 ) -> Recording:
     """Read and check one recording.
 
@@ -45,6 +47,9 @@ def read_recording(
     columns
         Channel to the column that holds it, where name or unit differ from the package's own.
         Columns that already have a channel's name need no entry.
+    even
+        Whether the samples are to be even in time: then lost ones are bridged, and too long a loss
+        refused. Otherwise rows that lack a value are left out, and holes stay.
 
     Raises
     ------
@@ -60,18 +65,19 @@ def read_recording(
     _check_length(path, values)
     _check_finite(path, table, others, values)
     rows = np.flatnonzero(np.isfinite(stamps))
-    time_s = _seconds(path, table, time_column, stamps, rows)
+    time_s, tick_note = _seconds(path, table, time_column, stamps, rows)
 
     def place(row: int, column: int | None) -> str:
         index = time_column.index if column is None else others[column].index
         return table.place(int(rows[row]), index)
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
-        bridged = bridge(path, time_s, values[rows], place)
+        joined = bridge if even else without_lost
+        bridged = joined(path, time_s, values[rows], place)
     series = {column.channel: bridged.values[:, i].copy() for i, column in enumerate(others)}
     used = {time_column.index, *(column.index for column in others)}
     return Recording(
-        name=name or path.stem,
+        name=name or stem_of(path),
         time_s=bridged.time_s,
         channels=series,
         source=Source(
@@ -84,7 +90,11 @@ def read_recording(
             ),
         ),
         excluded=bridged.excluded if bridged.excluded.any() else None,
-        notes=(*(c.note for c in (time_column, *others) if c.note), *bridged.notes),
+        notes=(
+            *(c.note for c in (time_column, *others) if c.note),
+            *((tick_note,) if tick_note else ()),
+            *bridged.notes,
+        ),
     )
 
 
@@ -147,8 +157,11 @@ def _wrong_time_unit(
 
 def _seconds(
     path: Path, table: Table, column: Column, stamps: FloatArray, rows: NDArray[np.int64]
-) -> FloatArray:
-    """Time of the rows that have one, in seconds; a late start is taken off."""
+) -> tuple[FloatArray, str | None]:
+    """Time of the rows that have one, in seconds, and a note where a coarse clock was spread.
+
+    A late start is taken off.
+    """
     if rows.size < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
@@ -157,7 +170,8 @@ def _seconds(
             found=f"{rows.size} time stamps",
             expected=f"at least {MINIMUM_SAMPLES}",
         )
-    time = stamps[rows]
+    spread, note = spread_ticks(stamps[rows] * column.factor)
+    time = stamps[rows] if note is None else spread / column.factor
     _check_time(path, table, column, time, rows)
     with np.errstate(over="ignore"):
         if column.unit == "datenum" or abs(time[0] * column.factor) > LATEST_START_S:
@@ -171,7 +185,7 @@ def _seconds(
             found=f"from {stamps[rows[0]]:.6g} to {stamps[rows[-1]]:.6g}",
             expected="the time of a recording",
         )
-    return seconds
+    return seconds, note
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -202,19 +216,20 @@ def _read_bytes(path: Path) -> bytes:
 def _parsed(path: Path) -> tuple[Table, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
-    return _format_of(path).read(path, data), hashlib.sha256(data).hexdigest()
+    return _format_of(path).read(path, unpacked(path, data)), hashlib.sha256(data).hexdigest()
 
 
 def _format_of(path: Path) -> Format:
     known = formats()
-    if path.suffix.lower() not in known:
+    suffix = suffix_of(path)
+    if suffix not in known:
         raise RecordingError(
             "Files of this kind cannot be read as recordings.",
             file=path,
             found=f'"{path.suffix}"' if path.suffix else "no suffix",
-            expected=" or ".join(known),
+            expected=" or ".join(known) + ", or one of these packed as .gz",
         )
-    return known[path.suffix.lower()]
+    return known[suffix]
 
 
 def _check_length(path: Path, values: FloatArray) -> None:

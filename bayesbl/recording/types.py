@@ -16,6 +16,7 @@ from bayesbl.recording.channels import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     MOTOR_TORQUE,
+    REFERENCE_POSITION,
     REFERENCE_SPEED,
     TIME,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "MOTOR_POSITION",
     "MOTOR_SPEED",
     "MOTOR_TORQUE",
+    "REFERENCE_POSITION",
     "REFERENCE_SPEED",
     "TIME",
     "BoolArray",

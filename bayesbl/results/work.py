@@ -12,7 +12,7 @@ import hashlib
 import json
 import platform
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -131,7 +131,7 @@ class WorkStore:
         """Finished work; ``None`` if there is none that can be believed."""
         if self.folder is None:
             return None
-        key, decoded = self._key(what, inputs), decoder(kind)  # type: ignore[arg-type]
+        key, decoded = self.address_of(what, inputs), decoder(kind)  # type: ignore[arg-type]
         try:
             head, _, content = (self.folder / key).read_bytes().partition(b"\n")
             return decoded(content) if head == _head(key, content) else None
@@ -146,7 +146,7 @@ class WorkStore:
         if self.problem and not self.resumes:
             text = json.dumps(self.problem, indent=1, ensure_ascii=False)
             _write(self.folder / PROBLEM_FILE, text.encode())
-        key, content = self._key(what, inputs), encoded(value)
+        key, content = self.address_of(what, inputs), encoded(value)
         _write(self.folder / key, _head(key, content) + b"\n" + content)
 
     def clear(self) -> None:
@@ -170,7 +170,14 @@ class WorkStore:
                 if total > size_bytes:
                     file.unlink()
 
-    def _key(self, what: str, inputs: object) -> str:
+    def keep_only(self, addresses: Collection[str]) -> None:
+        """Forget all but what is under these addresses."""
+        for file in [] if self.folder is None else self.folder.iterdir():
+            if file.is_file() and file.name not in addresses:
+                file.unlink(missing_ok=True)
+
+    def address_of(self, what: str, inputs: object) -> str:
+        """Where finished work of these inputs is kept."""
         return address([what, self.code, inputs])
 
 

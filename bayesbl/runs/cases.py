@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from bayesbl.errors import ConfigError, UserError, WorkerError
@@ -88,6 +89,22 @@ def run_job(study: Study, job: Job, commit: str) -> Case:
         except UserError as error:
             message = str(error)
     return Case(job.index, values, time.perf_counter() - start, commit, message)
+
+
+def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
+    """Path of the study file and of every file that the rows of these cases name."""
+    named = (path for job in jobs for path in study.files(job.table))
+    return list(dict.fromkeys([str(study.path), *named]))
+
+
+def run_of_file(path: str, commit: str, job: Job) -> Case:
+    """Run a case of the study in a file, in a process that stays for others."""
+    return run_job(_study_in(path), job, commit)
+
+
+@cache
+def _study_in(path: str) -> Study:
+    return load_study(path)
 
 
 _loaded: Study | None = None

@@ -1,9 +1,9 @@
-"""The cases of a study on a Dask cluster that is already there: the numbers are those of processes.
+"""Work on a Dask cluster that is already there: the numbers are those of processes.
 
 So every worker must run the same code on the same files, its linear algebra on one thread; what
 differs is refused before anything runs, and by workers that join later. In a worker process one
-case runs at a time whatever its threads, as studies need not be safe against each other. A case
-whose worker dies is run again by another.
+job runs at a time whatever its threads, as jobs need not be safe against each other. A job whose
+worker dies is run again by another.
 """
 
 from __future__ import annotations
@@ -12,17 +12,15 @@ import asyncio
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from bayesbl.errors import ClusterError
 from bayesbl.results.provenance import code_sha256, code_versions, file_sha256
-from bayesbl.runs.cases import Case, Job, run_job
-from bayesbl.runs.study_file import Study, load_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -31,38 +29,44 @@ ANSWER_WITHIN_S = 10.0
 
 _LINEAR_ALGEBRA = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
-_one_case = threading.Lock()
+_one_job = threading.Lock()
+
+
+class InWords(Protocol):
+    """A job that can be named in a sentence."""
+
+    @property
+    def in_words(self) -> str:
+        """Which job it is."""
+
+
+J = TypeVar("J", bound=InWords)
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """What a worker must have in common with the process that starts the study.
+    """What a worker must have in common with the process that starts the run.
 
     Attributes
     ----------
-    study
-        Path of the study file.
     versions
         Name and version of this package, Python and all that numbers depend on.
     code
         SHA-256 of this package's code.
     files
-        Path and SHA-256 of every file that the rows name, and of the study file.
+        Path and SHA-256 of every file that all jobs read.
     """
 
-    study: str
     versions: tuple[tuple[str, str], ...]
     code: str
     files: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, study: Study, jobs: Sequence[Job]) -> Common:
+    def of(cls, files: Iterable[str]) -> Common:
         """Of this process."""
-        paths = {str(study.path): None}
-        for job in jobs:
-            paths |= dict.fromkeys(study.files(job.table))
-        files = tuple((path, file_sha256(path)) for path in paths)
-        return cls(str(study.path), tuple(code_versions().items()), code_sha256(), files)
+        digests = tuple((path, file_sha256(path)) for path in dict.fromkeys(files))
+        return cls(tuple(code_versions().items()), code_sha256(), digests)
 
     def differences(self) -> list[str]:
         """What differs in this process, which is a worker's, in words."""
@@ -87,32 +91,46 @@ class Common:
 
 
 def run_on_cluster(
-    study: Study, jobs: Sequence[Job], commit: str, scheduler: str, say: Callable[[str], None]
-) -> Iterator[tuple[Job, Case]]:
-    """Run cases on the workers of a scheduler; yields them as they end, in any order.
+    run: Callable[[J], R],
+    jobs: Sequence[J],
+    files: Iterable[str],
+    scheduler: str,
+    say: Callable[[str], None],
+    what: str = "cases",
+) -> Iterator[tuple[J, R]]:
+    """Run jobs on the workers of a scheduler; yields them as they end, in any order.
+
+    Parameters
+    ----------
+    run
+        A function of a module, or a ``partial`` of one.
+    files
+        That every job reads, to be the same for all workers.
+    what
+        The jobs, in a sentence.
 
     Raises
     ------
     ClusterError
-        If the scheduler does not answer or is lost, a worker differs, or a case kills all that
+        If the scheduler does not answer or is lost, a worker differs, or a job kills all that
         run it.
     """
     with _connected(scheduler) as client:
         from distributed import KilledWorker, as_completed
         from distributed.client import FutureCancelledError
 
-        common = Common.of(study, jobs)
+        common = Common.of(files)
         count = _require_common(client, common, scheduler)
         say(
-            f"{len(jobs)} cases run on {count} workers of {scheduler}."
+            f"{len(jobs)} {what} run on {count} workers of {scheduler}."
             if count
-            else f"{scheduler} has no workers yet; {len(jobs)} cases wait for them."
+            else f"{scheduler} has no workers yet; {len(jobs)} {what} wait for them."
         )
-        futures = {client.submit(_run, common, job, commit, pure=False): job for job in jobs}
+        futures = {client.submit(_run, common, run, job, pure=False): job for job in jobs}
         for future in as_completed(futures, loop=client.loop):
             job = futures[future]
             try:
-                case = future.result()
+                done = future.result()
             except KilledWorker as error:
                 raise ClusterError(
                     # Dask suspects all that a dead worker had at hand.
@@ -127,25 +145,25 @@ def run_on_cluster(
                     "The scheduler was lost. What is finished is kept; the same command goes on.",
                     file=scheduler,
                 ) from None
-            yield job, case
+            yield job, done
             future.release()
 
 
-def _run(common: Common, job: Job, commit: str) -> Case:
-    """A case, in a worker."""
-    with _one_case:
-        return run_job(_study_here(common), job, commit)
+def _run(common: Common, run: Callable[[J], R], job: J) -> R:
+    """A job, in a worker."""
+    with _one_job:
+        _require_here(common)
+        return run(job)
 
 
 @cache
-def _study_here(common: Common) -> Study:
-    """The study as this worker loads it, asked again as workers may join later."""
+def _require_here(common: Common) -> None:
+    """This worker differs in nothing, asked again as workers may join later."""
     from distributed import get_worker
 
     different = common.differences()
     if different:
         raise _refusal({get_worker().address: different}, None)
-    return load_study(common.study)
 
 
 @contextmanager
@@ -231,5 +249,5 @@ def _refusal(different: Mapping[str, Sequence[str]], scheduler: str | None) -> C
         "Workers of the cluster would not give the numbers that this machine gives.",
         file=scheduler,
         found=" ".join(f"{', '.join(names)}: {what}." for what, names in workers.items()),
-        expected="the same bayesbl, Python and packages, and the study's files at the same paths",
+        expected="the same bayesbl, Python and packages, and the same files at the same paths",
     )

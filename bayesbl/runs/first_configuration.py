@@ -13,6 +13,7 @@ from bayesbl.config.files import require_text_names
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
 from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
+from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.inputs import require_apart
 from bayesbl.results.store import write_text
@@ -39,10 +40,10 @@ def start_config(
         recording.
     """
     first = Path(recordings[0])
-    path = Path(out) if out is not None else Path(f"{name_of(first.stem)}.toml")
+    path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
     require_text_names([Path(file) for file in recordings])
     require_apart([path], [Path(file) for file in recordings])
-    if path.suffix.lower() in formats():
+    if suffix_of(path) in formats():
         raise ConfigError(
             "A configuration under this name would be taken for a recording.",
             file=path,
@@ -63,6 +64,7 @@ def start_config(
 def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
     kind = "fit" if len(recordings) == 1 else "compare"
+    ramps = guess.torque_ramps
     names = names_of(recordings)
     before = (
         "# decide_before = 2027-01-01   # asks how probably the gap passes the limit by then; "
@@ -74,7 +76,7 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     )
     entries = "\n".join(
         f"[[recordings]]\nname = {_text(name)}\nfile = {_text(_relative(file, path))}\n"
-        "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
+        + (_MORE_FILES if ramps else _ASKED_SPEED)
         + (dated if kind == "compare" else "")
         for name, file in zip(names, recordings, strict=True)
     )
@@ -91,7 +93,7 @@ seed = 1                # same seed, same numbers
 output = {_text(f"results/{name_of(path.stem)}")}
 
 [joint]
-# gear_ratio = 120.0    # motor turns per turn of the load
+{_RAMPS_JOINT if ramps else _JOINT}\
 # limit_rad = 1.2e-3    # repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad);
                         # δ is half the total play
 {before if kind == "compare" else ""}
@@ -103,9 +105,33 @@ output = {_text(f"results/{name_of(path.stem)}")}
 [interval]
 level = 0.9             # of the credible intervals
 
+{_RAMPS_ESTIMATOR if ramps else _ESTIMATOR}"""
+
+
+_JOINT = "# gear_ratio = 120.0    # motor turns per turn of the load\n"
+
+_RAMPS_JOINT = """\
+gear_ratio = 1.0        # motor turns per turn of the output; 1.0 where position and torque are of
+                        # the output already
+# rated_torque_nm = 50  # at the output: lost motion is stated at 3 % of it
+"""
+
+_ASKED_SPEED = "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
+
+_MORE_FILES = (
+    '# files = ["…", "…"]          # in place of file: ramps at several positions round the turn\n'
+)
+
+_ESTIMATOR = """\
 # The gap needs what is known of the joint; without it the ringing alone is compared.
 [estimator]
 # bench = "bench.toml"  # inertias, stiffness, damping, controller: configs/bench.toml explains each
+"""
+
+_RAMPS_ESTIMATOR = """\
+# Without a speed, these look like ramps of torque to and fro with the output held.
+[estimator]
+route = "torque_ramp"
 """
 
 

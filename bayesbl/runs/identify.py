@@ -15,7 +15,7 @@ from bayesbl.config.identify import IdentifiedRecording, IdentifyConfig
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, Problem, identify
-from bayesbl.matching.signals import LARGEST_SPEED_ERROR, Observed, observed
+from bayesbl.matching.observed import LARGEST_SPEED_ERROR, Observed, observed
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.readers import read_recording

@@ -10,7 +10,6 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.task import estimator_of, recording_of
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
@@ -36,23 +35,22 @@ def swept_benches(config: SnapshotConfig) -> WorkStore:
 def describe(config: SnapshotConfig, plan: Plan) -> None:
     """What would be measured, and by what."""
     plan.add("output", partial(require_output, config.run.output))
-    estimator = estimator_of(config)
-    plan.lines += [
-        ("estimator", f"search {estimator.search}, noise {estimator.noise_kind}"),
-        ("interval", f"{100.0 * config.interval.level:g} %, {config.interval.kind}"),
-    ]
     measurer = measurer_of(config)
+    interval = f"{100.0 * config.interval.level:g} %, {config.interval.kind}"
+    plan.add("interval", lambda: interval)
     for label, text in measurer.describe():
         plan.add(label, text)
 
     def checked(entry: SnapshotRecording) -> str:
-        recording = recording_of(entry, config)
+        recording = measurer.read(entry)
         measurer.require_usable(recording)
         rate = 1.0 / recording.sampling_period_s
         sound.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
         plan.withheld += [f"{entry.name}: {why}" for why in measurer.doubts(recording)]
-        return f"{entry.file}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
+        more = len(entry.every_file) - 1
+        files = f"{entry.file}{f' and {more} more' if more else ''}"
+        return f"{files}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
 
     sound: list[Recording] = []
     for entry in config.recordings:

@@ -28,9 +28,11 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "fit": "measure",
         "compare": "measure",
         "sweep": "sweep",
+        "plan": "plan",
         "diagnose": "diagnose",
         "identify": "identify",
         "study": "study",
+        "fleet": "fleet",
         "simulate": "simulate",
         "bench": "bench",
     }

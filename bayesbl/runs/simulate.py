@@ -15,7 +15,9 @@ import numpy as np
 
 from bayesbl import __version__
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.motion import Motion, cycle, sine, strokes
 from bayesbl.config.bench import dump_bench, load_bench
+from bayesbl.config.motion import CycleMotion, MotionSection, SineMotion, StrokesMotion
 from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
@@ -97,7 +99,10 @@ def describe(path: Path, plan: Plan) -> None:
     plan.add("output", lambda: str(_targets(config, path)[0].parent))
     plan.add("size", lambda: _require_possible(config, path, load_bench(config.bench)))
     for entry in config.recordings:
-        text = f"{entry.file}, gap {entry.gap_rad:g} rad, {entry.rotations:g} rotations"
+        length = f"{entry.rotations:g} rotations"
+        if entry.motion is not None:
+            length = f"{entry.motion.kind} for {entry.motion.duration_s:g} s"
+        text = f"{entry.file}, gap {entry.gap_rad:g} rad, {length}"
         plan.lines.append((f"recording {entry.name}", text))
 
 
@@ -123,6 +128,8 @@ def _require_possible(config: SimulateFile, config_path: Path, bench: Bench) -> 
     """All recordings fit into memory, where they are until all are written; none is too short."""
     turned_s = [
         entry.rotations * bench.rotation_period_s(entry.reference_speed_rpm)
+        if entry.motion is None
+        else entry.motion.duration_s
         for entry in config.recordings
     ]
     pairs = zip(turned_s, config.recordings, strict=True)
@@ -134,6 +141,8 @@ def _require_possible(config: SimulateFile, config_path: Path, bench: Bench) -> 
         SECONDS_PER_SAMPLE * samples + SECONDS_PER_SECOND * sum(turned_s),
     )
     for number, entry in enumerate(config.recordings):
+        if entry.motion is not None:
+            continue
         with _of_entry(config_path, number):
             bench.samples(entry.rotations, entry.sampling_hz, entry.reference_speed_rpm)
 
@@ -157,6 +166,15 @@ def _simulated(
     rng = np.random.default_rng(seed)
     drawn = float(rng.uniform(0.0, 2.0 * np.pi))
     with _of_entry(config_path, number):
+        if entry.motion is not None:
+            return bench.simulate_motion(
+                entry.gap_rad,
+                motion_of(entry.motion, bench.value("gear_ratio")),
+                sampling_hz=entry.sampling_hz,
+                motor_start_angle_rad=entry.motor_start_angle_rad,
+                seed=rng,
+                name=entry.name,
+            )
         return bench.simulate(
             entry.gap_rad,
             rotations=entry.rotations,
@@ -167,6 +185,18 @@ def _simulated(
             seed=rng,
             name=entry.name,
         )
+
+
+def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
+    """The motion that a configuration describes, at the motor of a gear of this ratio."""
+    settings = section.model_dump(exclude={"kind"})
+    match section:
+        case StrokesMotion():
+            return strokes(gear_ratio, **settings)
+        case CycleMotion():
+            return cycle(gear_ratio, **settings)
+        case SineMotion():
+            return sine(gear_ratio, **settings)
 
 
 @contextmanager
@@ -216,7 +246,8 @@ def _truth(
                 "start_angle_rad": recording.metadata["start_angle_rad"],
                 "motor_start_angle_rad": entry.motor_start_angle_rad,
                 "reference_speed_rpm": recording.metadata["reference_speed_rpm"],
-                "rotations": entry.rotations,
+                "rotations": entry.rotations if entry.motion is None else None,
+                "motion": entry.motion and entry.motion.model_dump(),
                 "sampling_hz": entry.sampling_hz,
             }
             for entry, recording, content in zip(entries, recordings, contents, strict=True)

@@ -27,7 +27,7 @@ from bayesbl.results.store import OUTCOME
 from bayesbl.results.summary_types import Head, head
 from bayesbl.results.variables import Group, Variable
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.cases import Case, Job, run_in_processes
+from bayesbl.runs.cases import Case, Job, files_of_study, run_in_processes, run_of_file
 from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
@@ -244,7 +244,9 @@ def _finish(
     if config.run.scheduler is None:
         ended = run_in_processes(study, jobs, git_commit(), config.run.workers)
     else:
-        ended = run_on_cluster(study, jobs, git_commit(), config.run.scheduler, options.say)
+        run_case = partial(run_of_file, str(study.path), git_commit())
+        files = files_of_study(study, jobs)
+        ended = run_on_cluster(run_case, jobs, files, config.run.scheduler, options.say)
     for job, case in ended:
         row = by_name[job.row]
         work.keep("case", row.address(case.index), case)

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.identification.summary import IdentificationSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.runs.fleet import FleetSummary
+    from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
     from bayesbl.runs.sweep_summary import SweepSummary
 
@@ -18,9 +20,11 @@ if TYPE_CHECKING:
         FitSummary
         | ComparisonSummary
         | SweepSummary
+        | PlanSummary
         | DiagnosisSummary
         | IdentificationSummary
         | StudySummary
+        | FleetSummary
     )
 
 _SUMMARISE = {
@@ -28,6 +32,7 @@ _SUMMARISE = {
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
     "identify": ("bayesbl.identification.summary", "summarise_identification"),
+    "plan": ("bayesbl.runs.plan", "summarise_plan"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
     "study": ("bayesbl.runs.study", "summarise_study"),
 }

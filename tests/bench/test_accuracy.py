@@ -16,8 +16,10 @@ from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.kernel import RPM, SLOTS, STATES, Slot
+from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, strokes
 from bayesbl.bench.simulation import (
     simulate_channels,
+    simulate_motions,
     simulate_speeds,
     simulate_states,
     start_states,
@@ -68,8 +70,11 @@ S = Slot
 
 
 @numba.njit(error_model="numpy")
-def reference_slopes(t, y, p):
-    """Slopes of θ_m, ω_m, θ_l, ω_l, ∫error, drive torque, sensed speed, Dahl z."""
+def reference_slopes(t, y, p, piece):
+    """Slopes of θ_m, ω_m, θ_l, ω_l, ∫error, drive torque, sensed speed, Dahl z.
+
+    ``piece``: start, ω_ref and θ_ref as polynomials of the time since, lowest power first.
+    """
     motor_angle, motor_speed, load_angle, load_speed, integral, drive, seen, dahl = y
     n = p[S.gear_ratio]
     ks = p[S.shaft_stiffness_nm_per_rad]
@@ -110,9 +115,11 @@ def reference_slopes(t, y, p):
     if p[S.speed_sensor_lag__time_s] > 0.0:
         seen_slope = (shown_speed - seen) / p[S.speed_sensor_lag__time_s]
         shown_speed = seen
-    reference = p[S.reference_speed_rpm] / RPM
-    error = reference - shown_speed
-    error += p[S.position_gain_per_s] * (reference * t - shown_angle)
+    s = t - piece[0]
+    asked_speed = piece[1] + piece[2] * s + piece[3] * s**2 + piece[4] * s**3
+    asked_angle = piece[5] + piece[6] * s + piece[7] * s**2 + piece[8] * s**3 + piece[9] * s**4
+    error = asked_speed - shown_speed
+    error += p[S.position_gain_per_s] * (asked_angle - shown_angle)
     demand = p[S.speed_gain_nm_s_per_rad] * error + p[S.integral_gain_nm_per_rad] * integral
     drive_slope = 0.0
     if p[S.current_loop_lag__time_s] > 0.0:
@@ -133,7 +140,7 @@ def reference_slopes(t, y, p):
     )
     losses += (p[S.friction_drift__torque_nm] + p[S.friction_drift__rate_nm_per_s] * t) * turning
 
-    load = p[S.gravity_torque_nm] * math.sin(load_angle)
+    load = p[S.gravity_torque_nm] * math.sin(load_angle + p[S.gravity_angle_rad])
     load += p[S.gravity_phase__torque_nm] * math.cos(load_angle)
     load += p[S.load_coulomb_friction__torque_nm] * math.tanh(load_speed / 1e-3)
     load += p[S.load_viscous_friction__coefficient_nm_s_per_rad] * load_speed
@@ -152,8 +159,16 @@ def reference_slopes(t, y, p):
     )
 
 
-def reference_channels(p: np.ndarray, state: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Recorded speed in rpm and current in A from the kernel's state at the first sample."""
+def reference_channels(
+    p: np.ndarray, state: np.ndarray, times: np.ndarray, motion: Motion | None = None
+) -> np.ndarray:
+    """Recorded speed in rpm and current in A from the kernel's state at the first sample.
+
+    Without a position loop where there is a motion.
+    """
+    steady = np.zeros((1, 10))
+    steady[0, [1, 6]] = p[Slot.reference_speed_rpm] / RPM
+    pieces = steady if motion is None else motion.pieces
     n = p[Slot.gear_ratio]
     start = state.copy()
     start[2] = state[0] / n - state[2]
@@ -167,26 +182,35 @@ def reference_channels(p: np.ndarray, state: np.ndarray, times: np.ndarray) -> n
         abs(p[Slot.reference_speed_rpm] / RPM)
         * max(p[Slot.motor_torque_ripple__order], p[Slot.gear_transmission_error__order]),
     )
-    solution = solve_ivp(
-        reference_slopes,
-        (times[0], times[-1]),
-        start,
-        method="DOP853",
-        t_eval=times,
-        args=(p,),
-        rtol=1e-11,
-        # in proportion to what each state does to the motor speed
-        atol=np.array([1e-6, 1e-6, 1e-10, 1e-8, 1e-7, 1e-8, 1e-6, 1e-7]),
-        max_step=0.4 / fastest,
-    )
-    assert solution.success
-    y = solution.y
+    parts = []
+    for piece, end in zip(pieces, [*pieces[1:, 0], np.inf], strict=True):
+        begin, end = max(piece[0], times[0]), min(end, times[-1])
+        if end <= begin and parts:
+            break
+        inside = times[(times >= begin) & (times < end)]
+        solution = solve_ivp(
+            reference_slopes,
+            (begin, end),
+            start,
+            method="DOP853",
+            t_eval=[*inside, end],
+            args=(p, piece),
+            rtol=1e-11,
+            # in proportion to what each state does to the motor speed
+            atol=np.array([1e-6, 1e-6, 1e-10, 1e-8, 1e-7, 1e-8, 1e-6, 1e-7]),
+            max_step=0.4 / fastest,
+        )
+        assert solution.success
+        start = solution.y[:, -1]
+        parts.append(solution.y[:, : inside.size])
+    y = np.concatenate([*parts, start[:, None]], axis=1)
     eccentricity = p[Slot.encoder_eccentricity__angle_rad]
     phase = y[0] + p[Slot.motor_start_angle_rad] - n * p[Slot.start_angle_rad]
     speed = y[1] * (1 + eccentricity * np.cos(phase + p[Slot.encoder_eccentricity__phase_rad]))
     if p[Slot.speed_sensor_lag__time_s] > 0.0:
         speed = y[6]
-    torque = p[Slot.speed_gain_nm_s_per_rad] * (p[Slot.reference_speed_rpm] / RPM - speed)
+    asked = p[Slot.reference_speed_rpm] if motion is None else motion.speed_rpm(times)
+    torque = p[Slot.speed_gain_nm_s_per_rad] * (asked / RPM - speed)
     torque += p[Slot.integral_gain_nm_per_rad] * y[4]
     if p[Slot.current_loop_lag__time_s] > 0.0:
         torque = y[5]
@@ -312,6 +336,80 @@ def test_position_loop_agrees_with_the_reference() -> None:
     states = simulate_states(parameters, state, samples, SAMPLING_HZ)
     exact = reference_channels(parameters, state, np.arange(samples) / SAMPLING_HZ)
     assert np.max(np.abs(states[1] * RPM - exact[0])) < PROMISED_RPM
+
+
+MOTIONS = {
+    "strokes": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5),
+    "sine": sine(120.0, (0.2, 0.9), 0.9, 1.5),
+    "cycle": cycle(120.0, [0.1, -0.1, 0.3], 800.0, 9000.0, 0.05, 1.5),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize(
+    "effects",
+    [[], ["motor_coulomb_friction", "load_coulomb_friction", "gear_mesh_friction"]],
+    ids=["bare", "sticking"],
+)
+def test_motions_keep_the_promise(name: str, effects: list[str]) -> None:
+    motion, samples = MOTIONS[name], 700
+    parameters = with_effects(np.random.default_rng(len(name)), effects)
+    parameters[Slot.start_angle_rad] = motion.start_angle_rad
+    parameters[Slot.gravity_angle_rad] = 0.7
+    channels = simulate_motions(parameters[None], motion, samples, SAMPLING_HZ)[0]
+    states = simulate_motions(parameters[None], motion, 1, SAMPLING_HZ, states=True)[0]
+    times = np.arange(samples) / SAMPLING_HZ
+    exact = reference_channels(parameters, states[:, 0], times, motion)
+    assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+
+
+def test_a_motion_at_constant_speed_is_steady_rotation() -> None:
+    # From the middle of a flank, where the start of a motion is that of the settling.
+    bench, time = reference_bench(), np.arange(4000) / SAMPLING_HZ
+    motion = recorded_motion(time, np.full(time.size, 2000.0))
+    parameters = bench.vector(gap_rad=8e-4, start_angle_rad=0.5 * math.pi)
+    moving = simulate_motions(parameters, motion, time.size, SAMPLING_HZ)[0]
+    steady = simulate_channels(parameters, time.size, SAMPLING_HZ)[0]
+    assert np.max(np.abs(moving - steady)[1, 300:]) < PROMISED_RPM
+
+
+def test_recorded_references_make_the_motion_that_they_were_recorded_of() -> None:
+    parameters = reference_bench().vector(gap_rad=8e-4, start_angle_rad=0.2)
+    time = np.arange(1500) / 1000.0
+    for motion in MOTIONS.values():
+        speed, position = motion.speed_rpm(time), motion.position_rad(time)
+        made = simulate_motions(parameters, motion, time.size, 1000.0)[0, 1]
+        by_speed = simulate_motions(parameters, recorded_motion(time, speed), time.size, 1000.0)
+        assert np.max(np.abs(by_speed[0, 1] - made)) < 0.05
+        recorded = recorded_motion(time, position_rad=position)
+        by_position = simulate_motions(parameters, recorded, time.size, 1000.0)
+        assert np.max(np.abs(by_position[0, 1] - made)) < 0.3
+
+
+def test_a_load_at_rest_on_its_flank_stays_there() -> None:
+    held = recorded_motion(np.arange(2000) / 1000.0, np.zeros(2000))
+    for effects in ([], ["motor_coulomb_friction", "load_coulomb_friction"]):
+        parameters = with_effects(np.random.default_rng(3), effects)
+        parameters[[Slot.start_angle_rad, Slot.load_coulomb_friction__torque_nm]] = 0.5, 0.0
+        speed = simulate_motions(parameters[None], held, 2000, 1000.0)[0, 1]
+        assert np.max(np.abs(speed)) < PROMISED_RPM
+
+
+def test_a_vertical_axis_feels_no_angle() -> None:
+    motion = MOTIONS["strokes"]
+    matrix = reference_bench().vector(
+        gap_rad=8e-4, gravity_torque_nm=0.0, start_angle_rad=np.array([0.0, 1.0])
+    )
+    first, second = simulate_motions(matrix, motion, 700, SAMPLING_HZ)[:, 1]
+    assert np.max(np.abs(first - second)) < PROMISED_RPM
+
+
+def test_the_gravity_angle_turns_the_posture() -> None:
+    bench, motion = reference_bench(), MOTIONS["strokes"]
+    turned = bench.vector(gap_rad=8e-4, start_angle_rad=-0.3, gravity_angle_rad=0.6)
+    placed = bench.vector(gap_rad=8e-4, start_angle_rad=0.3)
+    first, second = (simulate_motions(v, motion, 700, SAMPLING_HZ)[0] for v in (turned, placed))
+    assert np.max(np.abs(first[1:] - second[1:])) < PROMISED_RPM
 
 
 def test_parameter_vectors_have_a_place_for_everything() -> None:

@@ -20,7 +20,7 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import RecordingError, UserError
-from bayesbl.matching.signals import observed
+from bayesbl.matching.observed import observed
 from bayesbl.measurement.amplitude_route import verdict
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
 from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset

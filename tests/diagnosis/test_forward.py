@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
@@ -20,6 +21,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     ForwardSettings,
     diagnosis_of,
     estimates,
+    halves,
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
@@ -27,17 +29,17 @@ from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import (
     GAP,
     START_ANGLE,
-    Observed,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.naming.motor_orders import order_peaks
+from bayesbl.noise.process import NoiseModel
 from bayesbl.presentation.diagnosis import residuals_in_words
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
@@ -397,7 +399,7 @@ def folder(tmp_path: Path, independent) -> Path:
         ("bench.toml", 'drive = "two_mass"', 'drive = "rigid"', ("two_mass", "inverse")),
         ("forward.csv", MOTOR_CURRENT, "temperature", (MOTOR_CURRENT, "forward.csv")),
         ("config.toml", "= 2000.0", "= 1200.0", ("another speed", "2000", "1200")),
-        ("bench.toml", "value = 120.0\n", "value = 150.0\n", ("forward.csv", "4 load", "split")),
+        ("bench.toml", "value = 120.0\n", "value = 160.0\n", ("forward.csv", "3.75 load", "split")),
         ("config.toml", 'motor_current_a"]', 'motor_position_rad"]', ("motor_position_rad",)),
         (
             "config.toml",
@@ -421,14 +423,14 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
 
 def test_too_few_rotations_to_tell_noise_from_what_repeats_are_refused(folder, capsys) -> None:
     bench, config = folder / "bench.toml", folder / "config.toml"
-    bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 300.0\n", 1))
+    bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 310.0\n", 1))
     forward = CONFIG[CONFIG.index("[[recordings]]") :]
     used = forward.replace('"split"', '"fit"')
     held_out = forward.replace('"split"', '"hold_out"').replace('"forward"', '"again"')
     config.write_text(CONFIG.replace(forward, used + held_out))
     assert status(["diagnose", str(config)]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    for word in ("forward.csv", "too short to be fitted", "2 load rotations"):
+    for word in ("forward.csv", "too short to be fitted", "1.94 load rotations"):
         assert word in said
 
 
@@ -469,3 +471,46 @@ def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatc
     config = load_config(folder / "config.toml", kind="diagnose")
     with pytest.raises(AskedError, match=r"0\.99"):
         run_diagnose(config)
+
+
+def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
+    drifting = replace(
+        reference_bench(),
+        measurement=Measurement(
+            speed_noise=NoiseModel(1.5, (0.6,)), current_noise=NoiseModel(0.05)
+        ),
+    ).with_effects(
+        BenchEffect(
+            "friction_drift",
+            {
+                "torque_nm": EffectParameterValue(0.1),
+                "rate_nm_per_s": EffectParameterValue(0.006),  # 0.012 A/s
+            },
+        )
+    )
+    used, held_out = [], []
+    for k, speed in enumerate((2000.0, -2000.0)):
+        recording = drifting.simulate(
+            GAP_RAD,
+            rotations=4.0,
+            sampling_hz=500.0,
+            start_angle_rad=0.4 + k,
+            reference_speed_rpm=speed,
+            seed=np.random.default_rng(k),
+            name=f"{speed:g} rpm",
+        )
+        seen = observed(recording, BENCH, speed)
+        forward.require_rotations(seen, "recording.csv", split=True)
+        first, second = halves(seen)
+        used.append(first)
+        held_out.append(second)
+    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
+    effects = ("motor_coulomb_friction", "friction_drift", "motor_torque_offset")
+    findings = search(BENCH, used, held_out, unknowns, ForwardSettings(effects))
+    found = Found(findings, diagnosis_of(findings))
+    assert found.answer.verdict == "named"
+    assert names(found) == ["friction_drift"]
+    assert near(fitted(found, "friction_drift")["rate_nm_per_s"], 0.006)
+    closed = found.answer.disagreement.overall["held_out"].closed_fraction
+    assert closed is not None
+    assert closed > 0.98

@@ -11,11 +11,11 @@ import pytest
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import (
     SimulatedSignals,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.matching.simulation_cache import RecentSimulations

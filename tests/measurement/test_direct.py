@@ -19,17 +19,16 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measur
 from bayesbl.config.bench import load_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
     START_ANGLE,
-    Observed,
     SimulatedSignals,
     Unknown,
     effect_unknowns,
     gap_unknown,
-    observed,
     start_angle_unknown,
     tolerance_unknowns,
 )

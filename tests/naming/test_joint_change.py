@@ -12,8 +12,9 @@ from bayesbl.bench.bench import BenchParameter
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
-from bayesbl.matching.signals import GAP, observed
+from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.naming.joint_change import find_changes
 from bayesbl.sampling.chains import SamplerSettings

@@ -186,6 +186,14 @@ def test_what_changed_besides_the_gap_is_told_once():
     assert flat(printed(ringing_alone(same_joint=check(sentence)))).count(sentence) == 1
 
 
+@pytest.mark.parametrize(("error", "told"), [(2.0e-4, False), (2.2e-4, True)])
+def test_growth_that_an_unseen_change_could_make_is_told_with_that_condition(error, told):
+    """The interval begins at 0.212 mrad."""
+    spot = {"change": "K_t by 2 %", "reason": "too small to show", "delta_error_rad": error}
+    text = flat(printed(comparison() | {"same_joint": check(blind_spots=[spot])}))
+    assert ("grew: > 99.9 % if nothing else in the joint changed" in text) is told
+
+
 def test_a_fit_answers_with_the_gap():
     text = flat(
         printed({"kind": "fit", "outcome": "converged", "curve": "x", "warnings": [], **part()})

@@ -20,7 +20,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ClusterError
 from bayesbl.results.store import read_tree
 from bayesbl.runs import cluster as clusters
-from bayesbl.runs.cases import Job
+from bayesbl.runs.cases import Job, files_of_study
 from bayesbl.runs.cluster import Common
 from bayesbl.runs.study import prepare
 from bayesbl.runs.study import run as run_study
@@ -239,7 +239,7 @@ def test_a_worker_that_joins_later_is_asked_too(folder, monkeypatch):
 
 def common(folder: Path) -> Common:
     study, rows = prepare(load_config(configure(folder, "out", "workers = 1")))
-    return Common.of(study, [Job(row.table, 0, 1) for row in rows])
+    return Common.of(files_of_study(study, [Job(row.table, 0, 1) for row in rows]))
 
 
 def test_a_worker_tells_what_it_has_otherwise(folder, monkeypatch):
@@ -293,8 +293,8 @@ def test_an_address_that_cannot_be_one_is_refused(folder, address, capsys):
     assert "tcp://host:8786" in " ".join(capsys.readouterr().err.split())
 
 
-def test_only_studies_take_a_scheduler(capsys):
+def test_only_studies_and_fleets_take_a_scheduler(capsys):
     config = CONFIGS / "wear_snapshots.toml"
     arguments = ["run", str(config), "--scheduler", "tcp://127.0.0.1:1"]
     assert cli.status(arguments) == cli.WRONG
-    assert "Only studies run on a cluster." in capsys.readouterr().err
+    assert "Only studies and fleets run on a cluster." in capsys.readouterr().err

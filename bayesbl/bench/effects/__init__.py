@@ -61,6 +61,21 @@ _REPEATING_AT_WHOLE_ORDERS = [
 ]
 _WITH_MOTOR_ANGLE = [slot for effect, slot, _ in _AMPLITUDES if "motor_angle" in effect.depends_on]
 
+_RATES = [
+    (effect.slots[item.rate_of], effect.slots[item.name])
+    for effect in EFFECTS
+    for item in effect.amplitudes
+    if item.rate_of is not None
+]
+
+
+def after(matrix: FloatArray, time_s: float) -> FloatArray:
+    """These benches, shape (m, SLOTS), as what changes with time has made them so much later."""
+    matrix = matrix.copy()
+    for value, rate in _RATES:
+        matrix[:, value] += time_s * matrix[:, rate]
+    return matrix
+
 
 def repeat_each_rotation(matrix: FloatArray) -> bool:
     """Whether what is on in these benches, shape (m, SLOTS), repeats every load rotation."""

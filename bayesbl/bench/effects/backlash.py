@@ -59,7 +59,7 @@ EFFECT = Effect(
         signal=position_rad,
         amplitude="gap_rad",
         scanned="gap_rad",  # the signal is not linear in the gap
-        grid=tuple(np.geomspace(1e-5, 4e-3, 25)),
+        grid=tuple(np.geomspace(1e-6, 0.1, 41)),
     ),
     replaces="gap_rad",
 )

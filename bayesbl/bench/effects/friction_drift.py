@@ -51,6 +51,7 @@ EFFECT = Effect(
             high=0.05,
             typical=0.01,
             repeats="never",
+            rate_of="torque_nm",
         ),
     ),
     enters="motor",

@@ -8,10 +8,7 @@ bench shows it as friction at the motor, T_c/N.
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect
-from bayesbl.bench.kernel import LOAD_SIGN_WIDTH
+from bayesbl.bench.effect_declaration import ARMSTRONG, Amplitude, Effect, direction
 
 EFFECT = Effect(
     place=70,
@@ -34,7 +31,5 @@ EFFECT = Effect(
     depends_on=("direction",),
     data="pulses move away from half a rotation apart and change in size; current offset",
     reference=ARMSTRONG,
-    load_torque=lambda motion, bench, given: (
-        given["torque_nm"] * np.tanh(motion.speed / bench.value("gear_ratio") / LOAD_SIGN_WIDTH)
-    ),
+    load_torque=lambda motion, bench, given: given["torque_nm"] * direction(motion),
 )

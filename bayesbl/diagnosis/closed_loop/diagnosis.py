@@ -30,8 +30,9 @@ from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.signals import GAP, START_ANGLE, Observed, Unknown
+from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, with_noise
@@ -41,6 +42,8 @@ from bayesbl.naming.search import (
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress
+
+MOST_EFFECTS = 3
 
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
@@ -54,7 +57,7 @@ class ForwardSettings:
     """What may be named, and how surely; as ``[candidates]`` and ``[comparison]`` say."""
 
     effects: Sequence[str] | None = None
-    max_effects: int = 3
+    max_effects: int = MOST_EFFECTS
     false_alarm: float = 0.01
     load_angle_known: bool = False
     motor_angle_known: bool = False
@@ -353,4 +356,5 @@ def _rows(seen: Observed, rows: slice) -> Observed:
         signals=seen.signals[:, rows],
         excluded=None if excluded is None else excluded[rows],
         motor_angle_rad=None if angle is None else angle[rows],
+        begin_s=seen.begin_s + (rows.start or 0) / seen.sampling_hz,
     )

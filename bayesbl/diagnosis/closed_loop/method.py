@@ -12,6 +12,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import (
+    MOST_EFFECTS,
     Findings,
     ForwardSettings,
     diagnosis_of,
@@ -21,18 +22,18 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.predictive_check import ROUNDING
 from bayesbl.matching.signals import (
     START_ANGLE,
-    Observed,
     Unknown,
     gap_unknown,
-    observed,
     start_angle_unknown,
 )
 from bayesbl.measurement.task import StageProgress
-from bayesbl.noise.channel_noise import HIGHEST_ORDER
 from bayesbl.recording.checks import require_alive, require_channels
+from bayesbl.recording.moving import moves
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -75,7 +76,7 @@ class ClosedLoop:
         asked = config.candidates.effects
         settings = ForwardSettings(
             None if asked == "all" else asked,
-            config.candidates.max_effects,
+            config.candidates.max_effects or MOST_EFFECTS,
             config.candidates.false_alarm,
             config.comparison.load_angle_known,
             config.comparison.motor_angle_known,
@@ -112,6 +113,14 @@ def forward_problem(
     recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
     used, held_out = [], []
     for entry, recording in zip(config.recordings, recordings, strict=True):
+        if moves(recording):
+            raise RecordingError(
+                "A diagnosis compares recordings of one speed each, and this is of a motion.",
+                file=str(entry.file),
+                found="a reference that varies over time",
+                expected="bayesbl fit RECORDING --bench FILE, which also names what contradicts "
+                "the bench",
+            )
         seen = observed(recording, bench, entry.reference_speed_rpm)
         seen = replace(
             seen,
@@ -120,7 +129,7 @@ def forward_problem(
             motor_angle_rad=_motor_angle(config, recording),
         )
         if entry.use in ("fit", "split"):
-            _require_rotations(seen, str(entry.file), entry.use == "split")
+            require_rotations(seen, str(entry.file), entry.use == "split")
         if entry.use == "split":
             first, second = halves(seen)
             used.append(first)
@@ -165,9 +174,9 @@ def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> l
     ]
 
 
-def _require_rotations(seen: Observed, file: str, split: bool) -> None:
+def require_rotations(seen: Observed, file: str, split: bool) -> None:
     """Whole rotations separate what repeats from noise, in each half if it is split."""
-    fewest = (2 * seen.lag + HIGHEST_ORDER) * (2 if split else 1)
+    fewest = (2.0 - ROUNDING) * seen.lag * (2 if split else 1)
     if seen.samples >= fewest:
         return
     problem = "split: each half needs" if split else "fitted: it needs"

@@ -12,12 +12,8 @@ from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_setting
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated
-from bayesbl.matching.signals import (
-    Observed,
-    SimulatedSignals,
-    Unknown,
-    start_angle_unknown,
-)
+from bayesbl.matching.observed import Observed
+from bayesbl.matching.signals import SimulatedSignals, Unknown, start_angle_unknown
 from bayesbl.naming.explanation import Explanation
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.recording.types import FloatArray

@@ -12,7 +12,8 @@ from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
 from bayesbl.diagnosis.diagnosis import Suggestion
-from bayesbl.matching.signals import START_ANGLE, Observed
+from bayesbl.matching.observed import Observed
+from bayesbl.matching.signals import START_ANGLE
 from bayesbl.naming.explanation import Explanation
 from bayesbl.naming.search import NamedCandidate
 from bayesbl.recording.types import FloatArray

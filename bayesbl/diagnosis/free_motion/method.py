@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
-from bayesbl.diagnosis.free_motion.trajectory import FreeMotionComparison, free_motion_candidates
+from bayesbl.diagnosis.free_motion.trajectory import (
+    FreeMotionComparison,
+    free_motion_candidates,
+    start_of,
+)
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -18,8 +18,7 @@ from bayesbl.diagnosis.rigid.preparation import (
 )
 from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
-from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.units import RPM_PER_RAD_PER_S
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED
 
 CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
 
@@ -48,10 +47,10 @@ def free_motion_problem(task: Task) -> Problem:
         )
     if GRAVITY not in unknown:
         unknown_parameters(task, (*INERTIAS, GRAVITY))
-    pieces, _, parts = pieces_of(task, recordings, channel)
+    pieces = pieces_of(task, recordings, channel)
     comparison = FreeMotionComparison(
         pieces,
-        tuple(_start(part, channel) for part in parts),
+        tuple(start_of(piece) for piece in pieces),
         bench,
         tuple(wanted(config, bench, free_motion_candidates(compared.load_angle_known and gravity))),
         unknown,
@@ -66,16 +65,6 @@ def free_motion_problem(task: Task) -> Problem:
     if channel == MOTOR_SPEED:
         notes.append("Speed alone: the start angle is known only through what gravity does.")
     return Problem(comparison, lambda fit: (), tuple(notes))
-
-
-def _start(part: Recording, channel: str) -> FloatArray:
-    """Angle and speed near the first sample, where the fit of the start begins; rad, rad/s."""
-    few = max(4, math.ceil(0.02 / part.sampling_period_s))
-    time = part.time_s[:few] - part.time_s[0]
-    if channel == MOTOR_SPEED:
-        return np.array([0.1, part.motor_speed_rpm[0] / RPM_PER_RAD_PER_S])
-    slope, angle = np.polyfit(time, part.channels[MOTOR_POSITION][:few], 1)
-    return np.array([angle, slope])
 
 
 METHOD = BySelection("free_motion", free_motion_problem)

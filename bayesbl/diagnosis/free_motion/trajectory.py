@@ -8,7 +8,7 @@ the motor and at the load are the same law.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -25,16 +25,25 @@ from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
-ACCURACY_RPM = 1e-3
+ACCURACY = 1e-4
+"""Largest error of the simulated speed, as a share of the largest speed."""
+
+WIDTH = "friction_width"
+WIDTHS = (1e-3, 0.01, 0.3)
+"""Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
+
+SHAPE_RANGE = (0.01, 2.0)
+"""Of a fading speed, in RMS speeds."""
+
 _ZERO = "angle_zero"
 _FIRST_SHARE = 0.03
 _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
 
 
 def free_motion_candidates(load_angle_known: bool) -> tuple[TestedEffect, ...]:
-    """Catalogue effects in the order they are tried."""
+    """Catalogue effects in the order they are tried: one at a time, each fit takes simulations."""
     return tuple(
-        TORQUE_TERMS[effect.name].candidate
+        replace(TORQUE_TERMS[effect.name].candidate, is_plain=False)
         for effect in EFFECTS
         if effect.free_motion and (load_angle_known or "load_angle" not in effect.depends_on)
     )
@@ -106,7 +115,28 @@ class FreeMotionComparison:
                 for name, active in zip(names, found.active_mask, strict=True)
                 if active and "." in name
             ),
+            shared={WIDTH: values[WIDTH]} if WIDTH in values else {},
         )
+
+    def folds(self) -> list[FreeMotionComparison]:
+        """The used pieces twice, one half of them to fit on and the other to predict."""
+        used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+        chosen = [(self.pieces[i], self.starts[i]) for i in used]
+        if len(used) == 1:
+            piece, start = chosen[0]
+            first, second = piece.half(False), piece.half(True)
+            chosen = [(first, start), (second, start_of(second))]
+        return [
+            replace(
+                self,
+                pieces=tuple(
+                    replace(piece, use="used" if k % 2 == turn else "held_out")
+                    for k, (piece, _) in enumerate(chosen)
+                ),
+                starts=tuple(start for _, start in chosen),
+            )
+            for turn in (0, 1)
+        ]
 
     def _shared(
         self, effects: tuple[str, ...], start: EffectsFit | None
@@ -118,6 +148,10 @@ class FreeMotionComparison:
             shared[name] = (value, 1e-6 * value, np.inf)
         if not self.load_angle_known:
             shared[_ZERO] = (1e-3, -np.inf, np.inf)
+        if any("direction" in effect_named(name).depends_on for name in effects):
+            low, first, high = (share * self._speed for share in WIDTHS)
+            known_width = start.shared.get(WIDTH, first) if start else first
+            shared[WIDTH] = (known_width, low, high)
         for name in effects:
             candidate = next(c for c in self.candidates if c.name == name)
             known: Mapping[str, float] = start.effects.get(name, {}) if start else {}
@@ -125,18 +159,16 @@ class FreeMotionComparison:
                 lower = 0.0 if candidate.not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
                 if isinstance(item, Shape):
-                    lower, upper = item.low, item.high
+                    lower, upper = (share * self._speed for share in SHAPE_RANGE)
                 value = known.get(item.name, self._first(item))
                 shared[f"{name}.{item.name}"] = (value, lower, upper)
         return shared
 
     def _first(self, parameter: EffectParameter) -> float:
         """A small share of the torques at work: where a search for an effect starts."""
-        speed = max(float(np.std(np.gradient(p.measured, p.period_s))) for p in self.pieces)
-        if self.pieces[0].channel == SPEED_CHANNEL:
-            speed = max(float(np.std(p.measured)) for p in self.pieces) / RPM_PER_RAD_PER_S
+        speed = self._speed
         if isinstance(parameter, Shape):
-            return min(parameter.neutral, speed)
+            return 0.3 * speed
         ratio = self.bench.value("gear_ratio")
         torque = _FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio
         if torque == 0.0:
@@ -151,6 +183,16 @@ class FreeMotionComparison:
             "N m/s": 0.1 * torque,
         }
         return scales[parameter.unit]
+
+    @property
+    def _speed(self) -> float:
+        """Standard deviation of the speed in the fastest piece, rad/s."""
+        if self.pieces[0].channel == SPEED_CHANNEL:
+            return max(float(np.std(p.kept(p.measured))) for p in self.pieces) / RPM_PER_RAD_PER_S
+        return max(
+            float(np.std(np.diff(p.kept(p.measured)) / np.diff(p.kept(p.time_s))))
+            for p in self.pieces
+        )
 
     def _own_start(
         self, i: int, effects: tuple[str, ...], values: Mapping[str, float]
@@ -193,10 +235,15 @@ class FreeMotionComparison:
         zero = values.get(_ZERO, 0.0)
         state = np.zeros(STATES)
         state[MOTOR_ANGLE], state[MOTOR_SPEED] = angle + zero, speed
-        vector[Slot.reference_speed_rpm] = max(1.0, abs(speed)) * RPM_PER_RAD_PER_S
+        vector[Slot.reference_speed_rpm] = self._speed * RPM_PER_RAD_PER_S
         try:
             states = simulate_states(
-                vector, state, piece.measured.size, 1.0 / piece.period_s, accuracy_rpm=ACCURACY_RPM
+                vector,
+                state,
+                piece.measured.size,
+                1.0 / piece.period_s,
+                accuracy_rpm=ACCURACY * self._speed * RPM_PER_RAD_PER_S,
+                friction_width_rad_per_s=values.get(WIDTH, WIDTHS[1] * self._speed),
             )
         except BenchError:
             # A step of the search beyond what can be simulated: far off, and so turned back.
@@ -204,3 +251,12 @@ class FreeMotionComparison:
         if piece.channel == SPEED_CHANNEL:
             return np.asarray(states[MOTOR_SPEED] * RPM_PER_RAD_PER_S)
         return np.asarray(states[MOTOR_ANGLE] - zero)
+
+
+def start_of(piece: Piece) -> FloatArray:
+    """Angle and speed near the first sample, where the fit of the start begins; rad, rad/s."""
+    if piece.channel == SPEED_CHANNEL:
+        return np.array([0.1, piece.measured[0] / RPM_PER_RAD_PER_S])
+    few = max(4, piece.measured.size // 100)
+    slope, angle = np.polyfit(piece.time_s[:few] - piece.time_s[0], piece.measured[:few], 1)
+    return np.array([angle, slope])

@@ -39,7 +39,7 @@ from bayesbl.diagnosis.residuals.line_search import Scales, scales
 from bayesbl.diagnosis.residuals.skew import Skew
 from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg
 from bayesbl.errors import RecordingError
-from bayesbl.matching.signals import Observed
+from bayesbl.matching.observed import Observed
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray
 
 FALSE_DISCOVERY_RATE = 0.01

@@ -4,30 +4,41 @@
     θ_l = θ_m/N + offset + effects                                          (load position)
 
 Every effect is linear in its amplitude, so a fit is linear least squares around a scan of the few
-parameters that are not (orders, fading speeds, a gap, a skew). Nothing is weighted: the fit
-minimises the RMSE that is reported, and coloured noise widens its covariance instead.
+parameters that are not (orders, fading speeds, a gap, a skew, the speed over which dry friction
+changes its sign). All of them are scanned in units of the recordings' own, so that a machine of any
+size has the same answer. Nothing is weighted: the fit minimises the RMSE that is reported, and
+coloured noise widens its covariance instead.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
+from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
-from bayesbl.diagnosis.rigid.order_scan import OrderScan, scan_orders
-from bayesbl.diagnosis.rigid.terms import SKEW, Term, required_torque
+from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
+from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
+from bayesbl.diagnosis.rigid.view import View
 from bayesbl.recording.types import FloatArray
 
 Values = dict[str, float]
+Columns = dict[str, FloatArray]
 
-SKEW_GRID_S = tuple(np.linspace(-0.01, 0.01, 21))
+WIDTH = "friction_width"
+
+WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
+"""In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
+
+SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 21))
+"""In periods of the cut-off: beyond half of one a delay has no sign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +48,9 @@ class InverseComparison:
     Attributes
     ----------
     motions, known
-        For every piece: its motion, and known torques at the motor, N m, shape (n,).
+        For every piece, over its whole recording: motion, and known torques at the motor, N m.
+    views
+        For every piece: what is compared of a signal over its recording.
     terms
         Effects that may take part.
     unknown
@@ -49,11 +62,14 @@ class InverseComparison:
     load_angle_known, phases_shared
         The motor position tells the load's angle, so gravity's direction; it is absolute, so one
         phase holds for all recordings. Without either, sine and cosine are free per recording.
+    seen
+        For every piece, what has been computed of it.
     """
 
     pieces: tuple[Piece, ...]
     motions: tuple[Motion, ...]
     known: tuple[FloatArray, ...]
+    views: tuple[View, ...]
     bench: Bench
     terms: Mapping[str, Term]
     unknown: tuple[str, ...] = ()
@@ -61,15 +77,52 @@ class InverseComparison:
     load: bool = False
     load_angle_known: bool = False
     phases_shared: bool = False
+    seen: tuple[dict[Hashable, FloatArray], ...] = field(default=(), repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.seen:
+            object.__setattr__(self, "seen", tuple({} for _ in self.pieces))
 
     @property
     def candidates(self) -> tuple[TestedEffect, ...]:
         """All effects that may take part."""
         return tuple(term.candidate for term in self.terms.values())
 
+    def folds(self) -> list[InverseComparison]:
+        """The used pieces twice, one half of them to fit on and the other to predict."""
+        used = self._used
+        names = list(dict.fromkeys(self.pieces[i].name for i in used))
+        if len(names) > 1:
+            turn = {name: k % 2 for k, name in enumerate(names)}
+            return [
+                self._of([(i, None, turn[self.pieces[i].name] == first) for i in used])
+                for first in (0, 1)
+            ]
+        halves = [(i, second) for i in used for second in (False, True)]
+        return [self._of([(*half, half[1] == first) for half in halves]) for first in (0, 1)]
+
+    def _of(self, chosen: Sequence[tuple[int, bool | None, bool]]) -> InverseComparison:
+        """Some pieces, or their first or second halves, and whether each is fitted."""
+        pieces, views, seen = [], [], []
+        for i, half, is_used in chosen:
+            piece, view = self.pieces[i], self.views[i]
+            if half is not None:
+                piece, view = piece.half(half), view.half(half)
+            pieces.append(replace(piece, use="used" if is_used else "held_out"))
+            views.append(view)
+            seen.append(self.seen[i] if half is None else {})
+        return replace(
+            self,
+            pieces=tuple(pieces),
+            motions=tuple(self.motions[i] for i, *_ in chosen),
+            known=tuple(self.known[i] for i, *_ in chosen),
+            views=tuple(views),
+            seen=tuple(seen),
+        )
+
     def fit(self, effects: tuple[str, ...], start: EffectsFit | None = None) -> EffectsFit:
         """Least squares with these effects; shapes that ``start`` holds are kept."""
-        shapes: Values = {}
+        shapes: Values = dict(start.shared) if start is not None else {}
         trials: dict[str, float] = {}
         fresh = [name for name in effects if start is None or name not in start.effects]
         for name in effects:
@@ -78,37 +131,53 @@ class InverseComparison:
                     f"{name}.{shape}": start.effects[name][shape] for shape in self._scanned(name)
                 }
                 trials[name] = start.trials.get(name, 1.0)
+        directional = self._directional(effects)
+        if directional and WIDTH not in shapes:
+            plain = tuple(e for e in effects if e not in fresh or not self._scanned(e))
+            self._scan_width(plain, shapes)
         for name in fresh:
             trials[name] = self._scan(name, effects, shapes, start)
-        values, used = self._solve(effects, shapes)
-        predictions = self._predictions(effects, values, used)
-        names = [name for name in values if self._is_used(name)]
-        columns = tuple(
-            piece.kept(self._columns(i, effects, values, names))
-            for i, piece in enumerate(self.pieces)
-            if piece.use == "used"
+        if directional and any(self._scanned(name) for name in fresh):
+            self._scan_width(effects, shapes)
+        linear, _ = self._linear(effects, shapes)
+        found = {name: self._catalogue(name, linear, shapes) for name in effects}
+        self._share_amplitudes(found, linear)
+        predictions = tuple(
+            self._prediction(i, effects, shapes, self._own(i, effects, shapes, linear, found))
+            for i in range(len(self.pieces))
         )
-        bench = {name: self.bench.value(name) + values[name] for name in self.unknown}
-        found = {name: _catalogue_parameters(self.terms[name], values) for name in effects}
-        edges = frozenset(name for name in effects if self._at_edge(name, values))
-        return EffectsFit(found, bench, tuple(predictions), columns, tuple(names), trials, edges)
-
-    def _at_edge(self, name: str, values: Mapping[str, float]) -> bool:
-        """Whether the scan of an effect's shape ended where the scan ends."""
-        term, scanned = self.terms[name], self._scanned(name)
-        grid = SKEW_GRID_S if name == SKEW else term.law.grid
-        if not scanned or not grid:
-            return False
-        near = 1e-2 * (grid[1] - grid[0])
-        value = values[f"{name}.{scanned[0]}"]
-        return not grid[0] + near < value < grid[-1] - near
+        names = self._names(effects, shapes, linear)
+        columns = tuple(
+            self.pieces[i].kept(self._jacobian(i, effects, shapes, linear, names))
+            for i in self._used
+        )
+        bench = {name: self.bench.value(name) + linear[name] for name in self.unknown}
+        edges = frozenset(name for name in effects if self._at_edge(name, shapes))
+        shared = {WIDTH: shapes[WIDTH]} if directional else {}
+        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared)
 
     def scan_orders(self, fit: EffectsFit) -> OrderScan:
         """Residuals of a fit on the used pieces, order by order of the motor's turning."""
-        used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
-        angles = [self.pieces[i].kept(self.motions[i].angle) for i in used]
-        rests = [self.pieces[i].kept(self.pieces[i].measured - fit.predictions[i]) for i in used]
-        return scan_orders(angles, rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
+        rests = [
+            OrderedRest(
+                piece.name,
+                piece.kept(motion.angle[view.rows]),
+                piece.kept(piece.measured - fit.predictions[i]),
+                piece.kept(view.order_at_cutoff(motion)),
+                view.above,
+            )
+            for i, piece, motion, view in zip(
+                range(len(self.pieces)), self.pieces, self.motions, self.views, strict=True
+            )
+            if piece.use == "used"
+        ]
+        return scan_orders(rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
+
+    @property
+    def _used(self) -> list[int]:
+        return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+
+    # Shapes
 
     def _scanned(self, name: str) -> list[str]:
         """Parameters of an effect that the linear solution does not give."""
@@ -117,6 +186,84 @@ class InverseComparison:
             return [term.candidate.amplitude]
         return [term.law.scanned] if term.law.scanned else []
 
+    def _directional(self, effects: tuple[str, ...]) -> bool:
+        """Whether dry friction takes part, named or in the bench."""
+        names = (*effects, *(e.name for e in self.bench.effects))
+        return not self.load and any("direction" in effect_named(n).depends_on for n in names)
+
+    def _grid(self, name: str) -> tuple[float, ...]:
+        """Values of an effect's shape to try, in its own unit."""
+        if name == SKEW:
+            period = 1.0 / self.views[0].low_pass.cutoff_hz
+            return tuple(period * share for share in SKEW_GRID)
+        law = self.terms[name].law
+        unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
+        return tuple(unit * share for share in law.grid)
+
+    @property
+    def speed_rad_per_s(self) -> float:
+        """RMS speed of the motor over what is fitted."""
+        speeds = np.concatenate(
+            [
+                self.pieces[i].kept(self.motions[i].speed[self.views[i].rows])
+                for i in self._used
+                if not self.views[i].above
+            ]
+        )
+        return math.sqrt(float(np.mean(speeds**2)))
+
+    @property
+    def _travel_rad(self) -> float:
+        """Way of the load over what is fitted."""
+        angles = [self.motions[i].angle for i in self._used]
+        way = max(float(np.ptp(angle)) for angle in angles)
+        return way / self.bench.value("gear_ratio")
+
+    @property
+    def _period_s(self) -> float:
+        """Sampling period of the recordings."""
+        times = self.motions[0].time_s
+        return float(times[-1] - times[0]) / (times.size - 1)
+
+    def _at_edge(self, name: str, shapes: Values) -> bool:
+        """Whether the scan of an effect's shape ended where it ends or shows nothing."""
+        widest = 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s
+        if "direction" in effect_named(name).depends_on and shapes.get(WIDTH, 0.0) > widest:
+            return True
+        scanned = self._scanned(name)
+        if not scanned:
+            return False
+        value = shapes[f"{name}.{scanned[0]}"]
+        if name == SKEW and abs(value) < 0.5 * self._period_s:
+            return True  # so far apart are samples and what a controller holds between them
+        if scanned[0] == ORDER:
+            return not LOWEST_ORDER < value < HIGHEST_ORDER
+        grid = self._grid(name)
+        near = 1e-2 * (grid[1] - grid[0])
+        return not grid[0] + near < value < grid[-1] - near or self._extrapolates(name, shapes)
+
+    def _extrapolates(self, name: str, shapes: Values) -> bool:
+        """Whether no sample shows half of an effect's size: it would be an extrapolation."""
+        term = self.terms[name]
+        if name == SKEW or self.load or term.periodic or term.law.scanned is None:
+            return False
+        given = {
+            term.candidate.amplitude: 1.0,
+            term.law.scanned: shapes[f"{name}.{term.law.scanned}"],
+        }
+        largest = 0.0
+        for i in self._used:
+            signal = term.law.signal(self._motion(i, shapes), self.bench, given)
+            window = self.views[i].window
+            largest = max(
+                largest, float(np.abs(signal if window is None else window * signal).max())
+            )
+        return largest < 0.5
+
+    def _scan_width(self, effects: tuple[str, ...], shapes: Values) -> None:
+        unit = self.speed_rad_per_s
+        self._search(WIDTH, [unit * share for share in WIDTH_GRID], effects, shapes)
+
     def _scan(
         self, name: str, effects: tuple[str, ...], shapes: Values, start: EffectsFit | None
     ) -> float:
@@ -124,243 +271,308 @@ class InverseComparison:
         scanned = self._scanned(name)
         if not scanned:
             return 1.0
-        term, key = self.terms[name], f"{name}.{scanned[0]}"
-        trials = 1.0
+        key, trials = f"{name}.{scanned[0]}", 3.0
         if scanned[0] == ORDER:
             without = start or self.fit(tuple(e for e in effects if e != name), None)
             order, step, trials = self.scan_orders(without).best()
-            grid: Sequence[float] = (order - step, order, order + step)
-        elif name == SKEW:
-            grid = SKEW_GRID_S
+            self._search(key, (order - step, order, order + step), effects, shapes)
         else:
-            grid = term.law.grid
-            trials = 3.0
+            self._search(key, self._grid(name), effects, shapes)
+        return trials
+
+    def _search(
+        self, key: str, grid: Sequence[float], effects: tuple[str, ...], shapes: Values
+    ) -> None:
+        """Put the value of least squares into ``shapes``: a grid, then a search around its best."""
 
         def cost(value: float) -> float:
-            return self._cost(effects, {**shapes, key: float(value)})
+            return self._linear(effects, {**shapes, key: float(value)})[1]
 
         costs = [cost(value) for value in grid]
         best = int(np.argmin(costs))
         low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
         found = minimize_scalar(
-            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-4 * (high - low)}
+            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
         )
         shapes[key] = float(found.x) if found.fun <= costs[best] else float(grid[best])
-        return trials
 
-    def _cost(self, effects: tuple[str, ...], shapes: Values) -> float:
-        _, residual = self._linear(effects, shapes)
-        return float(residual @ residual)
+    # What is compared
 
-    def _linear(self, effects: tuple[str, ...], shapes: Values) -> tuple[Values, FloatArray]:
-        """Linear coefficients by name, and the residual over all used pieces."""
-        used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
-        tables = [dict(self._linear_columns(i, effects, shapes)) for i in used]
-        names = list(dict.fromkeys(name for table in tables for name in table))
-        pieces = [self.pieces[i] for i in used]
-        target = np.concatenate(
-            [
-                piece.kept(piece.measured - self._base(i, effects, shapes))
-                for i, piece in zip(used, pieces, strict=True)
-            ]
-        )
-        if not names:
-            return {}, target
-        matrix = np.vstack(
-            [
-                piece.kept(
-                    np.column_stack(
-                        [table.get(name, np.zeros(piece.measured.size)) for name in names]
-                    )
-                )
-                for table, piece in zip(tables, pieces, strict=True)
-            ]
-        )
-        coefficients = _least_squares(matrix, target)
-        residual = target - matrix @ coefficients
-        return dict(zip(names, coefficients.tolist(), strict=True)), residual
+    def _seen(self, i: int, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
+        """A signal over a recording as it is compared, computed once."""
+        known = self.seen[i]
+        if key not in known:
+            known[key] = self.views[i](make())
+        return known[key]
 
-    def _motion(self, i: int, values: Mapping[str, float]) -> Motion:
+    def _motion(self, i: int, shapes: Mapping[str, float]) -> Motion:
         """Motion as the compared channel shows it: a channel that lags shows what was."""
+        motion = self.motions[i]
         for key, sign in ((f"{SKEW}.current_s", 1.0), (f"{SKEW}.position_s", -1.0)):
-            if values.get(key):
-                return self.motions[i].shifted(sign * values[key])
-        return self.motions[i]
+            if shapes.get(key):
+                motion = motion.shifted(sign * shapes[key])
+        return replace(motion, friction_width=shapes.get(WIDTH, 0.0))
 
-    def _base(self, i: int, effects: tuple[str, ...], values: Mapping[str, float]) -> FloatArray:
+    def _base(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> FloatArray:
         """The nominal bench, and effects that no coefficient scales, in units of the channel."""
-        motion = self._motion(i, values)
+        skew = _skew(shapes)
         if self.load:
-            base = motion.angle / self.bench.value("gear_ratio")
+            ratio = self.bench.value("gear_ratio")
+            base = self._seen(i, ("base", skew), lambda: self._motion(i, shapes).angle / ratio)
             for name in effects:
                 term = self.terms[name]
-                if term.law.scanned == term.candidate.amplitude:
-                    base = base + term.law.signal(
-                        motion, self.bench, _catalogue_parameters(term, values)
-                    )
+                if name != SKEW and term.law.scanned == term.candidate.amplitude:
+                    amount = {term.law.scanned: shapes[f"{name}.{term.law.scanned}"]}
+                    base = base + self._signal(i, name, amount, shapes)
             return base
         bench = self.bench
         if not self.load_angle_known:
             bench = bench.with_parameters(gravity_torque_nm=0.0)
-        return np.asarray((required_torque(motion, bench) + self.known[i]) / self.unit)
+        if self.views[i].above:
 
-    def _nuisances(self, i: int, motion: Motion) -> Iterator[tuple[str, FloatArray]]:
-        ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
-        if self.load:
-            yield f"offset@{where}", np.ones_like(motion.angle)
-            return
-        for name in self.unknown:
-            if name == "motor_inertia_kg_m2":
-                yield name, motion.acceleration / self.unit
-            elif name == "load_inertia_kg_m2":
-                yield name, motion.acceleration / ratio**2 / self.unit
-            elif self.load_angle_known:
-                yield name, np.sin(motion.angle / ratio) / ratio / self.unit
-        if not self.load_angle_known and self.bench.value("gravity_torque_nm") > 0.0:
-            yield f"gravity_sine@{where}", np.sin(motion.angle / ratio) / ratio / self.unit
-            yield f"gravity_cosine@{where}", np.cos(motion.angle / ratio) / ratio / self.unit
+            def waves() -> FloatArray:
+                motion = self._motion(i, shapes)
+                parts = [
+                    TORQUE_TERMS[e.name].law.signal(motion, bench, e.complete())
+                    for e in bench.effects
+                    if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
+                ]
+                return np.asarray(sum(parts, np.zeros_like(motion.angle)) / self.unit)
 
-    def _linear_columns(
-        self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]
-    ) -> Iterator[tuple[str, FloatArray]]:
-        motion = self._motion(i, shapes)
-        yield from self._nuisances(i, motion)
+            return self._seen(i, ("base", skew), waves)
+
+        def torque() -> FloatArray:
+            needed = required_torque(self._motion(i, shapes), bench) + self.known[i]
+            return np.asarray(needed / self.unit)
+
+        return self._seen(i, ("base", skew, shapes.get(WIDTH)), torque)
+
+    def _signal(
+        self, i: int, name: str, given: Mapping[str, float], shapes: Mapping[str, float]
+    ) -> FloatArray:
+        """An effect's law with these parameters, in units of the channel, as compared."""
+        law = self.terms[name].law
+        width = shapes.get(WIDTH) if "direction" in effect_named(name).depends_on else None
+        unit = 1.0 if self.load else self.unit
+        return self._seen(
+            i,
+            (name, *given.items(), _skew(shapes), width),
+            lambda: law.signal(self._motion(i, shapes), self.bench, given) / unit,
+        )
+
+    def _columns(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
+        """Linear coefficients by name to what one of each adds."""
+        found = self._nuisances(i, shapes)
         where = "" if self.phases_shared else f"@{self.pieces[i].name}"
         for name in effects:
             term = self.terms[name]
-            amplitude = term.candidate.amplitude
-            if name == SKEW or term.law.scanned == amplitude:
+            amplitude, scanned = term.candidate.amplitude, term.law.scanned
+            if name == SKEW or scanned == amplitude:
                 continue
-            shape = (
-                {term.law.scanned: shapes[f"{name}.{term.law.scanned}"]} if term.law.scanned else {}
-            )
-            off = dict.fromkeys((amplitude, *term.law.linear), 0.0)
+            if self.views[i].above and scanned != ORDER:
+                continue
+            shape = {scanned: shapes[f"{name}.{scanned}"]} if scanned else {}
             if term.periodic:
                 for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi)):
                     given = {amplitude: 1.0, PHASE: phase, **shape}
-                    column = term.law.signal(motion, self.bench, given)
-                    yield f"{name}.{label}{where}", column / self.unit
+                    found[f"{name}.{label}{where}"] = self._signal(i, name, given, shapes)
                 continue
+            off = dict.fromkeys((amplitude, *term.law.linear), 0.0)
             for parameter in off:
-                column = term.law.signal(motion, self.bench, {**off, parameter: 1.0, **shape})
-                yield f"{name}.{parameter}", column / self.unit
+                given = {**off, parameter: 1.0, **shape}
+                found[f"{name}.{parameter}"] = self._signal(i, name, given, shapes)
+        return found
 
-    def _solve(self, effects: tuple[str, ...], shapes: Values) -> tuple[Values, Values]:
-        """Values in the catalogue's parameters, and the linear coefficients behind them."""
-        linear, _ = self._linear(effects, shapes)
-        values: Values = {}
-        for name, value in linear.items():
-            if ".cosine" in name:
-                continue
-            if ".sine" not in name:
-                values[name] = value
-                continue
-            effect, _, where = name.partition(".sine")
-            cosine = linear[f"{effect}.cosine{where}"]
-            values[f"{effect}.{PHASE}{where}"] = math.atan2(cosine, value)
-            key = f"{effect}.{self.terms[effect].candidate.amplitude}"
-            values.setdefault(key, 0.0)
-            values[key] += math.hypot(value, cosine) * self._share(where)
-        return {**values, **shapes}, linear
+    def _nuisances(self, i: int, shapes: Mapping[str, float]) -> Columns:
+        ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
+        skew = _skew(shapes)
+        if self.views[i].above:
+            return {}
+        if self.load:
+            ones = np.ones_like(self.motions[i].angle)
+            return {f"offset@{where}": self._seen(i, "offset", lambda: ones)}
+
+        def of(name: str, make: Callable[[Motion], FloatArray]) -> FloatArray:
+            return self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
+
+        found = {}
+        for name in self.unknown:
+            if name == "motor_inertia_kg_m2":
+                found[name] = of(name, lambda motion: motion.acceleration)
+            elif name == "load_inertia_kg_m2":
+                found[name] = of(name, lambda motion: motion.acceleration / ratio**2)
+            elif self.load_angle_known:
+                found[name] = of(name, lambda motion: np.sin(motion.angle / ratio) / ratio)
+        if not self.load_angle_known and self.bench.value("gravity_torque_nm") > 0.0:
+            sine = of("gravity sine", lambda motion: np.sin(motion.angle / ratio) / ratio)
+            cosine = of("gravity cosine", lambda motion: np.cos(motion.angle / ratio) / ratio)
+            found |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
+        return found
+
+    # Least squares
+
+    def _linear(self, effects: tuple[str, ...], shapes: Values) -> tuple[Values, float]:
+        """Linear coefficients by name, and the sum of squares over all used pieces."""
+        used = self._used
+        tables = [self._columns(i, effects, shapes) for i in used]
+        names = list(dict.fromkeys(name for table in tables for name in table))
+        rests, blocks = [], []
+        for i, table in zip(used, tables, strict=True):
+            piece = self.pieces[i]
+            rests.append(piece.kept(piece.measured - self._base(i, effects, shapes)))
+            nothing = np.zeros(piece.measured.size)
+            stacked = [table.get(name, nothing) for name in names]
+            if names:
+                blocks.append(piece.kept(np.column_stack(stacked)))
+        rest = np.concatenate(rests)
+        if not names:
+            return {}, float(rest @ rest)
+        matrix = np.vstack(blocks)
+        coefficients = _least_squares(matrix, rest)
+        left = rest - matrix @ coefficients
+        return dict(zip(names, coefficients.tolist(), strict=True)), float(left @ left)
+
+    def _prediction(
+        self,
+        i: int,
+        effects: tuple[str, ...],
+        shapes: Mapping[str, float],
+        linear: Mapping[str, float],
+    ) -> FloatArray:
+        """All that is modelled of a piece, in units of its channel."""
+        prediction = self._base(i, effects, shapes).copy()
+        for name, column in self._columns(i, effects, shapes).items():
+            prediction += linear[name] * column
+        return prediction
+
+    def _own(
+        self,
+        i: int,
+        effects: tuple[str, ...],
+        shapes: Values,
+        linear: Values,
+        found: Mapping[str, Mapping[str, float]],
+    ) -> Values:
+        """Coefficients of a piece; what belongs to a held-out recording alone is fitted on it."""
+        columns = self._columns(i, effects, shapes)
+        own = [name for name in columns if name not in linear]
+        if not own:
+            return linear
+        piece = self.pieces[i]
+        rest = piece.measured - self._base(i, effects, shapes)
+        for name, column in columns.items():
+            if name in linear:
+                rest = rest - linear[name] * column
+        matrix = np.column_stack([columns[name] for name in own])
+        fitted = _least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
+        complete = {**linear, **dict(zip(own, fitted, strict=True))}
+        self._share_amplitudes(found, complete)
+        return complete
+
+    def _share_amplitudes(self, found: Mapping[str, Mapping[str, float]], linear: Values) -> None:
+        """Waves with a phase for each recording have one amplitude."""
+        for name, parameters in found.items():
+            amplitude = abs(parameters[self.terms[name].candidate.amplitude])
+            for sine in [key for key in linear if key.startswith(f"{name}.sine@")]:
+                cosine = sine.replace(".sine@", ".cosine@")
+                size = math.hypot(linear[sine], linear[cosine])
+                if size > 0.0:
+                    linear[sine] *= amplitude / size
+                    linear[cosine] *= amplitude / size
+
+    def _catalogue(self, name: str, linear: Values, shapes: Values) -> Values:
+        """An effect's parameters as the catalogue has them; phases of all recordings or none."""
+        term, start = self.terms[name], f"{name}."
+        given = {k.removeprefix(start): v for k, v in shapes.items() if k.startswith(start)}
+        if not term.periodic:
+            given |= {k.removeprefix(start): v for k, v in linear.items() if k.startswith(start)}
+            return given
+        amplitude = 0.0
+        for sine in [key for key in linear if key.startswith(f"{name}.sine")]:
+            cosine = linear[sine.replace(".sine", ".cosine")]
+            where = sine.partition(".sine")[2]
+            amplitude += math.hypot(linear[sine], cosine) * self._share(where)
+            if not where:
+                given[PHASE] = math.atan2(cosine, linear[sine])
+        return {term.candidate.amplitude: amplitude, **given}
 
     def _share(self, where: str) -> float:
         """Weight of a recording in an amplitude common to all: its share of the samples."""
         if not where:
             return 1.0
-        sizes = {f"@{p.name}": p.measured.size for p in self.pieces if p.use == "used"}
+        sizes: Values = {}
+        for i in self._used:
+            key = f"@{self.pieces[i].name}"
+            sizes[key] = sizes.get(key, 0.0) + self.pieces[i].measured.size
         return sizes[where] / sum(sizes.values())
 
-    def _predict(self, i: int, effects: tuple[str, ...], values: Mapping[str, float]) -> FloatArray:
-        """All that is modelled of a piece, in units of its channel."""
-        motion = self._motion(i, values)
-        prediction = self._base(i, effects, values).copy()
-        for name, column in self._nuisances(i, motion):
-            prediction += values.get(name, 0.0) * column
-        for name in effects:
-            term = self.terms[name]
-            if name != SKEW and term.law.scanned != term.candidate.amplitude:
-                given = _catalogue_parameters(term, values, f"@{self.pieces[i].name}")
-                prediction += term.law.signal(motion, self.bench, given) / self.unit
-        return prediction
+    # Derivatives
 
-    def _predictions(
-        self, effects: tuple[str, ...], values: Values, linear: Mapping[str, float]
-    ) -> list[FloatArray]:
-        """For every piece; what belongs to a held-out recording alone is fitted on it first."""
-        predictions = []
-        for i, piece in enumerate(self.pieces):
-            own = [
-                (name, column)
-                for name, column in self._linear_columns(i, effects, values)
-                if "@" in name and name not in linear
-            ]
-            if own:
-                shared = {**values, **{name: 0.0 for name, _ in own}}
-                for name, _ in own:
-                    effect, periodic, where = name.partition(".sine")
-                    if periodic:  # away while the phase is looked for
-                        shared[f"{effect}.{self.terms[effect].candidate.amplitude}"] = 0.0
-                        shared[f"{effect}.{PHASE}{where}"] = 0.0
-                rest = piece.measured - self._predict(i, effects, shared)
-                columns = np.column_stack([column for _, column in own])
-                found = _least_squares(piece.kept(columns), piece.kept(rest))
-                fitted = dict(zip((name for name, _ in own), found.tolist(), strict=True))
-                for name, value in fitted.items():
-                    effect, periodic, where = name.partition(".sine")
-                    if periodic:
-                        cosine = fitted[f"{effect}.cosine{where}"]
-                        values[f"{effect}.{PHASE}{where}"] = math.atan2(cosine, value)
-                    elif ".cosine" not in name:
-                        values[name] = value
-            predictions.append(self._predict(i, effects, values))
-        return predictions
+    def _names(self, effects: tuple[str, ...], shapes: Values, linear: Values) -> tuple[str, ...]:
+        """Everything fitted, sines and cosines as one amplitude and phases."""
+        names: list[str] = []
+        for name in linear:
+            effect, sine, where = name.partition(".sine")
+            if sine:
+                names += [f"{effect}.{self.terms[effect].candidate.amplitude}"]
+                names += [f"{effect}.{PHASE}{where}"]
+            elif ".cosine" not in name:
+                names.append(name)
+        names += [key for key in shapes if key != WIDTH or self._directional(effects)]
+        return tuple(dict.fromkeys(names))
 
-    def _is_used(self, name: str) -> bool:
-        """Whether a value was fitted on used pieces, and so has a variance."""
-        where = name.partition("@")[2]
-        return not where or any(p.use == "used" and p.name == where for p in self.pieces)
-
-    def _columns(
-        self, i: int, effects: tuple[str, ...], values: Mapping[str, float], names: Sequence[str]
+    def _jacobian(
+        self,
+        i: int,
+        effects: tuple[str, ...],
+        shapes: Values,
+        linear: Values,
+        names: Sequence[str],
     ) -> FloatArray:
-        """∂prediction/∂value by central differences, shape (n, p); exact for the linear ones."""
-        columns = []
+        """∂prediction/∂value, shape (n, p): columns, and differences for what is scanned."""
+        columns = self._columns(i, effects, shapes)
+        nothing = np.zeros(self.pieces[i].measured.size)
+        made = []
         for name in names:
-            step = self._step(name, values[name])
-            up, down = (
-                self._predict(i, effects, {**values, name: values[name] + s}) for s in (step, -step)
-            )
-            columns.append((up - down) / (2.0 * step))
-        size = self.pieces[i].measured.size
-        return np.column_stack(columns) if columns else np.zeros((size, 0))
+            if name in shapes:
+                step = self._step(name, shapes[name])
+                up, down = (
+                    self._prediction(i, effects, {**shapes, name: shapes[name] + s}, linear)
+                    for s in (step, -step)
+                )
+                made.append((up - down) / (2.0 * step))
+                continue
+            effect, _, parameter = name.partition("@")[0].partition(".")
+            waves = [k for k in columns if k.startswith(f"{effect}.sine")] if parameter else []
+            if not waves:
+                made.append(columns.get(name, nothing))
+                continue
+            (wave,) = waves
+            where = wave.partition(".sine")[2]
+            sine, cosine = columns[wave], columns[f"{effect}.cosine{where}"]
+            a, b = linear[wave], linear[f"{effect}.cosine{where}"]
+            size = math.hypot(a, b) or 1.0
+            if parameter != PHASE:
+                made.append((a * sine + b * cosine) / size)
+            elif name.partition("@")[1] and f"@{name.partition('@')[2]}" != where:
+                made.append(nothing)
+            else:
+                made.append(a * cosine - b * sine)
+        return np.column_stack(made) if made else np.zeros((nothing.size, 0))
 
     def _step(self, name: str, value: float) -> float:
-        effect, _, parameter = name.partition("@")[0].partition(".")
-        if parameter == PHASE:
-            return 1e-3
+        effect, _, parameter = name.partition(".")
         if effect == SKEW:
-            return 1e-4
-        if parameter and self.terms[effect].law.scanned == parameter:
-            return 1e-5 * value if parameter == ORDER else 1e-2 * value
-        return max(abs(value), 1e-6)
+            return 1e-3 / self.views[0].low_pass.cutoff_hz
+        return 1e-5 * value if parameter == ORDER else 1e-2 * value
 
 
-def _catalogue_parameters(
-    term: Term, values: Mapping[str, float], where: str = ""
-) -> dict[str, float]:
-    """An effect's catalogue parameters out of all values, phases of one recording or of all."""
-    start = term.candidate.name + "."
-    found = {
-        name.removeprefix(start): value
-        for name, value in values.items()
-        if name.startswith(start) and "@" not in name
-    }
-    if term.periodic and PHASE not in found and where:
-        found[PHASE] = values.get(f"{start}{PHASE}{where}", 0.0)
-    return found
+def _skew(shapes: Mapping[str, float]) -> tuple[float, float]:
+    return shapes.get(f"{SKEW}.current_s", 0.0), shapes.get(f"{SKEW}.position_s", 0.0)
 
 
 def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-10)[0] / scale)
+    # A column whose squares underflow says nothing of its size.
+    scale = np.where(scale > math.sqrt(np.finfo(float).tiny), scale, np.inf)
+    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-8)[0] / scale)

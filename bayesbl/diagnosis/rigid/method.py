@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.disagreement import Use
+from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.motion import Motion, motion_of, reach, settled, widened
+from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
     compared_channel,
     even_recordings,
-    pieces_of,
     require_rigid,
     unknown_parameters,
 )
@@ -24,10 +26,21 @@ from bayesbl.diagnosis.rigid.terms import (
     POSITION_TERMS,
     TORQUE_TERMS,
     uncomputable,
+    within_turns,
     without_load_angle,
 )
+from bayesbl.diagnosis.rigid.view import (
+    WIDEST,
+    View,
+    inside,
+    noise_of,
+    sharper,
+    standstill,
+    thinned,
+    turns_of,
+)
 from bayesbl.diagnosis.selection import BySelection, Problem
-from bayesbl.diagnosis.task import Task, notes_of, refused, rows_of, wanted
+from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError
 from bayesbl.recording.types import (
     LOAD_POSITION,
@@ -47,6 +60,11 @@ MOTION_ALONE = (
     "(free_motion)."
 )
 
+USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
+    {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
+)
+"""How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
+
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
 
@@ -60,14 +78,13 @@ def inverse_problem(task: Task) -> Problem:
         If bench, recordings or unknowns do not suit the method.
     """
     require_rigid(task)
-    config, bench, compared = task.config, task.bench, task.config.comparison
+    config, bench, asked = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, MOTION_ALONE)
     load = channel == LOAD_POSITION
     # A joint may rest at the end of its way: only what drives it is asked not to stand still.
     driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
-    pieces, parts, motions = _moved(task, recordings, channel)
-    _require_position(config, motions, load)
+    _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
     if channel == MOTOR_CURRENT and "torque_constant_nm_per_a" in bench.assumed:
         raise ConfigError(
@@ -78,32 +95,50 @@ def inverse_problem(task: Task) -> Problem:
             expected="torque_constant_nm_per_a = {value = …}",
         )
     unit = bench.value("torque_constant_nm_per_a") if channel == MOTOR_CURRENT else 1.0
-    known = tuple(
-        sum((part.channels[n] for n in compared.known_torque), np.zeros(part.samples))
-        for part in parts
-    )
     every = POSITION_TERMS if load else TORQUE_TERMS
-    if not (compared.load_angle_known and bench.value(GRAVITY) > 0.0):
+    if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
-    left_out = uncomputable(every, bench, compared.load_angle_known)
+    every = within_turns(every, turns_of(recordings))
+    left_out = uncomputable(every, bench, asked.load_angle_known)
     terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
-    comparison = InverseComparison(
-        pieces,
-        motions,
-        known,
-        bench,
-        {candidate.name: terms[candidate.name] for candidate in chosen},
-        unknown,
-        unit,
-        load,
-        compared.load_angle_known,
-        compared.motor_angle_known,
-    )
+
+    def comparison_below(cutoff_hz: float) -> InverseComparison:
+        found = [
+            part
+            for entry, recording in zip(config.recordings, recordings, strict=True)
+            for part in compared(
+                recording, channel, USES_OF[entry.use], cutoff_hz, config.comparison.known_torque
+            )
+        ]
+        return InverseComparison(
+            tuple(item.piece for item in found),
+            tuple(item.motion for item in found),
+            tuple(item.known for item in found),
+            tuple(item.view for item in found),
+            bench,
+            {candidate.name: terms[candidate.name] for candidate in chosen},
+            unknown,
+            unit,
+            load,
+            asked.load_angle_known,
+            asked.motor_angle_known,
+        )
+
+    cutoff = asked.cutoff_hz
+    if cutoff is None:
+        period = max(recording.sampling_period_s for recording in recordings)
+        positions = [r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels]
+        resolved = resolved_hz(positions, period) if positions else WIDEST / period
+        resolved = min(resolved, WIDEST / period)
+        cutoff = coherent_hz(comparison_below(resolved)) or resolved
+    comparison = comparison_below(cutoff)
+    pieces, motions = comparison.pieces, comparison.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += [
-        f"Speed and acceleration come from the {source} behind a zero-phase Butterworth low pass "
-        f"of order 4 at {compared.cutoff_hz:g} Hz."
+        f"Speed and acceleration come from the {source}; both sides are compared behind a "
+        f"zero-phase Butterworth low pass of order 4 at {cutoff:.3g} Hz"
+        + ("." if asked.cutoff_hz else ", beyond which the bench explains less than half.")
         for source in sorted({motion.source for motion in motions})
     ]
     if any(motion.source == "speed" for motion in motions):
@@ -116,12 +151,22 @@ def inverse_problem(task: Task) -> Problem:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
     alarm = config.candidates.false_alarm
-    used = tuple(piece.name for piece in pieces if piece.use == "used")
+    used = tuple(dict.fromkeys(piece.name for piece in pieces if piece.use == "used"))
     return Problem(
         comparison,
         lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
         tuple(notes),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A piece, its motion and known torque over the whole recording, and what is seen of them."""
+
+    piece: Piece
+    motion: Motion
+    known: FloatArray
+    view: View
 
 
 def _read(recording: Recording, channel: str) -> tuple[str, ...]:
@@ -130,25 +175,53 @@ def _read(recording: Recording, channel: str) -> tuple[str, ...]:
     return (channel, *moved[:1])
 
 
-def _moved(
-    task: Task, recordings: list[Recording], channel: str
-) -> tuple[tuple[Piece, ...], list[Recording], tuple[Motion, ...]]:
-    """Pieces with their motion, without the ends that the filter disturbs.
+def compared(
+    recording: Recording,
+    channel: str,
+    uses: Sequence[Use],
+    cutoff_hz: float,
+    known_torque: Sequence[str] = (),
+) -> list[Compared]:
+    """What is compared of a recording: whole, or its halves, each with a use of its own.
 
-    The motion is that of the whole recording: both halves of a split one have one angle.
+    All of a recording has one motion, so that both halves of a split one have one angle and one
+    time. Above the cut-off it is compared too, for what turns with the motor, but not shown.
     """
-    cutoff = task.config.comparison.cutoff_hz
-    inside = [settled(recording, cutoff) for recording in recordings]
-    whole = [motion_of(r, cutoff).part(rows) for r, rows in zip(recordings, inside, strict=True)]
+    period = recording.sampling_period_s
+    sharp = sharper(cutoff_hz, period)
+    motion = motion_of(recording, sharp)
     # A bridge is no motion, and the filter spreads it.
-    wary = [replace(r, excluded=widened(r.excluded, reach(r, cutoff))) for r in recordings]
-    kept = [rows_of(r, rows) for r, rows in zip(wary, inside, strict=True)]
-    pieces, places, parts = pieces_of(task, kept, channel)
-    return pieces, parts, tuple(whole[i].part(rows) for i, rows in places)
+    out = widened(recording.excluded, reach(recording, sharp))
+    require_enough(recording, channel, out)
+    if channel != LOAD_POSITION:
+        position = recording.channels.get(MOTOR_POSITION)
+        resting = standstill(motion, noise_of(position) if position is not None else 0.0, cutoff_hz)
+        out = resting if out is None else out if resting is None else out | resting
+    window = None if out is None else np.where(out, 0.0, 1.0)
+    low_pass = LowPass(cutoff_hz, period)
+    views = [View(low_pass, window, thinned(recording, cutoff_hz))]
+    if channel != LOAD_POSITION:
+        views.append(View(low_pass, window, inside(recording, cutoff_hz), above=True))
+    torques = (recording.channels[name] for name in known_torque)
+    known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
+    found = []
+    for view in views:
+        signal = recording.channels[channel]
+        # As sharp as the motion, and no sharper, where the motion has a part in it.
+        seen = view(signal if view.above else LowPass(sharp, period)(signal))
+        excluded = None if out is None or not out[view.rows].any() else out[view.rows]
+        time = recording.time_s[view.rows]
+        whole = Piece(recording.name, channel, uses[0], time, seen, excluded, not view.above)
+        shares = [(whole, view)]
+        if len(uses) == 2:
+            shares = [(whole.half(second), view.half(second)) for second in (False, True)]
+        for use, (piece, part) in zip(uses, shares, strict=True):
+            found.append(Compared(replace(piece, use=use), motion, known, part))
+    return found
 
 
-def _require_position(config: DiagnoseConfig, motions: tuple[Motion, ...], load: bool) -> None:
-    if all(motion.source == "position" for motion in motions):
+def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], load: bool) -> None:
+    if all(MOTOR_POSITION in recording.channels for recording in recordings):
         return
     compared = config.comparison
     for name, claimed in (

@@ -1,8 +1,8 @@
 """Measured motion as the inverse comparison needs it: angle, speed and acceleration of the motor.
 
-Derivatives come from a zero-phase low pass: Butterworth of order 4, run forward and backward
-(scipy's ``filtfilt``), so that −6 dB lie at the cut-off and nothing is delayed. Recordings with
-uneven time stamps are first brought to an even grid of the same mean period by cubic splines.
+Derivatives come from a zero-phase low pass: Butterworth of order 4, run forward and backward, so
+that −6 dB lie at the cut-off and nothing is delayed. Recordings with uneven time stamps are first
+brought to an even grid of the same mean period by cubic splines.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, sosfiltfilt
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
@@ -36,6 +37,11 @@ UNEVEN = 1e-3
 """Departure of a time stamp from the even grid, in periods, up to which it is even."""
 
 
+@cache
+def _sections(cutoff: float) -> FloatArray:
+    return np.asarray(butter(FILTER_ORDER, cutoff, output="sos"))
+
+
 @dataclass(frozen=True, slots=True)
 class LowPass:
     """The stated zero-phase filter and the derivatives behind it."""
@@ -45,8 +51,7 @@ class LowPass:
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Low-passed, same shape."""
-        numerator, denominator = butter(FILTER_ORDER, 2.0 * self.cutoff_hz * self.period_s)
-        return np.asarray(filtfilt(numerator, denominator, values))
+        return np.asarray(sosfiltfilt(_sections(2.0 * self.cutoff_hz * self.period_s), values))
 
     def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
         """Derivative of the low-passed values by central differences."""
@@ -62,7 +67,8 @@ class Motion:
 
     ``sway`` is d²/dt² exp(i θ_m), differentiated as the rest: what an eccentric encoder adds.
     ``source``: ``position`` or ``speed``, whichever the derivatives come from; from speed alone the
-    angle is its integral, known but for where it starts.
+    angle is its integral, known but for where it starts. ``friction_width``: speed over which dry
+    friction changes its sign, rad/s; 0 for a sign that jumps.
     """
 
     time_s: FloatArray
@@ -71,15 +77,12 @@ class Motion:
     acceleration: FloatArray
     sway: ComplexArray
     source: str
+    friction_width: float = 0.0
 
     def shifted(self, time_s: float) -> Motion:
         """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording."""
         when = np.clip(self.time_s - time_s, self.time_s[0], self.time_s[-1])
         return self._each(lambda values: np.interp(when, self.time_s, values))
-
-    def part(self, rows: slice) -> Motion:
-        """Some of the samples."""
-        return replace(self._each(lambda values: values[rows]), time_s=self.time_s[rows])
 
     def _each(self, change: Callable[[Any], Any]) -> Motion:
         names = ("angle", "speed", "acceleration", "sway")
@@ -154,12 +157,6 @@ def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
     return cosine + 1j * sine
 
 
-def settled(recording: Recording, cutoff_hz: float) -> slice:
-    """Samples that the filter's ends do not reach: all but :data:`END_PERIODS` of the cut-off."""
-    ends = reach(recording, cutoff_hz)
-    return slice(ends, recording.samples - ends)
-
-
 def reach(recording: Recording, cutoff_hz: float) -> int:
     """Samples over which the filter carries what is wrong with one."""
-    return math.ceil(END_PERIODS / cutoff_hz / recording.sampling_period_s)
+    return math.ceil(round(END_PERIODS / cutoff_hz / recording.sampling_period_s, 6))

@@ -6,26 +6,32 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
-from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import unit_of
 
 FEWEST_CYCLES = 3.0
+FEWEST_SAMPLES = 20
+"""That an order must pass in to be judged: below, its score is no χ²."""
 MOST_REMAINING = 5
 _STEPS_PER_CYCLE = 5.0
 _MOST_ORDERS = 40_000
-_NOISE_KNOTS = 40
+_MOST_PRODUCTS = 100_000_000
+_LEVEL_CYCLES = 20.0
+"""Resolved cycles over which the noise of an order is taken: wide beside a line, not the range."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrderScan:
     """Score of sin and cos of every order: χ² if nothing is there.
 
-    |Σ r exp(i n θ)|² over what coloured noise makes of it, ½ XᵀΣX of sine and cosine together;
-    summed over recordings before the square where they share one phase, after it where not.
+    |Σ r exp(i n θ)|² over half of what the noise around that order makes of it, by the median of
+    the neighbouring orders, which a line among them does not move; summed over recordings before
+    the square where they share one phase, after it where not. What a filter passes and what it
+    holds back are scored apart: a ripple may show at high speed alone.
 
     Attributes
     ----------
@@ -94,10 +100,23 @@ class OrderScan:
         return tuple(found)
 
 
-def scan_orders(
-    angles: list[FloatArray], rests: list[FloatArray], shared: bool, low: float, high: float
-) -> OrderScan:
-    """Scan residuals over motor angles (rad), one array each per recording.
+@dataclass(frozen=True, slots=True)
+class OrderedRest:
+    """A residual over the motor's angle, rad, each of shape (n,).
+
+    ``passing``: order of the motor's turning at the filter's cut-off at that sample; those below it
+    are seen, or those ``above``.
+    """
+
+    recording: str
+    angle: FloatArray
+    rest: FloatArray
+    passing: FloatArray
+    above: bool
+
+
+def scan_orders(rests: list[OrderedRest], shared: bool, low: float, high: float) -> OrderScan:
+    """Scan residuals over motor angles.
 
     Parameters
     ----------
@@ -106,43 +125,57 @@ def scan_orders(
     low, high
         Orders looked at; none with fewer than three cycles in the longest recording.
     """
-    ends = [(float(a.min()), float(a.max())) for a in angles]
+    ends = [(float(item.angle.min()), float(item.angle.max())) for item in rests]
     turns = max(last - first for first, last in ends) / (2.0 * math.pi)
     if shared:
         turns = (max(e[1] for e in ends) - min(e[0] for e in ends)) / (2.0 * math.pi)
     low = max(low, FEWEST_CYCLES / turns) if turns > 0.0 else high
     count = int(min(_MOST_ORDERS, (high - low) * turns * _STEPS_PER_CYCLE)) + 1
-    freedom = 2 if shared else 2 * len(angles)
+    owners = [(item.above, "" if shared else item.recording) for item in rests]
+    sums = dict.fromkeys(owners)
     if low >= high or count < 2:
         nothing = np.array([])
-        return OrderScan(nothing, nothing, nothing, 1.0, freedom)
-    orders, knots = np.linspace(low, high, count), np.linspace(low, high, _NOISE_KNOTS)
-    total, size = np.zeros(count, dtype=complex), np.zeros(count)
-    scores, spread = np.zeros(count), np.zeros(count)
-    for angle, rest in zip(angles, rests, strict=True):
-        found = _transform(angle, rest, orders)
-        noise = ResidualNoise.of(rest)
-        waves = np.exp(1j * np.outer(angle, knots))
-        power = 0.5 * sum(
-            (part * noise.covariance_times(part)).sum(axis=0) for part in (waves.real, waves.imag)
-        )
-        here = np.exp(np.interp(orders, knots, np.log(power)))
-        total += found
-        size += np.abs(found)
-        spread += here
-        scores += np.abs(found) ** 2 / here
-    samples = sum(rest.size for rest in rests)
-    if shared:
-        scores, size = np.abs(total) ** 2 / spread, np.abs(total)
-    return OrderScan(orders, scores, 2.0 * size / samples, max(1.0, (high - low) * turns), freedom)
+        return OrderScan(nothing, nothing, nothing, 1.0, 2 * len(sums))
+    orders = np.linspace(low, high, count)
+    waves = {owner: np.zeros(count, dtype=complex) for owner in sums}
+    powers = {owner: np.zeros(count) for owner in sums}
+    size, samples = np.zeros(count), np.zeros(count)
+    for owner, item in zip(owners, rests, strict=True):
+        found, seen = _transform(item, orders)
+        level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * _STEPS_PER_CYCLE))
+        enough = seen >= FEWEST_SAMPLES
+        waves[owner] += np.where(enough, found, 0.0)
+        powers[owner] += np.where(enough, level / chi2.median(2), 0.0)
+        samples += seen
+    scores = np.zeros(count)
+    for owner, wave in waves.items():
+        scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)
+        size += np.abs(wave)
+    amplitudes = 2.0 * size / np.maximum(samples, 1.0)
+    return OrderScan(orders, scores, amplitudes, max(1.0, (high - low) * turns), 2 * len(sums))
 
 
-def _transform(angle: FloatArray, rest: FloatArray, orders: FloatArray) -> np.ndarray:
-    """Σ r exp(i n θ) for evenly spaced orders, by turning one wave on from order to order."""
-    wave = rest * np.exp(1j * orders[0] * angle)
-    turn = np.exp(1j * (orders[1] - orders[0]) * angle)
+def _transform(item: OrderedRest, orders: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Σ r exp(i n θ) over the samples that show the order, and their number; orders evenly spaced.
+
+    One wave is turned on from order to order.
+    """
+    below, limit = not item.above, item.passing
+    chosen = np.arange(limit.size)
+    most = max(_MOST_PRODUCTS // orders.size, 1)
+    if limit.size > most:  # at random: even steps would make one order look like another
+        chosen = np.sort(np.random.default_rng(0).permutation(limit.size)[:most])
+    limit, angle, rest = limit[chosen], item.angle[chosen], item.rest[chosen]
+    # Ordered so that the samples that show an order are always the first ones.
+    first = np.argsort(-limit if below else limit)
+    ordered = limit[first]
+    ends = np.searchsorted(-ordered, -orders) if below else np.searchsorted(ordered, orders)
+    steps = range(orders.size) if below else range(orders.size - 1, -1, -1)
+    wave = rest[first] * np.exp(1j * orders[steps[0]] * angle[first])
+    turn = np.exp(1j * (orders[1] - orders[0]) * angle[first] * (1.0 if below else -1.0))
     out = np.empty(orders.size, dtype=complex)
-    for k in range(orders.size):
-        out[k] = wave.sum()
-        wave *= turn
-    return out
+    for k in steps:
+        end = ends[k]
+        out[k] = wave[:end].sum()
+        wave = wave[:end] * turn[:end]
+    return out, ends.astype(float)

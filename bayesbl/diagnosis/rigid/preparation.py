@@ -54,16 +54,12 @@ def even_recordings(
     return [even(sound(recording, channels, unclipped)) for recording, channels in pairs]
 
 
-def pieces_of(
-    task: Task, recordings: Sequence[Recording], channel: str
-) -> tuple[tuple[Piece, ...], list[tuple[int, slice]], list[Recording]]:
-    """Pieces to fit on and to predict; recording and samples of each; these samples alone."""
-    found = cuts(task.config, recordings)
-    parts = [rows_of(recordings[i], rows) for i, _, rows in found]
-    pieces = tuple(
-        piece_of(part, channel, use) for part, (_, use, _) in zip(parts, found, strict=True)
+def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:
+    """Pieces to fit on and to predict."""
+    return tuple(
+        piece_of(rows_of(recordings[i], rows), channel, use)
+        for i, use, rows in cuts(task.config, recordings)
     )
-    return pieces, [(i, rows) for i, _, rows in found], parts
 
 
 def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ An effect takes part by the laws that its module under ``bench/effects`` declare
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -17,10 +18,11 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import Effect, RigidLaw
+from bayesbl.bench.effect_declaration import HIGHEST_ORDER, ORDER, Effect, RigidLaw
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.diagnosis.comparison import TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
+from bayesbl.diagnosis.rigid.order_scan import FEWEST_CYCLES
 from bayesbl.recording.types import FloatArray
 
 SKEW = "channel_time_skew"
@@ -52,6 +54,14 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
         contains=law.contains,
         not_negative=law.not_negative
         or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
+        at_most=min(
+            (a.high for a in effect.amplitudes if a.name == law.amplitude and not a.unit),
+            default=math.inf,
+        ),
+        acts_above=law.scanned == ORDER,
+        is_plain=not (
+            effect.is_periodic or law.scanned or law.linear or law.contains or effect.name == SKEW
+        ),
     )
     return Term(candidate, law, effect.is_periodic)
 
@@ -70,6 +80,16 @@ POSITION_TERMS: Mapping[str, Term] = MappingProxyType(
 def without_load_angle(terms: Mapping[str, Term]) -> dict[str, Term]:
     """The terms that do not ask where the load hangs."""
     return {n: term for n, term in terms.items() if "load_angle" not in effect_named(n).depends_on}
+
+
+def within_turns(terms: Mapping[str, Term], turns: float) -> dict[str, Term]:
+    """The terms without those that repeat too rarely in so many turns of the motor."""
+    return {
+        name: term
+        for name, term in terms.items()
+        if not term.periodic
+        or (HIGHEST_ORDER if term.law.scanned == ORDER else 1.0) * turns >= FEWEST_CYCLES
+    }
 
 
 def uncomputable(terms: Mapping[str, Term], bench: Bench, load_angle_known: bool) -> list[str]:

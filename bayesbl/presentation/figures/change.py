@@ -22,7 +22,12 @@ _STEPS = "each step in the colour of its later snapshot"
 
 
 @stored_figure(
-    "The distribution of the change of the gap.", 30, holding("optimum/cramer_rao_sd", "change")
+    "The distribution of the change of the gap.",
+    30,
+    lambda tree: any(
+        holding(answering, "change/change_rad")(tree)
+        for answering in ("optimum/cramer_rao_sd", "loop")
+    ),
 )
 def change(tree: xr.DataTree) -> Figure:
     """The change of δ between snapshots; beside gaps on their curve it is a panel of theirs."""

@@ -38,7 +38,8 @@ def overlay(tree: xr.DataTree) -> Figure:
             lower = figure.add_subplot(inner[1, 0], sharex=upper)
             _draw(upper, lower, snapshot, channel)
             heads.append(upper)
-            titles.append(f"{snapshot.name}: one load rotation")
+            moves = "flank_changes" in snapshot.groups["predictive"]
+            titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
     style.head_panels(heads, titles)
     figure.legend(
         handles=[

@@ -1,0 +1,101 @@
+"""``kind = "fleet"``: many joints, their dated recordings, and how all of them are measured."""
+
+from __future__ import annotations
+
+import re
+from datetime import date as Date
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+
+from bayesbl.config.fields import InputPath, Range, Section, refuse, resolve
+from bayesbl.config.measurement import Curve, Noise, Posterior, WearOverDates
+from bayesbl.config.sections import ClusterRun, Interval, Model, RecordedConfig
+
+TABLE_SUFFIXES = (".csv", ".parquet", ".toml")
+
+_PLACES = {"{joint}", "{date}"}
+
+
+def _source_of_recordings(value: object, info: ValidationInfo) -> str:
+    """The pattern or the table as a whole path."""
+    if not isinstance(value, str) or not value.strip() or "\0" in value:
+        refuse("This is neither a pattern nor a table of recordings.", expected="text")
+    places = set(re.findall(r"\{[^{}]*\}", value))
+    if places == _PLACES:
+        return str(resolve(value, info))
+    if places or "*" in value:
+        refuse(
+            "This pattern does not say which joint and which date a file is of.",
+            expected='{joint} and {date} once each, as in "data/{joint}/{date}.csv", or a table '
+            "with the columns joint, date and file",
+        )
+    return str(_table(value, info))
+
+
+def _table(value: object, info: ValidationInfo) -> object:
+    path = resolve(str(value), info)
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        refuse("This is no table.", found=path, expected=f"a file in {', '.join(TABLE_SUFFIXES)}")
+    if not path.is_file():
+        refuse("There is no such file.", found=path, expected="an existing file")
+    return path
+
+
+class FleetSection(Section):
+    """``[fleet]``: the inventory, where the recordings are, and what is asked of them.
+
+    ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
+    ``joint``, ``date`` and ``file``. ``pool_by`` is the column of the inventory whose joints wear
+    alike; without it every joint stands alone.
+    """
+
+    joints: Annotated[InputPath, BeforeValidator(_table)]
+    recordings: Annotated[str, BeforeValidator(_source_of_recordings)]
+    pool_by: str | None = None
+    decide_before: Date | None = None
+
+    @property
+    def is_pattern(self) -> bool:
+        """Whether the recordings are found by a pattern."""
+        return "{joint}" in self.recordings
+
+
+class FleetEstimator(Section):
+    """``[estimator]`` of a fleet: that of a comparison; bench and curve stand in the inventory.
+
+    ``route`` holds for joints with a bench; the others are measured by the amplitude.
+    """
+
+    route: Literal["auto", "amplitude", "direct"] = "auto"
+    gap_rad: Range = (1e-4, 1e-2)
+    model: Model = Field(default_factory=Model)
+    noise: Noise = Field(default_factory=Noise)
+
+
+class FleetConfig(RecordedConfig):
+    """``kind = "fleet"``: every recording of every joint, measured once."""
+
+    kind: Literal["fleet"]
+    run: ClusterRun
+    fleet: FleetSection
+    estimator: FleetEstimator = Field(default_factory=FleetEstimator)
+    posterior: Posterior = Field(default_factory=Posterior)
+    interval: Interval = Field(default_factory=Interval)
+    curve: Curve = Field(default_factory=Curve)
+    wear: WearOverDates = Field(default_factory=WearOverDates)
+
+    @model_validator(mode="after")
+    def _of_joints_stands_in_the_inventory(self) -> Self:
+        for found, what, at in (
+            (self.curve.source, "A curve", ("curve", "source")),
+            (self.wear.in_service_since, "in_service_since", ("wear", "in_service_since")),
+        ):
+            if found is not None:
+                refuse(
+                    f"{what} belongs to a joint, not to a fleet.",
+                    found=found,
+                    expected=f"a column {at[-1].replace('source', 'curve')} of the inventory",
+                    at=at,
+                )
+        return self

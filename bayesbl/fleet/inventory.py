@@ -1,0 +1,324 @@
+"""The joints of a plant and their recordings, as tables or a pattern of file names give them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date as Date
+from datetime import datetime
+from glob import glob
+from pathlib import Path
+from typing import Any, NoReturn
+
+from bayesbl.config.fields import LONGEST_NAME, PUBLISHED, RESULT_FILE
+from bayesbl.config.fleet import FleetSection
+from bayesbl.config.measurement import LARGEST_LIMIT_RAD
+from bayesbl.errors import ConfigError
+from bayesbl.recording.channels import did_you_mean, did_you_mean_file
+from bayesbl.recording.input_bytes import read_input
+
+_NAME = re.compile(rf"\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}")
+
+OF_JOINT = (
+    "joint",
+    "gearbox",
+    "bench",
+    "curve",
+    "limit_rad",
+    "gear_ratio",
+    "in_service_since",
+    "repaired",
+)
+"""Columns of the inventory that mean something here; every other is a covariate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A row of the inventory.
+
+    Attributes
+    ----------
+    gearbox
+        Type of the gearbox; empty where it is not given.
+    bench, curve
+        Where δ comes from; neither gives the ringing alone.
+    repaired
+        Date of the last repair: what was recorded on it or later is of the repaired joint.
+    covariates
+        Every other column, number or text.
+    """
+
+    name: str
+    gearbox: str = ""
+    bench: str | None = None
+    curve: str | None = None
+    limit_rad: float | None = None
+    gear_ratio: float | None = None
+    in_service_since: str | None = None
+    repaired: str | None = None
+    covariates: Mapping[str, float | str] = field(default_factory=dict)
+
+    def group(self, column: str) -> str:
+        """What the joint has in a column that joints are pooled by."""
+        return self.gearbox if column == "gearbox" else str(self.covariates.get(column, ""))
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A recording that belongs to a joint; ``reason`` says why it cannot be one."""
+
+    joint: str
+    date: str
+    file: str
+    reference_speed_rpm: float | None = None
+    reason: str | None = None
+
+
+def read_joints(section: FleetSection) -> list[Joint]:
+    """All rows of the inventory.
+
+    Raises
+    ------
+    ConfigError
+        Naming file, row and column: no joint, two of one name, a value that cannot be one, a bench
+        or a curve that is not there.
+    """
+    file = section.joints
+    rows = _rows(file, "joints")
+    joints = [_joint(row, file, number) for number, row in enumerate(rows, start=1)]
+    if not joints:
+        raise ConfigError("The inventory has no joint.", file=file, expected="a row a joint")
+    seen: dict[str, str] = {}
+    for joint in joints:
+        # Each becomes a file, and some file systems do not tell large from small letters.
+        other = seen.setdefault(joint.name.casefold(), joint.name)
+        if other is not joint.name:
+            raise ConfigError(
+                "Two joints have the same name.",
+                file=file,
+                where="joint",
+                found=joint.name if joint.name == other else f"{other} and {joint.name}",
+                expected="a different one for each, in more than large and small letters",
+            )
+    columns = {*OF_JOINT, *(name for joint in joints for name in joint.covariates)}
+    if section.pool_by is not None and section.pool_by not in columns:
+        raise ConfigError(
+            "There is no such column in the inventory." + did_you_mean(section.pool_by, columns),
+            file=file,
+            where="[fleet] pool_by",
+            found=section.pool_by,
+            expected="one of " + ", ".join(sorted(columns)),
+        )
+    return joints
+
+
+def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Found]:
+    """All recordings, by joint and date; those of no joint of the inventory have a reason.
+
+    Raises
+    ------
+    ConfigError
+        If the table of recordings cannot be read.
+    """
+    found = list(_by_pattern(section) if section.is_pattern else _by_table(section))
+    known = {joint.name for joint in joints}
+    listed = [
+        one
+        if one.joint in known or one.reason
+        else _refused(
+            one,
+            f"There is no joint {one.joint!r} in the inventory."
+            + did_you_mean(one.joint, sorted(known)),
+        )
+        for one in found
+    ]
+    return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
+
+
+def _refused(one: Found, reason: str) -> Found:
+    return Found(one.joint, one.date, one.file, one.reference_speed_rpm, reason)
+
+
+def _by_pattern(section: FleetSection) -> Iterator[Found]:
+    pattern = section.recordings
+    parts = re.split(r"(\{joint\}|\{date\})", pattern)
+    anything = "".join("*" if part.startswith("{") else _glob_escaped(part) for part in parts)
+    seen: set[str] = set()
+    exact = ""
+    for part in parts:
+        name = part[1:-1] if part in ("{joint}", "{date}") else ""
+        again = f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+)"
+        exact += again if name else re.escape(part)
+        seen.add(name)
+    for path in glob(anything):
+        match = re.fullmatch(exact, path)
+        if match and os.path.isfile(path):
+            yield _dated(match["joint"], match["date"], path)
+
+
+def _glob_escaped(text: str) -> str:
+    return re.sub(r"([*?\[])", r"[\1]", text)
+
+
+def _by_table(section: FleetSection) -> Iterator[Found]:
+    file = Path(section.recordings)
+    for number, row in enumerate(_rows(file, "recordings"), start=1):
+        for column in ("joint", "date", "file"):
+            if row.get(column) in (None, ""):
+                _refuse(file, number, column, "nothing", "joint, date and file in every row")
+        path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
+        speed = _number(row.get("reference_speed_rpm"), file, number, "reference_speed_rpm")
+        one = _dated(str(row["joint"]), row["date"], str(path), speed)
+        if one.reason is None and not path.is_file():
+            one = _refused(one, f"There is no such file.{did_you_mean_file(path)}")
+        yield one
+
+
+def _dated(joint: str, date: object, file: str, speed: float | None = None) -> Found:
+    try:
+        day = _date_of(date)
+    except ValueError:
+        reason = f"{date!r} is no date; expected one such as 2026-03-01."
+        return Found(joint, str(date), file, speed, reason)
+    return Found(joint, day, file, speed)
+
+
+def _date_of(value: object) -> str:
+    if isinstance(value, datetime):
+        return value.date().isoformat()
+    if isinstance(value, Date):
+        return value.isoformat()
+    return Date.fromisoformat(str(value)).isoformat()
+
+
+def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
+    name = str(row.get("joint") or "")
+    if not _NAME.fullmatch(name):
+        expected = (
+            f"at most {LONGEST_NAME} letters, digits, spaces and . , + - _, a letter or digit first"
+        )
+        _refuse(file, number, "joint", name or "nothing", expected)
+    limit = _number(row.get("limit_rad"), file, number, "limit_rad")
+    if limit is not None and limit > LARGEST_LIMIT_RAD:
+        expected = f"a gap in rad, at most {LARGEST_LIMIT_RAD:g} (1.2e-3 = 1.2 mrad)"
+        _refuse(file, number, "limit_rad", f"{limit:g}", expected)
+    bench, curve = (_file(row.get(column), file, number, column) for column in ("bench", "curve"))
+    if bench and curve:
+        _refuse(file, number, "curve", f"{curve} beside a bench", "a bench or a curve")
+    return Joint(
+        name,
+        str(row.get("gearbox") or ""),
+        bench,
+        curve,
+        limit,
+        _number(row.get("gear_ratio"), file, number, "gear_ratio"),
+        _day(row.get("in_service_since"), file, number, "in_service_since"),
+        _day(row.get("repaired"), file, number, "repaired"),
+        {key: _covariate(v) for key, v in row.items() if key not in OF_JOINT and v is not None},
+    )
+
+
+def _covariate(value: object) -> float | str:
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return str(value)
+
+
+def _number(value: object, file: Path, row: int, column: str) -> float | None:
+    if value in (None, "") or value != value:  # a table's missing number is nan
+        return None
+    try:
+        found = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        _refuse(file, row, column, str(value), "a number with a decimal point, or nothing")
+    if not 0.0 < found < float("inf") and column != "reference_speed_rpm":
+        _refuse(file, row, column, str(value), "a number greater than 0, or nothing")
+    return found
+
+
+def _day(value: object, file: Path, row: int, column: str) -> str | None:
+    if value in (None, ""):
+        return None
+    try:
+        return _date_of(value)
+    except ValueError:
+        _refuse(file, row, column, str(value), "a date such as 2026-03-01, or nothing")
+
+
+def _file(value: object, file: Path, row: int, column: str) -> str | None:
+    if value in (None, ""):
+        return None
+    if column == "curve" and value == PUBLISHED:
+        return PUBLISHED
+    path = Path(os.path.normpath(file.parent / os.path.expanduser(str(value))))
+    path = path / RESULT_FILE if path.is_dir() else path
+    if not path.is_file():
+        expected = f"an existing file, relative to {file.parent}" + did_you_mean_file(path)
+        _refuse(file, row, column, str(path), expected)
+    return str(path)
+
+
+def _refuse(file: Path, row: int, column: str, found: str, expected: str) -> NoReturn:
+    raise ConfigError(
+        "This row cannot be used.",
+        file=file,
+        where=f"row {row}, {column}",
+        found=found,
+        expected=expected,
+    )
+
+
+def _rows(file: Path, key: str) -> list[dict[str, Any]]:
+    """Rows of a table as column to value; ``key`` names their list in TOML."""
+    try:
+        data = read_input(file)
+        if file.suffix.lower() == ".parquet":
+            return _parquet_rows(file, data)
+        text = data.decode("utf-8-sig")
+        if file.suffix.lower() == ".toml":
+            rows = tomllib.loads(text).get(key)
+        else:
+            rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+    except UnicodeDecodeError:
+        raise ConfigError("This table is not UTF-8 text.", file=file, expected="UTF-8") from None
+    except OSError as error:
+        raise ConfigError(
+            "The table cannot be read.", file=file, found=error.strerror, expected="a file"
+        ) from None
+    except (ValueError, RecursionError, csv.Error) as error:
+        raise ConfigError(
+            "This is no table that can be read.", file=file, found=str(error)
+        ) from None
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise ConfigError("The table has no rows.", file=file, expected=f"[[{key}]] entries")
+    if file.suffix.lower() == ".csv":
+        for number, row in enumerate(rows, start=1):
+            if None in row or None in row.values():
+                _refuse(file, number, "", "another number of fields", "as many as the header has")
+        rows = [{k.strip(): v.strip() for k, v in row.items()} for row in rows]
+    return rows
+
+
+def _parquet_rows(file: Path, data: bytes) -> list[dict[str, Any]]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ConfigError(
+            "Parquet needs a package that is not installed.",
+            file=file,
+            expected="pip install 'bayesbl[fleet]', or the table as CSV or TOML",
+        ) from None
+    try:
+        rows: list[dict[str, Any]] = pyarrow.parquet.read_table(
+            pyarrow.BufferReader(data)
+        ).to_pylist()
+    except pyarrow.ArrowException as error:
+        raise ValueError(str(error)) from None
+    return rows

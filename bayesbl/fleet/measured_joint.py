@@ -1,0 +1,298 @@
+"""One joint measured: each recording by itself, then its wear from gaps that are paired.
+
+A recording is measured as ``bayesbl fit`` measures it. By the amplitude, its search starts from the
+optimum of the recording before it, and the change is that of ``bayesbl compare``, which takes the
+finished fits from where they are kept. By the direct route gaps are paired through the bench that
+they share (:mod:`bayesbl.fleet.shared_bench`), so that a new recording is matched alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import date as Date
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.config.bench import load_bench
+from bayesbl.config.fields import PUBLISHED
+from bayesbl.config.measurement import CompareConfig
+from bayesbl.errors import UserError
+from bayesbl.fleet.joint_job import (
+    FAILED,
+    REFUSED,
+    JointAnswer,
+    JointJob,
+    RecordingAnswer,
+)
+from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
+from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
+from bayesbl.measurement.curves import STORE
+from bayesbl.measurement.dated_wear import wear_of, years_between
+from bayesbl.measurement.earlier import optima_of
+from bayesbl.measurement.measurement import NO_CURVE, Snapshot
+from bayesbl.measurement.routes import measure
+from bayesbl.measurement.stored_snapshot import stored_snapshots
+from bayesbl.measurement.verdict import Verdict
+from bayesbl.measurement.wear_laws import LAWS
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.ringing.warm_start import EarlierOptimum
+
+DRAWS = 2000
+"""Of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
+
+OTHER_JOINT = "By the curve of the paper's test bench neither rate nor date is given."
+
+MeasuredJoint = tuple[tuple[RecordingAnswer, ...], JointAnswer]
+"""What each recording gave, and what they give together."""
+
+
+def measure_joint(job: JointJob) -> MeasuredJoint:
+    """All recordings of a joint, those known taken over, and its wear; nothing is raised for one.
+
+    Raises
+    ------
+    OSError
+        If nothing can be written where fits are kept.
+    """
+    answers: list[RecordingAnswer] = []
+    for number in range(len(job.recordings)):
+        answer = job.known.get(number)
+        answers.append(answer or _measured(job, number, answers[-1] if answers else None))
+    return tuple(answers), _wear(job, answers)
+
+
+def _measured(job: JointJob, number: int, before: RecordingAnswer | None) -> RecordingAnswer:
+    name = job.names[number]
+    try:
+        config = job.config("fit", [number])
+        earlier = _earlier(job, {name: before}) if before is not None else {}
+        tree = measure(
+            config, None, _fits(job), lambda _: None, _swept(job), job.seeds([number]), earlier
+        )
+        return _answer(job, number, tree)
+    except UserError as error:
+        return RecordingAnswer(REFUSED, str(error))
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        # One recording that meets a bug must not hide the answers of a plant.
+        return RecordingAnswer(FAILED, f"This is a bug in bayesbl: {type(error).__name__}: {error}")
+
+
+def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
+    measured = json.loads(tree.attrs["input_sha256"])[job.recordings[number].file]
+    if measured != job.sha256[number]:
+        return RecordingAnswer(
+            REFUSED, "The file changed while it was measured. Run the fleet again."
+        )
+    (stored,) = stored_snapshots(tree)
+    posterior = stored.groups["posterior"]
+    gap = bench = None
+    if "delta_rad" in posterior:
+        gap = _flat(posterior["delta_rad"].values)
+    if gap is not None and stored.route == "direct":
+        unknowns = _unknowns(job, stored.name)
+        bench = np.array([as_normal(u, _flat(posterior[u.name].values)) for u in unknowns])
+        bench = bench.reshape(len(unknowns), gap.size)
+    amplitude = None
+    if "amplitude_rpm" in posterior:
+        found = stored.interval("posterior", "amplitude_rpm")
+        amplitude = found["median"], found["low"], found["high"]
+    optimum = None
+    if stored.route == "amplitude" and job.by_amplitude:
+        start = optima_of(tree)[stored.name]
+        if not start.withheld:
+            optimum = {**start.symbols, "rmse_rpm": start.rmse_rpm}
+    reason = stored.reason or (NO_CURVE if gap is None else None)
+    outcome = stored.verdict.outcome
+    return RecordingAnswer(
+        "no_curve" if gap is None and outcome != "withheld" else outcome,
+        reason,
+        tuple(stored.verdict.reasons),
+        stored.route,
+        bool(stored.model_check["agrees"]),
+        gap,
+        bench,
+        amplitude,
+        optimum,
+    )
+
+
+def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
+    """Of the recordings since the last repair that give δ by one route."""
+    since = [
+        number
+        for number, one in enumerate(job.recordings)
+        if job.joint.repaired is None or one.date >= job.joint.repaired
+    ]
+    against = [job.names[number] for number in since if not answers[number].agrees]
+    giving = [number for number in since if answers[number].answers]
+    if against:
+        return JointAnswer(
+            f"{', '.join(against)}: the recording contradicts the bench, so something other than "
+            "the gap may have changed. `bayesbl diagnose` looks for what the bench lacks."
+        )
+    if job.joint.curve == PUBLISHED:
+        return JointAnswer(OTHER_JOINT)
+    if since and not giving and any(answers[n].outcome == "no_curve" for n in since):
+        return JointAnswer(NO_CURVE)
+    route = _most_common([answers[number].route for number in giving])
+    used = [number for number in giving if answers[number].route == route]
+    if len({job.recordings[number].date for number in used}) < 2:
+        after = " since the repair" if job.joint.repaired else ""
+        return JointAnswer(
+            f"A rate needs δ at two dates or more{after}; there {_are(len(used))}.",
+            route,
+            tuple(used[-1:]),
+            None if not used else _alone(answers[used[-1]]),
+        )
+    try:
+        if route == "direct":
+            return _by_bench(job, used, answers)
+        return _by_curve(job, used, answers)
+    except UserError as error:
+        return JointAnswer(str(error), route, tuple(used))
+
+
+def _alone(answer: RecordingAnswer) -> FloatArray:
+    """Its gap as the only one in use, shape (1, draw)."""
+    assert answer.gap_rad is not None
+    return _thin(answer.gap_rad)[None]
+
+
+def _by_bench(
+    job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
+) -> JointAnswer:
+    config = job.config("compare", used)
+    assert isinstance(config, CompareConfig)
+    alone = []
+    for number in used:
+        gap, bench = answers[number].gap_rad, answers[number].bench
+        assert gap is not None
+        assert bench is not None
+        alone.append(MatchedAlone(gap, bench))
+    names = [job.names[number] for number in used]
+    seeds = job.seeds(used)
+    gaps = paired_gaps(alone, DRAWS, np.random.default_rng(seeds.gap))
+    differing = other_benches(alone, [u.name for u in _unknowns(job, names[0])])
+    reason = None
+    if differing:
+        told = "; ".join(
+            f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()
+        )
+        reason = (
+            "Something other than the gap changed between the recordings, so their change is "
+            f"withheld: another bench than by the others is needed in {told}. `bayesbl compare` "
+            "over these recordings looks for what changed."
+        )
+    snapshots = [
+        Snapshot(name, draws[None], Verdict("converged", (), None), {})
+        for name, draws in zip(names, gaps, strict=True)
+    ]
+    return _of_group(wear_of(config, snapshots, seeds.wear, reason), "direct", used, gaps)
+
+
+def _by_curve(
+    job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
+) -> JointAnswer:
+    before = {job.names[n]: answers[n - 1] for n in used if n > 0}
+    tree = measure(
+        job.config("compare", used, "amplitude"),
+        None,
+        _fits(job),
+        lambda _: None,
+        _swept(job),
+        job.seeds(used),
+        _earlier(job, before),
+    )
+    gaps = np.asarray(tree["posterior"].to_dataset()["delta_rad"].values)
+    wear = tree["wear"].to_dataset() if "wear" in tree.children else None
+    return _of_group(wear, "amplitude", used, gaps.reshape(len(used), -1))
+
+
+def _of_group(
+    group: xr.Dataset | None, route: str, used: Sequence[int], gaps: FloatArray
+) -> JointAnswer:
+    reason = OTHER_JOINT if group is None else str(group.attrs["reason"])
+    answer = JointAnswer(reason or None, route, tuple(used), _thin(gaps))
+    if group is None or reason:
+        return answer
+    rows = {str(name): group[name].values for name in group.data_vars}
+    dates = [day for day, chosen in zip(rows["date"], rows["used"], strict=True) if chosen]
+    first, last = (Date.fromisoformat(str(day)) for day in (dates[0], dates[-1]))
+    shares = np.bincount(rows["law"].astype(int).ravel(), minlength=len(LAWS))
+    return replace(
+        answer,
+        rate_rad_per_year=_flat(
+            (rows["current_rad"] - rows["first_rad"]) / years_between(first, last)
+        ),
+        rate_now_rad_per_year=_flat(rows["rate_now_rad_per_year"]),
+        years_to_limit=_flat(rows["years_to_limit"]) if "years_to_limit" in rows else None,
+        probability_wear=float(np.mean(rows["trend_rad_per_year"] > 0.0)),
+        law={law.name: float(n / shares.sum()) for law, n in zip(LAWS, shares, strict=True)},
+    )
+
+
+def _unknowns(job: JointJob, name: str) -> list[Unknown]:
+    """What is not known of the joint's bench and shared by all its recordings."""
+    assert job.joint.bench is not None
+    bench = load_bench(Path(job.joint.bench))
+    own = [u for u in effect_unknowns(bench, [name]) if u.recording is None]
+    return [*own, *tolerance_unknowns(bench)]
+
+
+def _earlier(job: JointJob, before: Mapping[str, RecordingAnswer]) -> dict[str, EarlierOptimum]:
+    """Where the search of each recording starts, by its name."""
+    if not job.by_amplitude:
+        return {}
+    starts = {}
+    for name, answer in before.items():
+        if answer.optimum is not None:
+            symbols = dict(answer.optimum)
+            rmse = symbols.pop("rmse_rpm")
+            starts[name] = EarlierOptimum("the optimum of the recording before", symbols, rmse)
+    return starts
+
+
+def _fits(job: JointJob) -> WorkStore:
+    """Where fits are kept that ``compare`` takes up again."""
+    if not job.by_amplitude:
+        return NOTHING_KEPT
+    folder = fits_beside(Path(job.output))
+    folder.mkdir(parents=True, exist_ok=True)
+    return WorkStore(folder)
+
+
+def fits_beside(output: Path) -> Path:
+    """Folder of finished fits of a fleet with this output folder."""
+    return output.with_name(f".{output.name}.fits")
+
+
+def _swept(job: JointJob) -> WorkStore:
+    return WorkStore(Path(job.output).parent / STORE)
+
+
+def _thin(draws: FloatArray) -> FloatArray:
+    """At most :data:`DRAWS` of them, evenly from all, shape (…, draw)."""
+    count = draws.shape[-1]
+    if count <= DRAWS:
+        return np.asarray(draws)
+    return np.asarray(draws[..., np.linspace(0, count - 1, DRAWS).astype(int)])
+
+
+def _flat(draws: FloatArray) -> FloatArray:
+    return _thin(np.asarray(draws, dtype=float).ravel())
+
+
+def _most_common(routes: Sequence[str]) -> str:
+    return Counter(routes).most_common(1)[0][0] if routes else ""
+
+
+def _are(count: int) -> str:
+    return "is none" if count == 0 else "is one" if count == 1 else f"are {count}, of one day"

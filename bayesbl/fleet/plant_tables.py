@@ -1,0 +1,276 @@
+"""``recordings.parquet`` and ``joints.parquet``: a row each, columns as declared here."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date as Date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesbl.errors import ConfigError
+from bayesbl.fleet.inventory import Joint
+from bayesbl.fleet.joint_job import JointAnswer, RecordingAnswer
+from bayesbl.fleet.pooled_rates import Pooled, TypeRates, alarms, pooled
+from bayesbl.measurement.dated_wear import date_after, years_between
+from bayesbl.measurement.wear import probability_before
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import IntervalKind, interval
+
+RECORDINGS_FILE, JOINTS_FILE = "recordings.parquet", "joints.parquet"
+
+QUANTILES = (0.01, 0.05, 0.25, 0.75, 0.95, 0.99)
+
+RECORDING_COLUMNS = {
+    "joint": ("string", "of the inventory"),
+    "date": ("string", "when it was recorded, 2026-03-01"),
+    "file": ("string", "path"),
+    "sha256": ("string", "of the file's bytes; null where it could not be read"),
+    "outcome": (
+        "string",
+        "converged, usable, withheld, no_curve; refused: it cannot be used; failed: a bug",
+    ),
+    "reason": ("string", "why δ is null; null where it is not"),
+    "notes": ("string", "what else to know of it"),
+    "route": ("string", "direct or amplitude"),
+    "used": ("bool", "whether the joint's rate rests on it"),
+    "delta_rad_median": ("double", "gap, rad"),
+    "delta_rad_low": ("double", "lower bound of the interval, rad"),
+    "delta_rad_high": ("double", "upper bound, rad"),
+    "delta_rad_sd": ("double", "standard deviation, rad"),
+    **{
+        f"delta_rad_q{round(100 * q):02d}": ("double", f"{100 * q:g} % quantile, rad")
+        for q in QUANTILES
+    },
+    "amplitude_rpm_median": ("double", "amplitude of the ringing, rpm"),
+    "amplitude_rpm_low": ("double", "rpm"),
+    "amplitude_rpm_high": ("double", "rpm"),
+    "probability_above_limit": ("double", "that δ was above the joint's limit"),
+}
+"""Column to its type and meaning."""
+
+JOINT_COLUMNS = {
+    "joint": ("string", "of the inventory"),
+    "gearbox": ("string", "its type"),
+    "limit_rad": ("double", "gap at which it is to be repaired, rad"),
+    "recordings": ("int64", "how many there are"),
+    "used": ("int64", "that the rate rests on"),
+    "withheld": ("int64", "whose gap is withheld, or has no curve"),
+    "broken": ("int64", "refused or failed"),
+    "route": ("string", "direct or amplitude"),
+    "first_date": ("string", "of the recordings in use"),
+    "last_date": ("string", "of the recordings in use"),
+    "delta_rad_median": ("double", "gap at the last date, rad"),
+    "delta_rad_low": ("double", "rad"),
+    "delta_rad_high": ("double", "rad"),
+    "probability_limit_now": ("double", "that it was above its limit at the last date"),
+    "probability_wear": ("double", "that it has grown since the first date; without pooling"),
+    "rate_rad_per_year_median": ("double", "mean over the dates in use; pooled where that is so"),
+    "rate_rad_per_year_low": ("double", "rad/year"),
+    "rate_rad_per_year_high": ("double", "rad/year"),
+    "rate_rad_per_year_sd": ("double", "rad/year"),
+    "rate_alone_rad_per_year_median": ("double", "from this joint's recordings only"),
+    "rate_alone_rad_per_year_low": ("double", "rad/year"),
+    "rate_alone_rad_per_year_high": ("double", "rad/year"),
+    "pooled": ("bool", "whether joints of its type count in rate and date"),
+    "law": ("string", "likeliest law of wear"),
+    "limit_date_median": ("string", "when the gap reaches the limit; null: not in 1000 years"),
+    "limit_date_low": ("string", "lower bound of the interval"),
+    "limit_date_high": ("string", "upper bound"),
+    "limit_date_not_before": ("string", "one-sided, at the interval's level"),
+    "probability_limit_before": ("double", "that it is reached before [fleet] decide_before"),
+    "alarm": ("bool", "among the joints called over their limit, at most 5 % of them falsely"),
+    "rank": ("int64", "1 is reached first; null where there is no date"),
+    "reason": ("string", "why there is no rate; null where there is one"),
+}
+"""Column to its type and meaning; the inventory's own other columns stand behind them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Of all intervals in the tables."""
+
+    level: float
+    kind: IntervalKind
+
+    def of(self, draws: FloatArray, name: str) -> dict[str, float]:
+        """Columns of an interval."""
+        found = interval(draws, self.level, self.kind)
+        return {f"{name}_{end}": found[end] for end in ("median", "low", "high")}
+
+
+def recording_row(
+    answer: RecordingAnswer, joint: Joint | None, used: bool, level: Level
+) -> dict[str, Any]:
+    """A row of ``recordings.parquet``, which recording it is of left open."""
+    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
+    row |= {"outcome": answer.outcome, "reason": answer.reason, "used": used}
+    row |= {"route": answer.route or None}
+    row["notes"] = " ".join(n for n in answer.notes if n not in (answer.reason or "")) or None
+    if answer.amplitude_rpm is not None:
+        ends = (f"amplitude_rpm_{end}" for end in ("median", "low", "high"))
+        row |= dict(zip(ends, answer.amplitude_rpm, strict=True))
+    if answer.answers:
+        gap = answer.gap_rad
+        assert gap is not None
+        row |= level.of(gap, "delta_rad") | {"delta_rad_sd": float(gap.std())}
+        found_at = np.quantile(gap, QUANTILES)
+        row |= {
+            f"delta_rad_q{round(100 * q):02d}": float(v)
+            for q, v in zip(QUANTILES, found_at, strict=True)
+        }
+        if joint is not None and joint.limit_rad is not None and joint.curve != "published":
+            row["probability_above_limit"] = float(np.mean(gap > joint.limit_rad))
+    return row
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A joint with its answer, what happened to its recordings, and their dates."""
+
+    joint: Joint
+    answer: JointAnswer
+    dates: tuple[str, ...]
+    outcomes: tuple[str, ...]
+
+
+def pool(
+    measured: Sequence[Measured], column: str | None, seed: int
+) -> tuple[dict[str, TypeRates], dict[str, Any]]:
+    """Rates by type, and by joint the draws that its type chooses."""
+    groups: dict[str, list[Measured]] = defaultdict(list)
+    for one in measured:
+        if column and one.answer.rate_rad_per_year is not None and one.joint.group(column):
+            groups[one.joint.group(column)].append(one)
+    types: dict[str, TypeRates] = {}
+    chosen: dict[str, Any] = {}
+    for place, (name, members) in enumerate(sorted(groups.items())):
+        rates = [
+            m.answer.rate_rad_per_year for m in members if m.answer.rate_rad_per_year is not None
+        ]
+        found: Pooled | None = pooled(rates, np.random.default_rng([seed, place]))
+        if found is not None:
+            types[name] = found.rates
+            chosen |= {m.joint.name: c for m, c in zip(members, found.chosen, strict=True)}
+    return types, chosen
+
+
+def joint_rows(
+    measured: Sequence[Measured],
+    chosen: Mapping[str, Any],
+    level: Level,
+    decide_before: Date | None,
+) -> list[dict[str, Any]]:
+    """Rows of ``joints.parquet``, the most urgent first."""
+    rows = [_joint_row(one, chosen.get(one.joint.name), level, decide_before) for one in measured]
+    called = alarms([row["probability_limit_now"] for row in rows])
+    for row, alarm in zip(rows, called, strict=True):
+        row["alarm"] = alarm
+    rows.sort(key=_urgency)
+    dated = [row for row in rows if row["limit_date_median"] is not None]
+    for rank, row in enumerate(dated, start=1):
+        row["rank"] = rank
+    return rows
+
+
+def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What is past its limit, by how far; then by date, by share; what nobody knows comes last."""
+    share = (row["delta_rad_median"] or 0.0) / (row["limit_rad"] or float("inf"))
+    date = row["limit_date_median"] or "9999"
+    passed = date <= (row["last_date"] or "")
+    low = row["limit_date_low"] or "9999"
+    return (not passed, "" if passed else date, "" if passed else low, -share, row["joint"])
+
+
+def _joint_row(
+    one: Measured, chosen: Any, level: Level, decide_before: Date | None
+) -> dict[str, Any]:
+    joint, answer = one.joint, one.answer
+    row: dict[str, Any] = dict.fromkeys(JOINT_COLUMNS)
+    row |= {key: value for key, value in joint.covariates.items() if key not in row}
+    row |= {
+        "joint": joint.name,
+        "gearbox": joint.gearbox or None,
+        "limit_rad": joint.limit_rad,
+        "recordings": len(one.outcomes),
+        "used": len(answer.used),
+        "withheld": sum(o in ("withheld", "no_curve") for o in one.outcomes),
+        "broken": sum(o in ("refused", "failed") for o in one.outcomes),
+        "route": answer.route or None,
+        "pooled": chosen is not None,
+        "reason": answer.reason,
+    }
+    dates = [one.dates[number] for number in answer.used]
+    if dates:
+        row |= {"first_date": dates[0], "last_date": dates[-1]}
+    if answer.gap_rad is not None:
+        now = answer.gap_rad[-1]
+        row |= level.of(now, "delta_rad")
+        if joint.limit_rad is not None and joint.curve != "published":
+            row["probability_limit_now"] = float(np.mean(now > joint.limit_rad))
+    rate = answer.rate_rad_per_year
+    if rate is None:
+        return row
+    row |= level.of(rate, "rate_alone_rad_per_year")
+    row["probability_wear"] = answer.probability_wear
+    row["law"] = max(answer.law, key=lambda name: answer.law[name])
+    own = slice(None) if chosen is None else chosen
+    row |= level.of(rate[own], "rate_rad_per_year")
+    row["rate_rad_per_year_sd"] = float(rate[own].std())
+    if answer.years_to_limit is not None:
+        row |= _forecast(
+            answer.years_to_limit[own], Date.fromisoformat(dates[-1]), level, decide_before
+        )
+    return row
+
+
+def _forecast(
+    years: FloatArray, last: Date, level: Level, decide_before: Date | None
+) -> dict[str, Any]:
+    ends = level.of(years, "limit_date")
+    ends["limit_date_not_before"] = float(np.quantile(years, 1.0 - level.level))
+    days = {name: date_after(last, value) for name, value in ends.items()}
+    row: dict[str, Any] = {name: day and day.isoformat() for name, day in days.items()}
+    if decide_before is not None and decide_before > last:
+        row["probability_limit_before"] = probability_before(
+            years, years_between(last, decide_before)
+        )
+    return row
+
+
+def write_table(
+    rows: Sequence[Mapping[str, Any]], columns: Mapping[str, tuple[str, str]], path: Path
+) -> None:
+    """A Parquet file; the meaning of each column is in its metadata."""
+    import pyarrow
+    import pyarrow.parquet
+
+    extra = dict.fromkeys(key for row in rows for key in row if key not in columns)
+    fields = [
+        pyarrow.field(name, pyarrow.type_for_alias(kind), metadata={"meaning": meaning})
+        for name, (kind, meaning) in columns.items()
+    ]
+    for name in extra:
+        is_number = all(isinstance(row.get(name, 0.0), float | None) for row in rows)
+        kind = pyarrow.float64() if is_number else pyarrow.string()
+        fields.append(pyarrow.field(name, kind, metadata={"meaning": "of the inventory"}))
+        if not is_number:
+            rows = [
+                {**row, name: None if row.get(name) is None else str(row[name])} for row in rows
+            ]
+    table = pyarrow.Table.from_pylist([dict(row) for row in rows], schema=pyarrow.schema(fields))
+    pyarrow.parquet.write_table(table, path)
+
+
+def require_tables() -> None:
+    """Raise where Parquet cannot be written."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise ConfigError(
+            "A fleet needs a package that is not installed.",
+            expected="pip install 'bayesbl[fleet]'",
+        ) from None

@@ -1,0 +1,288 @@
+"""Recordings as the simulator is compared with them: which signals, from where on, how they repeat.
+
+A recording of a motion rarely begins where its history is known. At rest on a loaded flank the
+torques say all; elsewhere (in motion, in the gap, held by friction) the state at the first sample
+is forgotten once the teeth have met and the transients have died, and what was before is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.motion import Motion, recorded_motion
+from bayesbl.bench.steady import settling_time_s
+from bayesbl.errors import RecordingError
+from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
+from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
+from bayesbl.recording.types import (
+    MOTOR_CURRENT,
+    REFERENCE_POSITION,
+    REFERENCE_SPEED,
+    BoolArray,
+    FloatArray,
+    Recording,
+)
+
+LARGEST_SPEED_ERROR = 0.01
+"""Relative difference of a recording's mean speed from the one it is simulated at: on the reference
+bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
+"""
+
+FAST_S = 0.25
+"""Noise of a motion that does not repeat is what is faster than a mean over this: two periods or
+more of any ringing, and long beside the noise of sensors."""
+
+SHORTEST_REST_S = 0.05
+STANDSTILL_RPM = 20.0
+"""Twenty times the width over which a bench's friction changes its sign: beyond, it is that of
+motion."""
+
+MEDIAN_OF_NORMAL = 0.6745
+LEAST_NOISE_RPM = 0.01
+MOST_LEFT_OUT = 0.3
+"""Of a recording, at its begin."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """A recording as the simulator is compared with it.
+
+    Attributes
+    ----------
+    signals
+        Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
+    reference_speed_rpm
+        Of the motor, negative for reverse.
+    known
+        What else is known about this recording, named as in :meth:`Bench.vector`.
+    excluded
+        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+    motor_angle_rad
+        Shape (n,): reading of an absolute encoder of the motor; ``None`` where there is none.
+    motion
+        What the motor was asked to follow instead of one speed; ``reference_speed_rpm`` is then its
+        largest.
+    cycle
+        Samples after which the motion repeats; ``None`` where it does not.
+    begin_s
+        Time from the recording's first sample to the first one compared: a later part of it has
+        the drift of the whole.
+    """
+
+    name: str
+    signals: FloatArray
+    sampling_hz: float
+    reference_speed_rpm: float
+    rotation_period_s: float
+    known: Mapping[str, float] = field(default_factory=dict)
+    excluded: BoolArray | None = None
+    motor_angle_rad: FloatArray | None = None
+    motion: Motion | None = None
+    cycle: int | None = None
+    begin_s: float = 0.0
+
+    @property
+    def samples(self) -> int:
+        """Number of samples n."""
+        return int(self.signals.shape[1])
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the rows of ``signals``."""
+        return ("motor_speed_rpm", "motor_current_a")[: len(self.signals)]
+
+    @property
+    def lag(self) -> int:
+        """Samples in one load rotation, or in one cycle of a motion, to the nearest.
+
+        A motion that does not repeat is looked at in quarters.
+        """
+        if self.motion is not None:
+            return self.cycle or self.samples // 4
+        return round(self.rotation_period_s * self.sampling_hz)
+
+    def left_by(self, simulated: FloatArray) -> FloatArray:
+        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there."""
+        left = self.signals - simulated
+        return left if self.excluded is None else np.where(self.excluded, 0.0, left)
+
+    @property
+    def motor_start_rad(self) -> float | None:
+        """What the motor's encoder shows at the first sample; ``None`` if it is not absolute."""
+        return None if self.motor_angle_rad is None else float(self.motor_angle_rad[0])
+
+
+def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None = None) -> float:
+    """The speed that a recording was made at, rpm, negative in reverse.
+
+    Parameters
+    ----------
+    stated_rpm
+        If ``None``, the bench's own, with the recording's direction.
+
+    Raises
+    ------
+    RecordingError
+        If the recording's mean speed is another.
+    """
+    mean = float(recording.motor_speed_rpm.mean())
+    reference = stated_rpm or math.copysign(bench.value("reference_speed_rpm"), mean)
+    if abs(mean / reference - 1.0) > LARGEST_SPEED_ERROR:
+        raise RecordingError(
+            " ".join(
+                [
+                    "The recording was made at another speed than the bench's.",
+                    speed_in_another_unit(recording, reference) or "",
+                ]
+            ).strip(),
+            file=recording.name,
+            found=f"{mean:.6g} rpm on average",
+            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
+        )
+    return reference
+
+
+def observed(
+    recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
+) -> Observed:
+    """The part of a recording that is compared with the bench.
+
+    Parameters
+    ----------
+    reference_speed_rpm
+        If ``None``, the bench's own, with the recording's direction. A motion has its own.
+
+    Raises
+    ------
+    RecordingError
+        If the samples are uneven, the speed is not the reference's, or there are fewer
+        than two load rotations where it is one speed.
+    """
+    speed = recording.motor_speed_rpm
+    period = recording.sampling_period_s
+    grid = recording.time_s[0] + period * np.arange(speed.size)
+    if np.max(np.abs(recording.time_s - grid)) > 0.1 * period:
+        raise RecordingError(
+            "A comparison with the simulation needs evenly spaced samples.",
+            file=recording.name,
+            expected="time stamps within a tenth of the sampling period of an even grid",
+        )
+    if moves(recording):
+        return _motion(recording, bench, period)
+    reference = reference_speed(recording, bench, reference_speed_rpm)
+    rotation = bench.rotation_period_s(reference)
+    if speed.size * period < 1.9 * rotation:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            file=recording.name,
+            found=f"{speed.size * period / rotation:.2g} load rotations",
+            expected="at least two",
+        )
+    return Observed(
+        recording.name,
+        _signals(recording, bench),
+        1.0 / period,
+        reference,
+        rotation,
+        excluded=recording.excluded,
+    )
+
+
+def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
+    """The part of a recorded motion that is compared with the bench."""
+    channels = recording.channels
+    time = period_s * np.arange(recording.samples, dtype=np.float64)
+    motion = recorded_motion(time, channels.get(REFERENCE_SPEED), channels.get(REFERENCE_POSITION))
+    asked = motion.speed_rpm(time)
+    require_same_motion(recording, asked)
+    cycle = cycle_of(asked)
+    seen = Observed(
+        recording.name,
+        _signals(recording, bench),
+        1.0 / period_s,
+        float(np.max(np.abs(asked))),
+        period_s * (cycle or recording.samples),
+        excluded=recording.excluded,
+        motion=motion,
+        cycle=cycle,
+    )
+    rest = first_move(asked)
+    if _begins_at_rest(seen, rest) and not bench.effects:
+        return seen
+    return without_start(seen, bench, rest)
+
+
+def _signals(recording: Recording, bench: Bench) -> FloatArray:
+    """Speed and, where it is recorded, current, shape (c, n)."""
+    rows = [recording.motor_speed_rpm]
+    if MOTOR_CURRENT in recording.channels:
+        require_plausible_current(recording, bench.value("current_limit_a"))
+        rows.append(recording.channels[MOTOR_CURRENT])
+    return np.stack(rows)
+
+
+def _begins_at_rest(seen: Observed, rest: int) -> bool:
+    """Whether the motor stands in the samples before the reference first moves.
+
+    By the mean and the slope of its speed there, at a false alarm of 1e-4 each if noise is white;
+    noise that lasts makes it stricter, and the start is then left out.
+    """
+    if rest < SHORTEST_REST_S * seen.sampling_hz:
+        return False
+    speed = seen.signals[0, :rest]
+    x = np.linspace(-1.0, 1.0, rest)
+    slope, mean = np.polyfit(x, speed, 1)
+    left = speed - mean - slope * x
+    # Three times as wide as for white noise: sensors' noise lasts for some samples.
+    error = 3.0 * max(float(left.std()), 1e-9) / math.sqrt(rest)
+    return bool(abs(mean) < 4.0 * error and abs(slope) < 4.0 * math.sqrt(3.0) * error)
+
+
+def without_start(seen: Observed, bench: Bench, rest: int) -> Observed:
+    """The same without what comes before the bench has forgotten how it began.
+
+    ``rest``: samples before the first motion, in which the teeth need not touch.
+    """
+    begin = min(rest + _recovery(seen, bench), int(MOST_LEFT_OUT * seen.samples))
+    return _without(seen, np.arange(seen.samples) < begin)
+
+
+def without_standstill(seen: Observed, bench: Bench) -> Observed:
+    """The same without every standstill and what still remembers it.
+
+    What friction does at rest (sticking, creep, a brake) is not what it does in motion, and a bench
+    knows it badly.
+    """
+    if seen.motion is None:
+        return seen
+    time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
+    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL_RPM
+    memory = np.ones(_recovery(seen, bench) + 1)
+    remembers = np.convolve(standing, memory)[: seen.samples] > 0.5
+    # The motor lags behind its reference, so it stands a little later too: within the memory.
+    return _without(seen, remembers)
+
+
+def _recovery(seen: Observed, bench: Bench) -> int:
+    """Samples after which the bench has forgotten what it did, to a tenth of the noise."""
+    fastest = bench.vector(reference_speed_rpm=seen.reference_speed_rpm)
+    # By second differences, which a motion hardly has; noise that lasts counts as a little less.
+    bends = np.abs(np.diff(seen.signals[0], 2))
+    noise = float(np.median(bends)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+    settled = float(settling_time_s(fastest, max(noise, LEAST_NOISE_RPM))[0])
+    return math.ceil(settled * seen.sampling_hz)
+
+
+def _without(seen: Observed, left_out: BoolArray) -> Observed:
+    excluded: BoolArray = left_out if seen.excluded is None else left_out | seen.excluded
+    return replace(seen, excluded=excluded)
+
+
+def begin_of(seen: Observed) -> int:
+    """First sample of a motion that is compared."""
+    return 0 if seen.motion is None or seen.excluded is None else int(np.argmin(seen.excluded))

@@ -1,0 +1,254 @@
+"""Which motion would tell the gap of a joint best: candidates by the width that they promise.
+
+Near the truth the whitened signals are linear in all that is unknown, so the covariance of a fit is
+known before anything is recorded: (JᵀJ + P)⁻¹ with J the derivatives of the simulated signals and P
+the precision of the bench's tolerances.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.kernel import CURRENT, RPM, SPEED
+from bayesbl.bench.motion import Motion, strokes
+from bayesbl.bench.simulation import simulate_motions
+from bayesbl.errors import BenchError
+from bayesbl.matching.least_squares import fit_at
+from bayesbl.matching.motions import flank_changes
+from bayesbl.matching.observed import Observed
+from bayesbl.matching.signals import (
+    GAP,
+    SimulatedSignals,
+    effect_unknowns,
+    gap_unknown,
+    reference_delay_unknown,
+    start_angle_unknown,
+    tolerance_unknowns,
+)
+from bayesbl.noise.autoregression import innovation_share
+from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.types import FloatArray
+
+NAME = "planned"
+
+REACH_SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of the range allowed, that a stroke covers."""
+
+POSTURES = 3
+"""Places in the range that a shorter stroke is tried at, besides where gravity changes its sign."""
+
+SPEED_SHARES = (1.0, 0.4)
+ACCELERATION_SHARES = (1.0, 0.3)
+SHORTEST_REACH_RAD = 0.01
+
+GAPS_TRIED = (0.7, 1.0, 1.4)
+"""Times the gap asked for. A motion in which the load only just reaches the other flank tells one
+gap sharply and its neighbours hardly: the root mean square over these ranks it by the worst."""
+
+LARGEST_CURRENT_SHARE = 0.95
+"""Of the current limit: at the limit the controller is not what the bench says."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """What the joint may do: load angles, speed and acceleration of the motor, rests, length."""
+
+    range_rad: tuple[float, float]
+    speed_rpm: float
+    acceleration_rpm_per_s: float
+    dwell_s: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedMotion:
+    """Strokes and what they would tell.
+
+    Attributes
+    ----------
+    flank_changes
+        How often the load would pass from one flank to the other.
+    expected_relative_sd
+        Of δ, from one recording, over gaps about the one asked for; ``None`` where no flank changes
+        at one of them.
+    """
+
+    range_rad: tuple[float, float]
+    speed_rpm: float
+    acceleration_rpm_per_s: float
+    dwell_s: float
+    duration_s: float
+    flank_changes: int
+    expected_relative_sd: float | None
+
+
+def ranked_motions(
+    bench: Bench,
+    limits: MotionLimits,
+    gap_rad: float,
+    sampling_hz: float,
+    workers: int = 1,
+) -> list[PlannedMotion]:
+    """Candidate strokes within the limits, the one that tells δ best first.
+
+    Motions that the drive could not follow are left out.
+
+    Raises
+    ------
+    BenchError
+        If the bench has no noise, or can follow none of the motions.
+    """
+    found = [
+        planned
+        for range_rad, speed, acceleration in candidates(bench, limits)
+        if (
+            planned := _planned(
+                bench, limits, range_rad, speed, acceleration, gap_rad, sampling_hz, workers
+            )
+        )
+        is not None
+    ]
+    if not found:
+        raise BenchError(
+            "The drive can follow none of the motions within these limits.",
+            where="[limits] acceleration_rpm_per_s",
+            found=f"{limits.acceleration_rpm_per_s:g} and less",
+            expected="an acceleration for which current_limit_a is enough",
+        )
+    return sorted(found, key=lambda motion: motion.expected_relative_sd or math.inf)
+
+
+def candidates(
+    bench: Bench, limits: MotionLimits
+) -> Iterator[tuple[tuple[float, float], float, float]]:
+    """Range, speed and acceleration of every motion that is tried."""
+    low, high = limits.range_rad
+    upright = [
+        k * math.pi - bench.value("gravity_angle_rad")
+        for k in range(-4, 5)
+        if bench.value("gravity_torque_nm") > 0.0
+    ]
+    for share in REACH_SHARES:
+        half = 0.5 * share * (high - low)
+        if half < SHORTEST_REACH_RAD:
+            continue
+        centres = (
+            [0.5 * (low + high)]
+            if share == 1.0
+            else [
+                *np.linspace(low + half, high - half, POSTURES).tolist(),
+                *(angle for angle in upright if low + half < angle < high - half),
+            ]
+        )
+        for centre in dict.fromkeys(round(c, 6) for c in centres):
+            for speed_share in SPEED_SHARES:
+                for acceleration_share in ACCELERATION_SHARES:
+                    yield (
+                        (centre - half, centre + half),
+                        speed_share * limits.speed_rpm,
+                        acceleration_share * limits.acceleration_rpm_per_s,
+                    )
+
+
+def noise_of_bench(bench: Bench) -> ChannelNoise:
+    """What the bench file says of the noise of speed and current.
+
+    Raises
+    ------
+    BenchError
+        If it says that there is none.
+    """
+    models = (bench.measurement.speed_noise, bench.measurement.current_noise)
+    if not all(model.standard_deviation > 0.0 for model in models):
+        raise BenchError(
+            "Without noise every motion tells the gap exactly.",
+            where="[measurement]",
+            found="no noise of the speed or of the current",
+            expected="speed_noise and current_noise, as recordings of this joint have them",
+        )
+    order = max(len(model.coefficients) for model in models)
+    coefficients = np.zeros((order, 2, 2))
+    for place, model in enumerate(models):
+        coefficients[: len(model.coefficients), place, place] = model.coefficients
+    return ChannelNoise(
+        coefficients,
+        np.diag([_innovation_sd(model) for model in models]),
+        np.array([model.standard_deviation for model in models]),
+        0,
+    )
+
+
+def _innovation_sd(model: NoiseModel) -> float:
+    share = innovation_share(np.array(model.coefficients)) if model.coefficients else 1.0
+    return model.standard_deviation * math.sqrt(share)
+
+
+def _planned(
+    bench: Bench,
+    limits: MotionLimits,
+    range_rad: tuple[float, float],
+    speed_rpm: float,
+    acceleration_rpm_per_s: float,
+    gap_rad: float,
+    sampling_hz: float,
+    workers: int,
+) -> PlannedMotion | None:
+    """What strokes would tell; ``None`` where the drive cannot follow them."""
+    motion = strokes(
+        bench.value("gear_ratio"),
+        range_rad,
+        speed_rpm,
+        acceleration_rpm_per_s,
+        limits.dwell_s,
+        limits.duration_s,
+    )
+    asked = (speed_rpm, acceleration_rpm_per_s, limits.dwell_s, limits.duration_s)
+    samples = round(limits.duration_s * sampling_hz)
+    row = bench.vector(gap_rad=gap_rad, start_angle_rad=range_rad[0])
+    signals = simulate_motions(row, motion, samples, sampling_hz)[0, [SPEED, CURRENT]]
+    if np.max(np.abs(signals[1])) > LARGEST_CURRENT_SHARE * bench.value("current_limit_a"):
+        return None
+    found = [
+        _told(bench, _as_recorded(motion, signals, sampling_hz), range_rad[0], gap, workers)
+        for gap in gap_rad * np.array(GAPS_TRIED)
+    ]
+    sds = [sd for _, sd in found]
+    changes = found[len(found) // 2][0]
+    expected = math.sqrt(sum(sd**2 for sd in sds) / len(sds))
+    return PlannedMotion(range_rad, *asked, changes, expected if math.isfinite(expected) else None)
+
+
+def _told(
+    bench: Bench, seen: Observed, start_angle_rad: float, gap_rad: float, workers: int
+) -> tuple[int, float]:
+    """Changes of flank at a gap, and the standard deviation of ln δ, infinite without any."""
+    unknowns = [
+        gap_unknown(0.01 * gap_rad, 100.0 * gap_rad),
+        start_angle_unknown(NAME),
+        reference_delay_unknown(NAME),
+        *effect_unknowns(bench, [NAME]),
+        *tolerance_unknowns(bench),
+    ]
+    point = np.array([u.centre for u in unknowns])
+    for i, unknown in enumerate(unknowns):
+        if math.isfinite(unknown.high - unknown.low) and not math.isfinite(unknown.sd):
+            point[i] = 0.5 * (unknown.low + unknown.high)
+    point[:2] = math.log(gap_rad), start_angle_rad
+    model = SimulatedSignals(bench, [seen], unknowns, [noise_of_bench(bench)], workers)
+    fit = fit_at(model, point)
+    changes = len(flank_changes(fit, 0))
+    return changes, fit.sd(GAP) if changes else math.inf
+
+
+def _as_recorded(motion: Motion, signals: FloatArray, sampling_hz: float) -> Observed:
+    """A motion as if it had been recorded, signals of shape (2, n)."""
+    fastest = float(np.max(np.abs(motion.pieces[:, 1]))) * RPM
+    return Observed(
+        NAME, signals, sampling_hz, fastest, signals.shape[1] / sampling_hz, motion=motion
+    )

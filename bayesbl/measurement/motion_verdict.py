@@ -1,0 +1,97 @@
+"""What a motion shows of its gap, and what it does not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bayesbl.bench.kernel import RPM, Slot
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.motions import flank_changes
+from bayesbl.matching.observed import begin_of
+from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.matching.signals import GAP
+from bayesbl.recording.types import FloatArray
+
+EXCLUDED_END = 0.1
+EXCLUDED_SHARE = 0.01
+"""Less than this share of the posterior in this share of the range of ln δ, at an end: the
+recording excludes that end, and there is a bound. A flat posterior has a tenth there."""
+
+BOUND_LEVEL = 0.95
+
+
+def unseen_gap(posterior: DirectPosterior, index: int) -> str | None:
+    """Why a motion does not tell δ of a recording, with the bound that it leaves; ``None`` if it
+    does, or turns at one speed."""
+    fit = posterior.fit
+    seen = fit.model.recordings[index]
+    if seen.motion is None or flank_changes(fit, index):
+        return None
+    asked = largest_pull(fit, index)
+    sentences = [
+        "In this motion the load never passes from one tooth flank to the other, so δ leaves no "
+        "trace that could be measured.",
+        _bound(posterior, index),
+        "Record a motion that takes the load through the angle at which gravity's torque changes "
+        "its sign (hanging straight down or standing upright), or one that brakes and accelerates "
+        f"the load harder than gravity pulls at it: here by more than {asked:.3g} rpm/s of the "
+        "motor."
+        if asked > 0.0
+        else "Record a motion that brakes and accelerates the load both ways.",
+        "`bayesbl plan --bench FILE` ranks motions.",
+    ]
+    return " ".join(filter(None, sentences))
+
+
+def largest_pull(fit: SimulatedFit, index: int) -> float:
+    """Acceleration of the motor, rpm/s, that would lift the load off its flank where that is
+    easiest in this motion: N |m g l sin(θ + φ_g)| / J_l at its smallest."""
+    model, seen = fit.model, fit.model.recordings[index]
+    assert seen.motion is not None
+    row = model.bench.vector(**model.settings_of(fit.point[None], seen))[0]
+    time = np.arange(seen.samples) / seen.sampling_hz
+    angle = row[Slot.start_angle_rad] + seen.motion.position_rad(time) / row[Slot.gear_ratio]
+    pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
+    return float(row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2] * RPM)
+
+
+def _bound(posterior: DirectPosterior, index: int) -> str | None:
+    """The one-sided bound that the posterior leaves, in words; ``None`` where it leaves none."""
+    model = posterior.fit.model
+    name = model.recordings[index].name
+    unknown = model.unknowns[model.index(GAP, name)]
+    draws = np.log(posterior.values(GAP, name).ravel())
+    end = EXCLUDED_END * (unknown.high - unknown.low)
+    above = float(np.mean(draws < unknown.low + end)) < EXCLUDED_SHARE
+    below = float(np.mean(draws > unknown.high - end)) < EXCLUDED_SHARE
+    if above and not below:
+        return f"It is larger than {_mrad(draws, 1.0 - BOUND_LEVEL)} ({BOUND_LEVEL:.0%})."
+    if below and not above:
+        return f"It is smaller than {_mrad(draws, BOUND_LEVEL)} ({BOUND_LEVEL:.0%})."
+    return None
+
+
+def _mrad(log_draws: FloatArray, share: float) -> str:
+    return f"{1e3 * math.exp(float(np.quantile(log_draws, share))):.2g} mrad"
+
+
+def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
+    """What a reader has to know of how a motion was compared."""
+    seen = fit.model.recordings[index]
+    if seen.motion is None:
+        return []
+    notes = []
+    if seen.cycle is None:
+        notes.append(
+            "The motion does not repeat, so the noise is taken from what is faster than the "
+            "motion, and only slow disagreement with the bench can be seen: a motion recorded "
+            "twice or more in a row is checked better."
+        )
+    if begin_of(seen) > 0:
+        notes.append(
+            f"The first {begin_of(seen) / seen.sampling_hz:.2g} s are left out: how the teeth and "
+            "the controller stood when the recording began is not known."
+        )
+    return notes

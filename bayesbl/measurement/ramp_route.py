@@ -1,0 +1,336 @@
+"""From ramps of the motor's torque, with the output held, to the gap.
+
+δ is half of the play: half the width, at zero torque, between the positions that small ramps leave
+on either flank. See ``docs/design.md``, "Torque ramps".
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import SnapshotRecording
+from bayesbl.errors import RecordingError
+from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
+from bayesbl.measurement.ramp_summary import summarise_ramps
+from bayesbl.measurement.ramp_words import against, notes_on
+from bayesbl.measurement.task import Task
+from bayesbl.measurement.verdict import Verdict
+from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, of_cycles
+from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
+from bayesbl.ramps.torque_cycles import Ramps, find_ramps
+from bayesbl.recording.checks import require_alive, require_channels
+from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import (
+    MOTOR_POSITION,
+    MOTOR_TORQUE,
+    FloatArray,
+    Recording,
+    Source,
+)
+from bayesbl.sampling.chains import SamplerSettings
+
+LOST_MOTION_SHARE = 0.03
+"""Of the rated torque: where makers of reducers state lost motion."""
+
+FILE_STARTS = "file_starts"
+"""Entry of a recording's metadata: the first sample of each of its files."""
+
+
+class RampMeasurer:
+    """The route of torque ramps."""
+
+    def __init__(self, config: SnapshotConfig) -> None:
+        self.config = config
+
+    @property
+    def gap_range_rad(self) -> tuple[float, float]:
+        """Nothing is swept or searched: from an encoder's step to a tooth's width."""
+        return 1e-6, 0.5
+
+    def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
+        """The ratio, as it decides the answer."""
+        ratio = self.config.joint.gear_ratio
+        given = "1, of the output (no gear_ratio)" if ratio is None else f"{ratio:g}"
+        yield "gear ratio", lambda: given
+
+    def notes(self) -> Iterator[str]:
+        """Nothing that only a run can find out."""
+        return iter(())
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """All files of the snapshot one after another, position and torque as in the files."""
+        parts = [
+            # Between ramps nothing may have been recorded: time does not matter here.
+            read_recording(file, name=entry.name, columns=self.config.column_specs, even=False)
+            for file in entry.every_file
+        ]
+        for part in parts:
+            require_channels(part, [MOTOR_POSITION, MOTOR_TORQUE])
+            require_alive(part, [MOTOR_POSITION, MOTOR_TORQUE])
+        seen: dict[str, str] = {}
+        for source in (part.source for part in parts if part.source is not None):
+            if source.sha256 in seen:
+                raise RecordingError(
+                    "Two files of a snapshot are alike to the last byte: one position would count "
+                    "twice.",
+                    file=source.file,
+                    found=f"the content of {seen[source.sha256]}",
+                    expected="a file for each position round the turn",
+                )
+            seen[source.sha256] = source.file
+        return _joined(entry.name, parts)
+
+    def require_usable(self, recording: Recording) -> None:
+        """The torque goes to both sides of zero and back at least once."""
+        if self._flanks(recording).level is not None:
+            return
+        torque = self._output_torque(recording)
+        raise RecordingError(
+            "The torque does not go to one side of zero, back, to the other side, and back.",
+            file=recording.place,
+            where=MOTOR_TORQUE,
+            found=f"{torque.min():.3g} to {torque.max():.3g} N m at the output",
+            expected="ramps of about the same torque both ways, each back to zero: they leave "
+            "the joint on one flank and on the other",
+        )
+
+    def doubts(self, recording: Recording) -> Iterator[str]:
+        """Why δ will be withheld."""
+        why = against(self._flanks(recording))
+        return iter(()) if why is None else iter((why,))
+
+    def require_together(self, recordings: Sequence[Recording]) -> str | None:
+        """Snapshots may be of any ramps."""
+        return None
+
+    def measure(self, task: Task) -> Measurement:
+        """The play of all snapshots together."""
+        files = [self._ramps(recording) for recording in task.recordings]
+        flanks = [
+            find_flanks(each, self._resolution(r))
+            for each, r in zip(files, task.recordings, strict=True)
+        ]
+        widths = [
+            Widths(r.name, tuple(found.level.widths()), self._resolution(r))
+            for r, found in zip(task.recordings, flanks, strict=True)
+            if found.level is not None
+        ]
+        settings = SamplerSettings(
+            self.config.posterior.ensembles,
+            self.config.posterior.max_steps,
+            self.config.interval.level,
+        )
+        report = None
+        if task.progress is not None:
+            report = partial(task.progress, " and ".join(task.names))
+        play_seed, *seeds = task.seeds.direct.spawn(1 + len(files))
+        elsewhere = _elsewhere(flanks)
+        play = sample_play(widths, settings, play_seed, report, round_the_turn=elsewhere)
+        return Measurement(
+            "torque_ramp",
+            [
+                self._snapshot(*each, play, elsewhere=elsewhere)
+                for each in zip(task.recordings, files, flanks, seeds, strict=True)
+            ],
+        )
+
+    def _snapshot(
+        self,
+        recording: Recording,
+        files: tuple[Ramps, ...],
+        flanks: Flanks,
+        seed: np.random.SeedSequence,
+        play: PlayPosterior,
+        *,
+        elsewhere: bool,
+    ) -> Snapshot:
+        generator = np.random.default_rng(seed)
+        width, scatter = play.width_rad[recording.name], play.scatter_rad[recording.name]
+        delta = 0.5 * width
+        # Without play, what is left between the flanks is compliance held by friction: a gap is a
+        # part of it that nothing shows.
+        none = generator.uniform(size=width.shape) > flanks.probability_of_play
+        delta = np.where(none, delta * generator.uniform(size=width.shape), delta)
+        stated_nm = LOST_MOTION_SHARE * self._rated(flanks)
+        draws = {
+            "delta_rad": delta,
+            "width_rad": width,
+            "scatter_rad": scatter,
+            **_described(files, flanks, stated_nm, width.shape, generator),
+        }
+        if play.shared_pattern is not None:
+            draws["shared_pattern"] = play.shared_pattern
+        why = against(flanks)
+        outcome = "withheld" if why is not None else play.diagnostics.outcome
+        reasons = [*filter(None, [why]), *play.diagnostics.reasons]
+        given = self.config.joint.gear_ratio is not None
+        notes = notes_on(files, flanks, width, ratio_given=given, elsewhere=elsewhere)
+        answer = RampAnswer(
+            files,
+            flanks,
+            draws,
+            play.log_density,
+            play.diagnostics,
+            _budget(flanks, width, scatter, delta),
+            stated_nm,
+        )
+        return Snapshot(
+            recording.name,
+            delta,
+            Verdict(
+                outcome,
+                (*reasons, *notes, *recording.notes),
+                " ".join(reasons) if outcome == "withheld" else None,
+            ),
+            ramp_groups(answer, recording),
+        )
+
+    def _rated(self, flanks: Flanks) -> float:
+        """The rated torque, or the largest that the ramps reach."""
+        rated = self.config.joint.rated_torque_nm
+        if rated is not None:
+            return rated
+        return 0.0 if flanks.largest is None else flanks.largest.amplitude_nm
+
+    @property
+    def _ratio(self) -> float:
+        return self.config.joint.gear_ratio or 1.0
+
+    def _output_torque(self, recording: Recording) -> FloatArray:
+        return np.asarray(recording.channels[MOTOR_TORQUE] * self._ratio)
+
+    def _resolution(self, recording: Recording) -> float:
+        """The smallest step of the position at the output, rad."""
+        steps = np.abs(np.diff(recording.channels[MOTOR_POSITION]))
+        return float(steps[steps > 0.0].min()) / self._ratio
+
+    def _flanks(self, recording: Recording) -> Flanks:
+        return find_flanks(self._ramps(recording), self._resolution(recording))
+
+    def _ramps(self, recording: Recording) -> tuple[Ramps, ...]:
+        torque = self._output_torque(recording)
+        position = recording.channels[MOTOR_POSITION] / self._ratio
+        starts = list(recording.metadata[FILE_STARTS])
+        stops = [*starts[1:], recording.samples]
+        return tuple(
+            find_ramps(torque[a:b], position[a:b]) for a, b in zip(starts, stops, strict=True)
+        )
+
+
+def _elsewhere(flanks: Sequence[Flanks]) -> bool:
+    """Whether snapshots of one file each were made at different positions of the turn.
+
+    They are at the same where their flanks overlap.
+    """
+    levels = [found.level for found in flanks if found.level is not None]
+    if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
+        return False
+    middles = [level.middle_rad for level in levels]
+    widest = max(float(level.widths()[0].mean()) for level in levels)
+    return max(middles) - min(middles) > widest
+
+
+def _joined(name: str, parts: Sequence[Recording]) -> Recording:
+    """One recording of several files; its time goes on from each to the next."""
+    names = [c for c in parts[0].channels if all(c in part.channels for part in parts)]
+    starts = np.cumsum([0, *(part.samples for part in parts)])
+    times, begins = [], 0.0
+    for part in parts:
+        times.append(part.time_s - part.time_s[0] + begins)
+        begins = float(times[-1][-1]) + part.sampling_period_s
+    sources = [part.source for part in parts if part.source is not None]
+    digest = hashlib.sha256("".join(s.sha256 for s in sources).encode()).hexdigest()
+    first = sources[0]
+    excluded = [np.zeros(p.samples, bool) if p.excluded is None else p.excluded for p in parts]
+    return Recording(
+        name,
+        np.concatenate(times) if len(parts) > 1 else parts[0].time_s,
+        {c: np.concatenate([part.channels[c] for part in parts]) for c in names},
+        first if len(parts) == 1 else Source(first.file, digest, first.unused_columns),
+        {FILE_STARTS: tuple(int(s) for s in starts[:-1])},
+        np.concatenate(excluded) if any(e.any() for e in excluded) else None,
+        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
+
+
+def _described(
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    stated_nm: float,
+    shape: tuple[int, ...],
+    generator: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """Draws of everything but the play: means over the files, with their scatter."""
+    level, largest = flanks.level, flanks.largest
+    assert level is not None
+    assert largest is not None
+    width = float(np.mean([c.width_rad for c in level.cycles]))
+    # Ramps that hardly go beyond the friction do not tell it.
+    flank = max(largest.range_rad - width, 0.0)
+    beyond = 2.0 * (largest.amplitude_nm - level.friction_nm)
+    compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
+    held = {
+        "lost_motion_rad": lost_motion(files, largest, stated_nm),
+        "compliance_rad_per_nm": of_cycles(
+            largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
+        ),
+        "friction_torque_nm": of_cycles(level, lambda c: c.friction_nm),
+        "held_windup_rad": of_cycles(
+            level, lambda c: 0.5 * min(c.elastic_nm * compliance, max(c.width_rad, 0.0))
+        ),
+    }
+    draws = {name: _mean_draws(found, shape, generator) for name, found in held.items()}
+    draws["preload_torque_nm"] = np.zeros(shape)
+    if flanks.finding == "preloaded":
+        carried = of_cycles(level, lambda c: max(c.amplitude_nm - c.friction_nm, 0.0))
+        draws["preload_torque_nm"] = _mean_draws(carried, shape, generator)
+    return draws
+
+
+def _mean_draws(
+    by_file: Sequence[FloatArray], shape: tuple[int, ...], generator: np.random.Generator
+) -> FloatArray:
+    """Of a mean over files, or over the cycles of one: Student's t, in logarithms where positive.
+
+    One value alone says nothing of its scatter, and is repeated.
+    """
+    values = by_file[0] if len(by_file) == 1 else np.array([v.mean() for v in by_file])
+    positive = bool(np.all(values > 0.0))
+    seen = np.log(values) if positive else values
+    drawn = np.full(shape, seen.mean())
+    if seen.size > 1:
+        error = seen.std(ddof=1) / np.sqrt(seen.size)
+        drawn = drawn + error * generator.standard_t(seen.size - 1, size=shape)
+    return np.exp(drawn) if positive else drawn
+
+
+def _budget(
+    flanks: Flanks, width: FloatArray, scatter: FloatArray, delta: FloatArray
+) -> dict[str, float]:
+    """Share of each source in the variance of ln δ."""
+    level = flanks.level
+    assert level is not None
+    found = level.widths()
+    number = sum(v.size for v in found)
+    freedom = sum(v.size - 1 for v in found)
+    within = sum(float(v.var()) * v.size for v in found) / freedom / number if freedom else 0.0
+    shares = {"repeated_ramps": within if len(found) > 1 else float(np.var(width))}
+    if len(found) > 1:
+        shares["positions_round_the_turn"] = max(float(np.var(width)) - within, 0.0)
+    shares["whether_any_play"] = max(4.0 * float(np.var(delta)) - float(np.var(width)), 0.0)
+    total = sum(shares.values())
+    return {name: value / total for name, value in shares.items()} if total else {}
+
+
+def prepare(config: SnapshotConfig) -> RampMeasurer:
+    """With nothing but the configuration."""
+    return RampMeasurer(config)
+
+
+ROUTE = Route("torque_ramp", GROUPS, summarise_ramps)

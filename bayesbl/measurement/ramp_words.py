@@ -1,0 +1,100 @@
+"""What torque ramps show or do not, in sentences for the result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bayesbl.ramps.flanks import Flanks
+from bayesbl.ramps.torque_cycles import Ramps
+from bayesbl.recording.types import FloatArray
+
+UNSURE = 0.05
+"""Probability of play, and of none, from which both are told."""
+
+
+def against(flanks: Flanks) -> str | None:
+    """Why δ is withheld; ``None`` where it is not."""
+    level = flanks.level
+    if flanks.answered or level is None:
+        return None
+    if flanks.skipped_nm:
+        held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)
+        return (
+            f"The ramps of {held} N m hardly move the joint, and those of "
+            f"±{level.amplitude_nm:.3g} N m bend the joint so far that its play is a small part "
+            f"of what they leave. Add ramps to about {flanks.needed_nm:.2g} N m, twice the "
+            "friction."
+        )
+    return (
+        f"The ramps of ±{level.amplitude_nm:.3g} N m alone do not show the play: most of what they "
+        "move goes back with the torque, as in a joint that friction or a preload holds, or one "
+        f"that is bent far. Add ramps of another size: to at least {flanks.needed_nm:.2g} N m, or, "
+        "if these are far beyond the friction already, small ones to about "
+        f"{2.0 * level.friction_nm:.2g} N m."
+    )
+
+
+def notes_on(
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    width_rad: FloatArray,
+    *,
+    ratio_given: bool,
+    elsewhere: bool,
+) -> Iterator[str]:
+    """What a reader should know of how δ came about.
+
+    ``elsewhere``: one file a snapshot, and not at the same position of the turn.
+    """
+    level, largest = flanks.level, flanks.largest
+    assert level is not None
+    assert largest is not None
+    if flanks.finding == "preloaded":
+        carried = level.amplitude_nm - level.friction_nm
+        yield (
+            f"No play: up to {carried:.2g} N m the joint is stiffer than beyond (its compliance is "
+            f"{flanks.relative_compliance:.2g} of that), as one is that is preloaded. The "
+            f"{1e3 * float(np.median(width_rad)):.2g} mrad that ramps leave "
+            "between the flanks are compliance held by friction; δ is at most half of them."
+        )
+    if UNSURE < flanks.probability_of_play < 1.0 - UNSURE:
+        yield (
+            "Whether there is play is not certain (probability "
+            f"{100.0 * flanks.probability_of_play:.0f} %): around zero torque the joint is "
+            f"{flanks.relative_compliance:.2g} times as soft as beyond, but not alike at all "
+            "positions. δ includes that there may be none."
+        )
+    if flanks.skipped_nm and flanks.answered:
+        held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)
+        yield (
+            f"The ramps of {held} N m hardly move the joint, as friction holds it; those of "
+            f"±{level.amplitude_nm:.3g} N m were used."
+        )
+    if any(file.turned for file in files):
+        yield "The torque counts against the position in the file, and was turned round."
+    if not ratio_given:
+        yield "No gear_ratio is given: position and torque are taken as those of the output."
+    missing = sum(not file for file in level.files)
+    if missing:
+        yield (
+            f"{missing} of {len(files)} files have no cycle of ±{level.amplitude_nm:.3g} N m, and "
+            "do not count for δ."
+        )
+    if elsewhere:
+        yield (
+            "One position round the turn in each snapshot, and not the same one: the intervals "
+            "allow for a gap that changes round the turn by up to 70 %. Give ramps at three "
+            "positions or more (files = […])."
+        )
+    elif len(files) - missing == 1:
+        yield (
+            "One position round the turn: δ is the gap there. How it changes round the turn is not "
+            "known, nor in the interval; give ramps at three positions or more (files = […])."
+        )
+        if len(level.cycles) == 1:
+            yield (
+                "One cycle alone: how much repeated ramps scatter is not known, and the interval "
+                "allows for up to 70 % of the gap."
+            )

@@ -1,0 +1,120 @@
+"""A fleet in words: what was measured, what is urgent, how each type wears."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.presentation import words
+from bayesbl.presentation.advice import Advice
+from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
+from bayesbl.presentation.wear import median_in_mrad, month
+
+if TYPE_CHECKING:
+    from bayesbl.runs.fleet import FleetSummary
+
+_SHOWN = 10
+
+_MEASURED = ("converged", "usable")
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """How many joints and recordings, and how many joints are over their limit."""
+    counted = summary["recordings"]
+    measured = sum(counted.get(outcome, 0) for outcome in _MEASURED)
+    alarms = len(summary["alarms"])
+    over = "None is" if alarms == 0 else "One is" if alarms == 1 else f"{alarms} are"
+    return (
+        f"{_count(summary['joints'], 'joint')}, {summary['with_rate']} with a rate of wear, from "
+        f"{measured} of {_count(sum(counted.values()), 'recording')}. {over} called over the limit."
+    )
+
+
+def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
+    """How the joints of each type wear."""
+    for name, found in summary["types"].items():
+        rate = found["median_rad_per_year"]
+        spread = found["spread"]["median"]
+        factor = words.significant(math.exp(spread))
+        yield (
+            f"{name}: half of the joints wear by more than {median_in_mrad(rate)} mrad a year "
+            f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two in three lie within a "
+            f"factor of {factor} of that ({found['joints']} joints)."
+        )
+
+
+def blocks(summary: FleetSummary) -> Iterator[Block]:
+    """The most urgent joints, and what was left out."""
+    rows = summary["most_urgent"][:_SHOWN]
+    columns = (
+        text("Joint"),
+        text("Gearbox"),
+        numbers("Gap (mrad)"),
+        numbers("Rate (mrad/year)"),
+        text("Reaches limit"),
+        text("State"),
+    )
+    yield table(columns, [_row(row) for row in rows])
+    for sentence in types_in_words(summary):
+        yield Sentence(sentence)
+    counted = summary["recordings"]
+    left = {k: n for k, n in counted.items() if k not in _MEASURED}
+    if left:
+        told = ", ".join(f"{n} {_LEFT[outcome]}" for outcome, n in left.items())
+        yield Sentence(f"{told}: see reason in recordings.parquet.", "warning", "Left out")
+    if summary["alarms"]:
+        names = ", ".join(summary["alarms"][:_SHOWN])
+        more = len(summary["alarms"]) - _SHOWN
+        yield Sentence(
+            names + (f" and {more} others" if more > 0 else "") + ". At most 5 % of the joints "
+            "called are not.",
+            "warning",
+            "Called over their limit",
+        )
+
+
+_LEFT = {
+    "withheld": "withheld",
+    "no_curve": "without a bench or a curve",
+    "refused": "refused",
+    "failed": "failed by a bug",
+}
+
+
+def _row(row: Mapping[str, Any]) -> list[str]:
+    def middle(name: str) -> str:
+        value = row[f"{name}_median"]
+        return "–" if value is None else words.significant(1e3 * value, 3)
+
+    dated = row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None
+    date = month(row["limit_date_median"]) if row["limit_date_median"] else "not in sight"
+    state = "no rate" if row["reason"] else "measured"
+    if row["alarm"]:
+        state = "over its limit"
+    return [
+        str(row["joint"]),
+        row["gearbox"] or "",
+        middle("delta_rad"),
+        middle("rate_rad_per_year"),
+        date if dated else "–",
+        state,
+    ]
+
+
+def advice(summary: FleetSummary) -> Advice:
+    """What to do about the plant."""
+    if summary["alarms"]:
+        return Advice("act", "Repair these joints.", (", ".join(summary["alarms"]),))
+    return Advice("fine", "No joint is called over its limit.", (headline(summary),))
+
+
+def assumptions(summary: FleetSummary) -> Iterator[str]:
+    """What is taken for granted of the fleet as a whole."""
+    yield "Each recording belongs to the joint and the date that its name or its table says."
+    if summary["types"]:
+        yield f"Joints of one {summary['pool_by']} wear at rates of one log-normal distribution."
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -1,0 +1,237 @@
+"""The pages of a plant: all joints, the most urgent first, and one page for each.
+
+They are made of the tables and the summary of a fleet alone, are static, and need nothing beside
+them: no server, no network.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from bayesbl.presentation import words
+from bayesbl.presentation.fleet import headline, types_in_words
+from bayesbl.presentation.page.history import history, sparkline
+from bayesbl.presentation.wear import LAWS, median_in_mrad, month
+from bayesbl.results.folder import SUMMARY_FILE
+from bayesbl.results.store import write_text
+
+if TYPE_CHECKING:
+    from bayesbl.results.intervals import Interval
+
+Row = Mapping[str, Any]
+
+_OUTCOMES = {
+    "converged": "measured",
+    "usable": "measured, with notes",
+    "withheld": "withheld",
+    "no_curve": "no curve",
+    "refused": "refused",
+    "failed": "failed: a bug",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Text, what is said below it, and what the column is sorted by."""
+
+    text: str
+    below: str = ""
+    key: str | float = ""
+
+
+def write_pages(folder: Path) -> list[Path]:
+    """``index.html`` and ``joints/<joint>.html`` from what stands in a fleet's folder."""
+    import pyarrow.parquet
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
+    joints, recordings = (
+        pyarrow.parquet.read_table(folder / f"{name}.parquet").to_pylist()
+        for name in ("joints", "recordings")
+    )
+    environment = Environment(
+        loader=PackageLoader("bayesbl.presentation.page", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["glued"] = words.glued
+    source = environment.loader.get_source  # type: ignore[union-attr]
+    style = "".join(source(environment, name)[0] for name in ("page.css", "plant.css"))
+    script = source(environment, "plant.js")[0]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    of_joint: dict[str, list[Row]] = defaultdict(list)
+    for row in recordings:
+        of_joint[str(row["joint"])].append(row)
+    names = {str(row["joint"]) for row in joints}
+    shared = {"style": style, "level": _level(summary)}
+    index = environment.get_template("plant.html").render(
+        **shared,
+        script=script,
+        script_digest=digest,
+        headline=headline(summary),
+        types=list(types_in_words(summary)),
+        rows=[_line(row, of_joint[str(row["joint"])], summary) for row in joints],
+        gearboxes=sorted({str(row["gearbox"]) for row in joints if row["gearbox"]}),
+        strange=[row for row in recordings if str(row["joint"]) not in names],
+        before=summary["decide_before"],
+        version=f"{summary['version']}, commit {summary['commit']}",
+    )
+    paths = [folder / "index.html"]
+    write_text(index, paths[0])
+    pages = folder / "joints"
+    pages.mkdir(exist_ok=True)
+    template = environment.get_template("plant_joint.html")
+    for row in joints:
+        # Not by a writer that makes each file whole: the folder as a whole appears so.
+        paths.append(pages / f"{row['joint']}.html")
+        text = template.render(**shared, **_page(row, of_joint[str(row["joint"])], summary))
+        paths[-1].write_text(text, encoding="utf-8")
+    return paths
+
+
+def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
+    """A row of the index."""
+    return {
+        "name": row["joint"],
+        "address": f"joints/{quote(str(row['joint']))}.html",
+        "gearbox": row["gearbox"] or "",
+        "rank": row["rank"],
+        "alarm": row["alarm"],
+        "gap": _in_mrad(row, "delta_rad", summary),
+        "rate": _in_mrad(row, "rate_rad_per_year", summary),
+        "limit": _limit(row),
+        "passed": _probability(row["probability_limit_now"]),
+        "state": _state(row),
+        "reason": row["reason"] or "",
+        "picture": sparkline(_given(recordings), row["limit_rad"]),
+    }
+
+
+def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
+    own = {key: value for key, value in row.items() if key not in _columns() and value is not None}
+    return {
+        "name": row["joint"],
+        "gearbox": row["gearbox"],
+        "headline": _headline(row, summary),
+        "reason": row["reason"],
+        "facts": [*_facts(row, summary), *((key, str(value)) for key, value in own.items())],
+        "picture": history(_given(recordings), row["limit_rad"]),
+        "recordings": [
+            {
+                "date": one["date"],
+                "file": one["file"],
+                "gap": _in_mrad(one, "delta_rad", summary),
+                "outcome": _OUTCOMES.get(str(one["outcome"]), str(one["outcome"])),
+                "told": one["reason"] or one["notes"] or "",
+                "used": one["used"],
+            }
+            for one in reversed(recordings)
+        ],
+    }
+
+
+def _columns() -> set[str]:
+    from bayesbl.fleet.plant_tables import JOINT_COLUMNS
+
+    return set(JOINT_COLUMNS)
+
+
+def _headline(row: Row, summary: Row) -> str:
+    gap, rate = _interval(row, "delta_rad", summary), _interval(row, "rate_rad_per_year", summary)
+    if gap is None:
+        return f"{row['joint']}: no gap is given."
+    said = f"{row['joint']}: the gap was {words.in_mrad(gap)} on {row['last_date']}"
+    if rate is None:
+        return f"{said}. No rate of wear is given."
+    if row["probability_wear"] < words.SURE and not row["pooled"]:
+        shown = words.probability(row["probability_wear"])
+        return f"{said}, and is not shown to have grown (probability {shown})."
+    return f"{said}, and grows by {median_in_mrad(rate)} mrad a year."
+
+
+def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
+    for label, name, unit in (
+        ("Rate of wear", "rate_rad_per_year", "mrad a year"),
+        ("Rate by its own recordings", "rate_alone_rad_per_year", "mrad a year"),
+    ):
+        found = _interval(row, name, summary)
+        if found is not None:
+            yield label, f"{median_in_mrad(found)} ({words.bounds(found, 1e3)}) {unit}"
+    if row["rate_rad_per_year_median"] is not None:
+        yield "Joints of its type count", "yes" if row["pooled"] else "no"
+        yield "Likeliest law", LAWS[row["law"]]
+        yield "Has grown", words.probability(row["probability_wear"])
+    if row["limit_rad"] is not None:
+        yield "Limit", f"{1e3 * row['limit_rad']:g} mrad"
+    if row["probability_limit_now"] is not None:
+        yield "Above the limit", words.probability(row["probability_limit_now"])
+    if row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None:
+        yield "Reaches the limit", f"{_limit(row).text} ({_limit(row).below})"
+        yield "Not before", row["limit_date_not_before"] or "1000 years"
+    if row["probability_limit_before"] is not None:
+        told = words.probability(row["probability_limit_before"])
+        yield f"Reaches it before {summary['decide_before']}", told
+    yield "Recordings", f"{row['recordings']}, {row['used']} of them in the rate"
+
+
+def _interval(row: Row, name: str, summary: Row) -> Interval | None:
+    if row[f"{name}_median"] is None:
+        return None
+    return {
+        "median": row[f"{name}_median"],
+        "low": row[f"{name}_low"],
+        "high": row[f"{name}_high"],
+        "level": summary["level"],
+        "kind": summary["interval_kind"],
+    }
+
+
+def _in_mrad(row: Row, name: str, summary: Row) -> Cell:
+    found = _interval(row, name, summary)
+    if found is None:
+        return Cell("–", "", -1.0)
+    return Cell(median_in_mrad(found), words.bounds(found, 1e3), found["median"])
+
+
+def _limit(row: Row) -> Cell:
+    """When the limit is reached; sorted as the table is ranked."""
+    if row["rate_rad_per_year_median"] is None or row["limit_rad"] is None:
+        return Cell("–", "", "9999-99")
+    middle = row["limit_date_median"]
+    if middle is not None and middle <= row["last_date"]:
+        return Cell("passed", f"by {month(row['last_date'])}", "0000")
+    low, high = (row[f"limit_date_{end}"] for end in ("low", "high"))
+    later = "later" if high is None else month(high)
+    text = "not in sight" if middle is None else month(middle)
+    return Cell(text, f"{month(low)} to {later}", middle or "9999-98")
+
+
+def _probability(value: float | None) -> Cell:
+    return Cell("–", "", -1.0) if value is None else Cell(words.probability(value), "", value)
+
+
+def _state(row: Row) -> str:
+    if row["rate_rad_per_year_median"] is not None:
+        left = row["withheld"] + row["broken"]
+        unsure = row["probability_wear"] < words.SURE
+        notes = ["not shown to grow"] * unsure + [f"{left} left out"] * bool(left)
+        return ", ".join(["measured", *notes])
+    return "no rate" if row["delta_rad_median"] is not None else "no gap"
+
+
+def _level(summary: Row) -> str:
+    return f"{100.0 * summary['level']:g} %"
+
+
+def _given(recordings: Sequence[Row]) -> list[Row]:
+    return [row for row in recordings if row["delta_rad_median"] is not None]

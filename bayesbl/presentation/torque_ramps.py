@@ -1,0 +1,129 @@
+"""What comes with a gap from torque ramps: lost motion, compliance, friction, preload."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from bayesbl.presentation import words
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
+    from bayesbl.results.intervals import Interval
+
+RELATIVE_EXPLAINED = (
+    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
+    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
+    "preloaded one is below, as both flanks carry it there."
+)
+
+
+def is_by_ramps(summary: MeasuredSummary) -> bool:
+    """Whether the answer comes from torque ramps."""
+    first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
+    return "ramps" in first
+
+
+def no_play(part: SnapshotSummary) -> str | None:
+    """The answer of a preloaded joint; ``None`` with play."""
+    if not part.get("preloaded") or part["delta_rad"] is None:
+        return None
+    carried = words.significant(part["preload_torque_nm"]["median"])
+    most = words.significant(1e3 * part["delta_rad"]["high"])
+    return (
+        f"No play: the joint is preloaded by at least about {carried} N m; a gap δ that this hides "
+        f"is below {most} mrad."
+    )
+
+
+def snapshot_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
+    """A row per snapshot; ``places``: decimals of the gap in mrad."""
+    first = parts[0][1]
+    kind = words.short_kind(first["friction_torque_nm"])
+    named = any(name for name, _ in parts)
+    at = f"±{words.significant(first['lost_motion_torque_nm'])} N m"
+    columns = (
+        *([text("Snapshot")] if named else []),
+        numbers("Gap δ\n(mrad)"),
+        numbers(f"{kind}\n(mrad)"),
+        numbers(f"Lost motion\n{at}\n(mrad)"),
+        numbers("Compliance\n(mrad/N m)"),
+        numbers("Friction\n(N m)"),
+        text("Outcome"),
+    )
+    rows = [[*([name] if named else []), *_cells(part, places)] for name, part in parts]
+    return table(columns, rows)
+
+
+def _cells(part: SnapshotSummary, places: int) -> Iterator[str]:
+    delta = part["delta_rad"]
+    yield "withheld" if delta is None else number(1e3 * delta["median"], places)
+    yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+    yield _median(part["lost_motion_rad"], 1e3)
+    yield _median(part["compliance_rad_per_nm"], 1e3)
+    yield _median(part["friction_torque_nm"])
+    yield "no play" if part.get("preloaded") else part["diagnostics"]["outcome"]
+
+
+def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
+    """A sentence for each snapshot on the widths that its positions round the turn have."""
+    for name, part in parts:
+        if part["delta_rad"] is None:
+            continue
+        found = part["ramps"]
+        each = ", ".join(words.significant(500.0 * w, 3) for w in found["width_rad"])
+        whose = f" of {name}" if name else ""
+        where = "1 position" if found["positions"] == 1 else f"{found['positions']} positions"
+        yield (
+            f"Half the width at zero torque{whose}, at {where} round the turn: {each} mrad "
+            f"({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
+        )
+    for name, part in parts:
+        held = part["held_windup_rad"]["median"]
+        if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
+            whose = f" of {name}" if name else ""
+            yield (
+                f"Of the gap{whose}, about {words.significant(1e3 * held)} mrad may be compliance "
+                "that friction holds at zero torque, more if the flanks are softer at small torque."
+            )
+
+
+def blocks(part: SnapshotSummary) -> Iterator[Block]:
+    """Every quantity with its interval, and what says whether there is play."""
+    first = part["friction_torque_nm"]
+    units = {
+        "width_rad": ("width at zero torque", 1e3, "mrad"),
+        "scatter_rad": ("its scatter", 1e3, "mrad"),
+        "lost_motion_rad": ("lost motion", 1e3, "mrad"),
+        "compliance_rad_per_nm": ("compliance", 1e3, "mrad/N m"),
+        "friction_torque_nm": ("friction", 1.0, "N m"),
+        "held_windup_rad": ("held windup in δ", 1e3, "mrad"),
+        "preload_torque_nm": ("preload, at least", 1.0, "N m"),
+    }
+    rows = []
+    for name, (label, scale, unit) in units.items():
+        found = part["parameters"][name]
+        rows.append((label, _median(found, scale), words.bounds(found, scale), unit))
+    columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
+    yield table(columns, rows)
+    relative = part["relative_compliance"]
+    shown = (
+        "not known, without larger ramps" if relative != relative else words.significant(relative)
+    )
+    sure = words.probability(part["probability_of_play"])
+    yield Sentence(f"{shown}; probability of play {sure}", label="Relative compliance")
+    yield Sentence(RELATIVE_EXPLAINED, "aside")
+    stated = part["lost_motion_torque_nm"]
+    if stated < first["median"]:
+        yield Sentence(
+            f"Lost motion is stated at ±{words.significant(stated)} N m, less than the friction: "
+            "the middles of the loop there say little of the joint.",
+            "aside",
+        )
+    yield Sentence(words.sampling(part), label="Sampling")
+
+
+def _median(found: Interval, scale: float = 1.0) -> str:
+    return words.significant(scale * found["median"], 3)

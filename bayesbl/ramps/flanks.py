@@ -1,0 +1,278 @@
+"""Which ramps of a snapshot reach both flanks, and whether there is play between them.
+
+A joint with play is softest around zero torque, as it crosses the play there at nearly no torque.
+A preloaded one is stiffer there than beyond, as both flanks carry it; one that is neither is as
+stiff there as elsewhere. So the compliance between the positions that small ramps leave is held
+against that of larger ones: just beyond the small ones, as flanks harden, and over all, as a
+preload may reach beyond them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from bayesbl.ramps.torque_cycles import Cycle, Ramps, crossing
+from bayesbl.recording.types import FloatArray
+
+SAME_LEVEL = 1.5
+"""Ratio of neighbouring amplitudes from which ramps are of another level."""
+
+BEYOND = 3.0
+"""Times their amplitude: just beyond small ramps is from one to that."""
+
+LARGER = 2.0
+"""Times the amplitude from which larger ramps tell how stiff the loaded joint is."""
+
+STUCK = 0.25
+"""Relative compliance below which the friction holds the joint, whatever its flanks do.
+
+Two flanks that both carry the joint are at most twice as stiff as one under the largest load, if
+they harden: half its compliance. Half of that again is left for compliance that changes round the
+turn (by up to 1.3 each way on the gearboxes of the stand).
+"""
+
+FEWEST_STEPS = 5.0
+"""Of the encoder, that ramps must move the joint by: the width of fewer is rounding."""
+
+ON_THE_FLANK = 0.7
+"""Width over range from which ramps of one level are believed.
+
+Ramps far beyond the friction leave less, as they bend the flanks (and what they leave is up to four
+times the play on the gearboxes of the stand). Ramps that friction holds bend the joint in its
+presliding, and back: by Dahl's law they leave 0.26 of their range at half of the friction, 0.46 at
+0.8 and 0.64 at 0.95 of it.
+"""
+
+Finding = Literal["play", "preloaded", "too_small", "one_sided"]
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Cycles of about the same amplitude, by file; files without any are empty."""
+
+    files: tuple[tuple[Cycle, ...], ...]
+
+    @property
+    def cycles(self) -> list[Cycle]:
+        """Of all files."""
+        return [cycle for file in self.files for cycle in file]
+
+    @property
+    def amplitude_nm(self) -> float:
+        """Mean over all cycles."""
+        return float(np.mean([c.amplitude_nm for c in self.cycles]))
+
+    @property
+    def friction_nm(self) -> float:
+        """Mean over all cycles."""
+        return float(np.mean([c.friction_nm for c in self.cycles]))
+
+    @property
+    def range_rad(self) -> float:
+        """Mean over all cycles."""
+        return float(np.mean([c.range_rad for c in self.cycles]))
+
+    @property
+    def compliance_between(self) -> float:
+        """Between the positions left, rad per N m without friction."""
+        elastic = sum(c.elastic_nm for c in self.cycles)
+        width = sum(c.width_rad for c in self.cycles)
+        return width / elastic if elastic > 0.0 else np.inf
+
+    @property
+    def compliance_over_all(self) -> float:
+        """Range over the torque that is left of the ramps behind the friction, rad per N m."""
+        beyond = self.amplitude_nm - self.friction_nm
+        return self.range_rad / (2.0 * beyond) if beyond > 0.0 else np.inf
+
+    @property
+    def middle_rad(self) -> float:
+        """Between the flanks, mean over all cycles."""
+        left = [0.5 * (c.first.left_rad + c.last.left_rad) for c in self.cycles]
+        return float(np.mean(left))
+
+    @property
+    def width_over_range(self) -> float:
+        """Share of the motion that does not go back with the torque."""
+        reach = sum(c.range_rad for c in self.cycles)
+        return sum(c.width_rad for c in self.cycles) / reach if reach > 0.0 else 0.0
+
+    def widths(self) -> list[FloatArray]:
+        """Of every file with cycles: its independent measurements of the width, rad, shape (k,).
+
+        Neighbouring cycles share a flank, and go round in opposite ways, so that drift changes
+        their widths by opposite amounts: they count as one in pairs.
+        """
+        found = []
+        for file in filter(None, self.files):
+            width = np.array([c.width_rad for c in file])
+            even = width.size // 2 * 2
+            pairs = width[:even].reshape(-1, 2).mean(axis=1)
+            found.append(pairs if pairs.size else width)
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Flanks:
+    """What the ramps of a snapshot show.
+
+    Attributes
+    ----------
+    finding
+        ``play`` or ``preloaded`` (no play), or why neither can be said.
+    level
+        The ramps that tell it, the smallest that can; ``None`` without a whole cycle.
+    largest
+        The largest ramps.
+    skipped_nm
+        Amplitudes of smaller ramps, which friction held.
+    needed_nm
+        Torque that ramps should reach where they are too small.
+    relative_compliance
+        Between the positions left over that of larger ramps: above one with play. NaN without
+        larger ramps.
+    probability_of_play
+        That it is above one, by its scatter round the turn (by that of cycles, of one file).
+    """
+
+    finding: Finding
+    level: Level | None
+    largest: Level | None
+    skipped_nm: tuple[float, ...] = ()
+    needed_nm: float = 0.0
+    relative_compliance: float = np.nan
+    probability_of_play: float = 1.0
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is an answer."""
+        return self.finding in ("play", "preloaded")
+
+
+def levels_of(files: Sequence[Ramps]) -> list[Level]:
+    """All cycles by amplitude, the smallest first."""
+    every = [(c.amplitude_nm, n, c) for n, file in enumerate(files) for c in file.cycles]
+    every.sort(key=lambda item: item[0])
+    groups: list[list[tuple[float, int, Cycle]]] = []
+    for item in every:
+        if groups and item[0] < SAME_LEVEL * groups[-1][-1][0]:
+            groups[-1].append(item)
+        else:
+            groups.append([item])
+    return [
+        Level(
+            tuple(
+                tuple(sorted((c for _, k, c in group if k == n), key=lambda c: c.first.begin))
+                for n in range(len(files))
+            )
+        )
+        for group in groups
+    ]
+
+
+def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
+    """The smallest ramps that reach both flanks, and whether there is play between them.
+
+    Parameters
+    ----------
+    resolution_rad
+        The encoder's step at the output.
+    """
+    levels = levels_of(files)
+    if not levels:
+        reached = [e.torque_nm for file in files for e in file.excursions]
+        return Flanks("one_sided", None, None, needed_nm=max(reached, default=0.0))
+    largest = levels[-1]
+    skipped: list[float] = []
+    for level in levels:
+        if largest.amplitude_nm < LARGER * level.amplitude_nm:
+            break
+        if level.range_rad < FEWEST_STEPS * resolution_rad:
+            skipped.append(level.amplitude_nm)
+            continue
+        if level.compliance_between >= STUCK * largest.compliance_over_all:
+            relative = _log_relative(files, level, largest)
+            probability = _probability_positive(relative)
+            return Flanks(
+                "play" if probability > 0.5 else "preloaded",
+                level,
+                largest,
+                tuple(skipped),
+                relative_compliance=float(np.exp(relative.mean())),
+                probability_of_play=probability,
+            )
+        skipped.append(level.amplitude_nm)
+    if largest.range_rad < FEWEST_STEPS * resolution_rad:
+        return Flanks("too_small", largest, largest, needed_nm=3.0 * largest.amplitude_nm)
+    # Nothing larger tells whether friction or a preload holds the joint, or how far it bends.
+    arrived = largest.width_over_range > ON_THE_FLANK
+    needed = 2.0 * largest.friction_nm if skipped else 3.0 * largest.amplitude_nm
+    return Flanks("play" if arrived else "too_small", largest, largest, tuple(skipped), needed)
+
+
+def _log_relative(files: Sequence[Ramps], level: Level, largest: Level) -> FloatArray:
+    """ln of the relative compliance, by file with both kinds of ramps; of one file by cycle.
+
+    Where no file has both, that of all together, once.
+    """
+    small = level.amplitude_nm
+    high = min(BEYOND * small, 0.9 * largest.amplitude_nm)
+    found: list[FloatArray] = []
+    for ramps, cycles, larger in zip(files, level.files, largest.files, strict=True):
+        if not (cycles and larger):
+            continue
+        slopes = [
+            abs(_lost(ramps, c, high) - _lost(ramps, c, small)) / (2.0 * (high - small))
+            for c in larger
+        ]
+        over_all = Level((larger,)).compliance_over_all
+        reference = max(float(np.mean(slopes)), over_all)
+        own = np.array([max(c.width_rad, 0.0) / c.elastic_nm for c in cycles if c.elastic_nm])
+        if own.size and reference > 0.0:
+            found.append(np.log(np.maximum(own / reference, 1e-6)))
+    if not found:
+        return np.array([np.log(level.compliance_between / largest.compliance_over_all)])
+    return found[0] if len(found) == 1 else np.array([each.mean() for each in found])
+
+
+def _probability_positive(values: FloatArray) -> float:
+    """Of the mean of values, by Student's t; 0 or 1 where there is one."""
+    mean = float(values.mean())
+    error = float(values.std(ddof=1)) / np.sqrt(values.size) if values.size > 1 else 0.0
+    if error == 0.0:
+        return float(mean > 0.0)
+    return float(student_t.cdf(mean / error, values.size - 1))
+
+
+def lost_motion(files: Sequence[Ramps], level: Level, torque_nm: float) -> list[FloatArray]:
+    """Between the middles of the loop at ±torque, by file and cycle, rad: as makers state it.
+
+    The middle is the mean of the position on the way to larger torque and on the way back.
+    """
+    return [
+        np.array([_lost(ramps, cycle, torque_nm) for cycle in cycles])
+        for ramps, cycles in zip(files, level.files, strict=True)
+        if cycles
+    ]
+
+
+def _lost(ramps: Ramps, cycle: Cycle, torque_nm: float) -> float:
+    torque, position = ramps.torque_nm, ramps.position_rad
+    middles: dict[int, float] = {}
+    for excursion in (cycle.first, cycle.last):
+        side, begin, stop = excursion.side, excursion.begin, excursion.back + 1
+        top = begin + int(np.argmax(side * torque[begin:stop]))
+        there = crossing(-torque, -side * torque_nm, begin, top + 1, side)
+        back = crossing(torque, side * torque_nm, top, stop, side)
+        middles[side] = 0.5 * float(position[there] + position[back])
+    return middles[1] - middles[-1]
+
+
+def of_cycles(level: Level, value: Callable[[Cycle], float]) -> list[FloatArray]:
+    """A quantity of every cycle, by file with cycles."""
+    return [np.array([value(c) for c in file]) for file in level.files if file]

@@ -1,0 +1,222 @@
+"""Torque ramps to and fro with the output held: what every cycle leaves behind.
+
+Torque and position are those of the output. A ramp is found as an *excursion* of the torque to
+one side of zero. What an excursion leaves is the position at which the torque is back at zero: the
+friction holds the joint on the flank that it was pressed against. Two excursions to opposite sides
+leave the two flanks, and nothing is assumed of the shape of the loop between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+SMOOTHED_SHARE = 1.0 / 2000.0
+"""Of a file: what torque and position are averaged over, if its ramps are few."""
+
+FEWEST_WINDOWS = 40
+"""Of these averages in an excursion: the largest torque of a triangle is then 1 % low at most."""
+
+OVER_NOISE = 4.0
+"""Standard deviations of the averaged torque that are no excursion: 6e-5 by chance, each sample."""
+
+SMALLEST_EXCURSION = 0.01
+"""Of the largest torque: less is what is left where the joint jumps, and no ramp."""
+
+SHORTEST_EXCURSION = 0.05
+"""Of the longer one beside it: the torque rings where the joint jumps or reaches a flank."""
+
+LARGEST_ASYMMETRY = 2.5
+"""Ratio of the torques of a pair: a small ramp before a large one is of no one amplitude."""
+
+
+@dataclass(frozen=True, slots=True)
+class Excursion:
+    """The torque on one side of zero.
+
+    Attributes
+    ----------
+    side
+        +1 or −1.
+    begin, back
+        Samples between which the torque is on that side; at ``back`` it is zero again.
+    torque_nm
+        The largest, positive.
+    reached_rad
+        The farthest position in the direction of the torque.
+    left_rad
+        The position at ``back``: that which the excursion leaves.
+    """
+
+    side: int
+    begin: int
+    back: int
+    torque_nm: float
+    reached_rad: float
+    left_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """Two neighbouring excursions to opposite sides, ``first`` and ``last`` in time.
+
+    Attributes
+    ----------
+    amplitude_nm
+        Mean of their largest torques.
+    width_rad
+        Between the positions that they leave: the play, as far as they reached the flanks.
+    range_rad
+        Between the farthest positions.
+    elastic_nm
+        Torque between the ends of ``width_rad`` without friction: there the upper branch of the
+        loop is T above and the lower T below it, so it is half the difference of the branches'
+        torques, each at the end where the other one is zero.
+    friction_nm
+        Half the mean height of the loop, ∮ τ dθ/(2 range).
+    """
+
+    first: Excursion
+    last: Excursion
+    amplitude_nm: float
+    width_rad: float
+    range_rad: float
+    elastic_nm: float
+    friction_nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ramps:
+    """One file: averaged torque and position, shape (n,), and the ramps in them.
+
+    ``turned``: the torque is counted the other way than in the file, where the position goes
+    against it. Friction takes work and never gives it, which tells the way.
+    """
+
+    torque_nm: FloatArray
+    position_rad: FloatArray
+    excursions: tuple[Excursion, ...]
+    cycles: tuple[Cycle, ...]
+    turned: bool = False
+
+
+def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
+    """All excursions of a file, and the pairs of neighbours that make a cycle.
+
+    Parameters
+    ----------
+    torque_nm, position_rad
+        At the output, in the order of time, shape (n,).
+    """
+    window = max(1, round(SMOOTHED_SHARE * torque_nm.size))
+    means = _averaged(torque_nm, window), _averaged(position_rad, window)
+    turned = float(np.sum(means[0][1:] * np.diff(means[1]))) < 0.0
+    if turned:
+        torque_nm = -torque_nm
+    while True:
+        torque, position = _averaged(torque_nm, window), _averaged(position_rad, window)
+        noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
+        threshold = max(OVER_NOISE * noise, SMALLEST_EXCURSION * float(np.abs(torque).max()))
+        found = [_excursion(torque, position, threshold, *run) for run in _runs(torque, threshold)]
+        excursions = tuple(e for e in found if e is not None)
+        lengths = [e.back - e.begin for e in excursions]
+        if window == 1 or not lengths or np.median(lengths) >= FEWEST_WINDOWS * window:
+            break
+        window = max(1, window // 2)
+    pairs = [
+        (a, b)
+        for a, b in pairwise(excursions)
+        if a.side != b.side
+        and max(a.torque_nm, b.torque_nm) <= LARGEST_ASYMMETRY * min(a.torque_nm, b.torque_nm)
+    ]
+    cycles = tuple(_cycle(torque, position, *pair) for pair in pairs)
+    return Ramps(torque, position, excursions, cycles, turned)
+
+
+def crossing(torque_nm: FloatArray, level_nm: float, begin: int, stop: int, side: int) -> int:
+    """The first sample from ``begin`` on at which side · torque is not above side · level."""
+    beyond = np.flatnonzero(side * (torque_nm[begin:stop] - level_nm) <= 0.0)
+    return begin + int(beyond[0]) if beyond.size else stop - 1
+
+
+def _averaged(values: FloatArray, window: int) -> FloatArray:
+    """Mean over ``window`` samples, fewer at the ends, shape as given."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    place = np.arange(values.size)
+    low = np.maximum(place - window // 2, 0)
+    high = np.minimum(place + (window - window // 2), values.size)
+    return np.asarray((total[high] - total[low]) / (high - low))
+
+
+def _runs(torque: FloatArray, threshold: float) -> list[tuple[int, int, int]]:
+    """(side, begin, stop) of the stretches in which the torque is beyond ±threshold on one side.
+
+    Short ones are dropped; neighbours of one side are then one.
+    """
+    outside = np.flatnonzero(np.abs(torque) > threshold)
+    if outside.size == 0:
+        return []
+    side = np.sign(torque[outside]).astype(int)
+    parts = np.split(outside, np.flatnonzero(np.diff(side)) + 1)
+    runs = [(int(np.sign(torque[part[0]])), int(part[0]), int(part[-1])) for part in parts]
+    while (ringing := _ringing(runs)) is not None:
+        del runs[ringing]
+        for place in range(len(runs) - 1, 0, -1):
+            if runs[place][0] == runs[place - 1][0]:
+                runs[place - 1 : place + 1] = [(*runs[place - 1][:2], runs[place][2])]
+    return runs
+
+
+def _ringing(runs: Sequence[tuple[int, int, int]]) -> int | None:
+    """The shortest run, where it is far shorter than one beside it."""
+    lengths = [last - first + 1 for _, first, last in runs]
+    order = sorted(range(len(runs)), key=lengths.__getitem__)
+    for place in order:
+        beside = lengths[max(place - 1, 0) : place] + lengths[place + 1 : place + 2]
+        if beside and lengths[place] < SHORTEST_EXCURSION * max(beside):
+            return place
+    return None
+
+
+def _excursion(
+    torque: FloatArray, position: FloatArray, threshold: float, side: int, first: int, last: int
+) -> Excursion | None:
+    """``None`` where the torque does not come back to zero, or at the end nearly so."""
+    beyond = np.flatnonzero(side * torque[:first] <= 0.0)
+    begin = int(beyond[-1]) if beyond.size else first
+    peak = float(np.max(side * torque[first : last + 1]))
+    unloads = first + int(np.flatnonzero(side * torque[first : last + 1] >= 0.5 * peak)[-1])
+    home = np.flatnonzero(side * torque[unloads:] <= 0.0)
+    if home.size == 0 and side * torque[-1] > threshold:
+        return None
+    back = unloads + int(home[0]) if home.size else torque.size - 1
+    reached = side * float(np.max(side * position[first : back + 1]))
+    return Excursion(side, begin, back, peak, reached, float(position[back]))
+
+
+def _cycle(torque: FloatArray, position: FloatArray, a: Excursion, b: Excursion) -> Cycle:
+    up, down = (a, b) if a.side > 0 else (b, a)
+    path = slice(a.begin, b.back + 1)
+    reach = up.reached_rad - down.reached_rad
+    # The way out along the second excursion, up to where the first one left the joint and beyond.
+    out = slice(a.back, b.back + 1)
+    arrives = np.flatnonzero(b.side * (position[out] - b.left_rad) >= 0.0)
+    at_second = float(torque[out][arrives[0]]) if arrives.size else b.side * b.torque_nm
+    into = slice(a.begin, a.back + 1)
+    reaches = np.flatnonzero(a.side * (position[into] - a.left_rad) >= 0.0)
+    at_first = float(torque[into][reaches[0]]) if reaches.size else a.side * a.torque_nm
+    work = float(np.sum(0.5 * (torque[path][1:] + torque[path][:-1]) * np.diff(position[path])))
+    return Cycle(
+        a,
+        b,
+        0.5 * (a.torque_nm + b.torque_nm),
+        up.left_rad - down.left_rad,
+        reach,
+        0.5 * abs(at_second - at_first),
+        max(work, 0.0) / (2.0 * reach) if reach > 0.0 else 0.0,
+    )

@@ -1,0 +1,411 @@
+"""``kind = "fleet"``: every recording of every joint measured once, tables and pages written anew.
+
+A run takes what it can from the answers of earlier ones, kept beside the output folder under the
+address of their content: a recording's bytes, its joint's row, the settings and the code. So a new
+file costs its own measurement and its joint's wear, and a run that was killed goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import date as Date
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+
+import bayesbl
+from bayesbl.config.fields import PUBLISHED
+from bayesbl.config.fleet import FleetConfig
+from bayesbl.config.loading import dump_config
+from bayesbl.errors import ResultError
+from bayesbl.fleet.draws_store import DrawsStore
+from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
+from bayesbl.fleet.joint_job import REFUSED, JointAnswer, JointJob, RecordingAnswer
+from bayesbl.fleet.measured_joint import MeasuredJoint, fits_beside, measure_joint
+from bayesbl.fleet.plant_tables import (
+    JOINT_COLUMNS,
+    JOINTS_FILE,
+    RECORDING_COLUMNS,
+    RECORDINGS_FILE,
+    Level,
+    Measured,
+    joint_rows,
+    pool,
+    recording_row,
+    require_tables,
+    write_table,
+)
+from bayesbl.fleet.pooled_rates import TypeRates
+from bayesbl.processes import processes
+from bayesbl.recording.input_bytes import read_input
+from bayesbl.results.atomic import locked_sibling
+from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
+from bayesbl.results.intervals import interval
+from bayesbl.results.provenance import file_sha256, git_commit
+from bayesbl.results.store import write_json, write_text
+from bayesbl.results.summary_types import Head
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.cluster import run_on_cluster
+from bayesbl.runs.workflow import Options, Plan, require_output, settings_of
+
+DRAWS_FOLDER, PAGE_FILE, PAGES = "draws.zarr", "index.html", "joints"
+
+OWN = {RECORDINGS_FILE, JOINTS_FILE, DRAWS_FOLDER, PAGE_FILE, PAGES}
+"""What the output folder of a fleet holds beside summary and configuration."""
+
+LARGEST_FITS_BYTES = 2_000_000_000
+"""Of finished fits, some 300 kB each, that a joint's change is computed from; the oldest go."""
+
+_KEPT = ".kept"
+
+
+MOST_URGENT = 20
+"""Joints in the summary; all are in the tables."""
+
+
+class FleetSummary(Head):
+    """``summary.json`` of a fleet.
+
+    ``recordings`` counts them by outcome, ``types`` has the pooled rates, ``most_urgent`` rows of
+    ``joints.parquet``.
+    """
+
+    kind: Literal["fleet"]
+    joints: int
+    with_rate: int
+    recordings: dict[str, int]
+    types: dict[str, dict[str, Any]]
+    alarms: list[str]
+    most_urgent: list[dict[str, Any]]
+    level: float
+    interval_kind: str
+    pool_by: str | None
+    decide_before: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class KeptJoint:
+    """A joint's answer with the rows of its recordings, and where their own answers are kept."""
+
+    answer: JointAnswer
+    rows: tuple[dict[str, Any], ...]
+    addresses: tuple[str, ...]
+
+
+def describe(config: FleetConfig, plan: Plan) -> None:
+    """What would be measured."""
+    plan.add("output", lambda: require_output(config.run.output, OWN))
+    plan.add("tables", lambda: require_tables())
+    plan.add("joints", lambda: _told(config))
+
+
+def _told(config: FleetConfig) -> str:
+    joints = read_joints(config.fleet)
+    found = find_recordings(config.fleet, joints)
+    bad = sum(one.reason is not None for one in found)
+    return f"{len(joints)}, {len(found) - bad} recordings" + (
+        f", {bad} that cannot be used" if bad else ""
+    )
+
+
+def run(config: FleetConfig, options: Options) -> FleetSummary:
+    """Measure what is new, and write the output folder anew.
+
+    Raises
+    ------
+    UserError
+        If the inventory cannot be used, or the folder holds anything but a fleet's result.
+    """
+    output = config.run.output
+    _require_own(output, options.force)
+    joints = read_joints(config.fleet)
+    jobs, refused = _jobs(config, joints, find_recordings(config.fleet, joints))
+    if options.force:
+        shutil.rmtree(fits_beside(output), ignore_errors=True)
+    with locked_sibling(output, _KEPT) as folder:
+        store = WorkStore(folder, fresh=options.force)
+        _finish(config, jobs, store, options)
+        store = replace(store, fresh=False)
+        with new_result(output, force=True, also=OWN) as new:
+            summary = _write(config, jobs, refused, store, new)
+            # The pages are made of the tables alone.
+            options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new)
+        _forget_others(jobs, store)
+    WorkStore(fits_beside(output)).keep_latest(LARGEST_FITS_BYTES)
+    return summary
+
+
+def _require_own(output: Path, force: bool) -> None:
+    """The folder is free or a fleet's, whose result every run replaces."""
+    if not is_finished(output):
+        require_free(output)
+        return
+    kind = None
+    with suppress(OSError, ValueError):
+        kind = json.loads((output / SUMMARY_FILE).read_text(encoding="utf-8")).get("kind")
+    require_free(output, force=force or kind == "fleet", also=OWN)
+    pages = output / PAGES
+    inside = pages.iterdir() if pages.is_dir() else []
+    foreign = sorted(entry.name for entry in inside if entry.suffix != ".html")
+    if foreign:
+        raise ResultError(
+            "This folder holds files that are not part of a result, and is left as it is.",
+            file=pages,
+            found=", ".join(foreign[:5]),
+            expected="pages of joints only",
+        )
+
+
+def _jobs(
+    config: FleetConfig, joints: Sequence[Joint], found: Sequence[Found]
+) -> tuple[list[JointJob], list[tuple[Found, str | None]]]:
+    """A job for each joint; and what cannot be measured, with the digest of what could be read."""
+    digests = {one.file: _digest(one) for one in found if one.reason is None}
+    owners: dict[str, list[Found]] = defaultdict(list)
+    for one in found:
+        sha = digests.get(one.file, (None, None))[0]
+        if sha is not None:
+            owners[sha].append(one)
+    of_joint: dict[str, list[tuple[Found, str]]] = defaultdict(list)
+    refused: list[tuple[Found, str | None]] = []
+    for one in found:
+        sha, problem = digests.get(one.file, (None, None))
+        reason = one.reason or problem or (sha and _copied(one, owners[sha])) or None
+        if reason or sha is None:
+            refused.append((replace(one, reason=reason), sha))
+        else:
+            of_joint[one.joint].append((one, sha))
+    settings = settings_of(config)
+    digest_of = cache(file_sha256)
+    shared = {
+        key: settings.get(key, {})
+        for key in ("columns", "estimator", "posterior", "interval", "curve", "wear")
+    }
+    jobs = []
+    for joint in joints:
+        mine = of_joint[joint.name]
+        recordings, shas = (tuple(part) for part in zip(*mine, strict=True)) if mine else ((), ())
+        jobs.append(
+            JointJob(
+                joint,
+                recordings,
+                shas,
+                None if joint.bench is None else digest_of(joint.bench),
+                None if joint.curve in (None, PUBLISHED) else digest_of(joint.curve),
+                shared,
+                config.run.seed,
+                str(config.run.output),
+            )
+        )
+    return jobs, refused
+
+
+def _digest(one: Found) -> tuple[str | None, str | None]:
+    try:
+        return hashlib.sha256(read_input(Path(one.file))).hexdigest(), None
+    except (OSError, ValueError) as error:
+        told = getattr(error, "strerror", None) or str(error)
+        return None, f"The file cannot be read: {told}."
+
+
+def _copied(one: Found, alike: Sequence[Found]) -> str | None:
+    """Why a recording that is there twice is not measured; the first of one joint is."""
+    others = [other for other in alike if other is not one]
+    if not others:
+        return None
+    strange = [other for other in others if other.joint != one.joint]
+    if strange:
+        return (
+            f"Its file is to the last byte that of joint {strange[0].joint}, {strange[0].date}, so "
+            "nobody knows whose it is. Was a file copied by mistake?"
+        )
+    if one is alike[0]:
+        return None
+    return f"Its file is to the last byte that of {alike[0].date}. Was a file copied by mistake?"
+
+
+def _finish(
+    config: FleetConfig, jobs: Sequence[JointJob], store: WorkStore, options: Options
+) -> None:
+    """Measure the joints that lack an answer, each kept as soon as it is there."""
+    lacking = [
+        _with_known(job, store)
+        for job in jobs
+        if store.fresh or store.recall("joint", job.problem(), KeptJoint) is None
+    ]
+    if not lacking:
+        return
+    new = sum(len(job.recordings) - len(job.known) for job in lacking)
+    options.say(f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at.")
+    level = Level(config.interval.level, config.interval.kind)
+    done = len(jobs) - len(lacking)
+    for job, (answers, wear) in _measured(config, lacking, options.say):
+        addresses = []
+        for number, answer in enumerate(answers):
+            problem = job.problem_of(number, answers[number - 1] if number else None)
+            addresses.append(store.address_of("recording", problem))
+            if number not in job.known:
+                store.keep("recording", problem, answer)
+        rows = tuple(
+            recording_row(answer, job.joint, number in wear.used, level)
+            for number, answer in enumerate(answers)
+        )
+        store.keep("joint", job.problem(), KeptJoint(wear, rows, tuple(addresses)))
+        done += 1
+        if options.progress is not None:
+            options.progress("joints", done, len(jobs))
+
+
+def _with_known(job: JointJob, store: WorkStore) -> JointJob:
+    """With the answers that earlier runs have kept."""
+    known: dict[int, RecordingAnswer] = {}
+    before = None
+    if not store.fresh:
+        for number in range(len(job.recordings)):
+            before = store.recall("recording", job.problem_of(number, before), RecordingAnswer)
+            if before is not None:
+                known[number] = before
+            elif job.by_amplitude:
+                break  # where the next search starts is not known
+    return replace(job, known=known)
+
+
+def _measured(
+    config: FleetConfig, jobs: Sequence[JointJob], say: Callable[[str], None]
+) -> Iterator[tuple[JointJob, MeasuredJoint]]:
+    """Joints as they end, in any order; no more are held than have not been taken yet."""
+    if config.run.scheduler is not None:
+        files = sorted({f for job in jobs for f in job.files})
+        yield from run_on_cluster(measure_joint, jobs, files, config.run.scheduler, say, "joints")
+        return
+    workers = min(config.run.workers, len(jobs))
+    if workers == 1:
+        for job in jobs:
+            yield job, measure_joint(job)
+        return
+    with processes(workers) as pool:
+        futures = {pool.submit(measure_joint, job): job for job in jobs}
+        for future in as_completed(list(futures)):
+            yield futures.pop(future), future.result()
+
+
+def _write(
+    config: FleetConfig,
+    jobs: Sequence[JointJob],
+    refused: Sequence[tuple[Found, str | None]],
+    store: WorkStore,
+    folder: Path,
+) -> FleetSummary:
+    """Tables, draws, summary and configuration of a fleet that is measured."""
+    level = Level(config.interval.level, config.interval.kind)
+    draws = DrawsStore(folder / DRAWS_FOLDER)
+    rows: list[dict[str, Any]] = []
+    measured = []
+    broken = Counter(one.joint for one, _ in refused)
+    for job in jobs:
+        kept = store.recall("joint", job.problem(), KeptJoint)
+        if kept is None:
+            raise ResultError("What was measured cannot be read again.", file=store.folder)
+        for one, sha256, row in zip(job.recordings, job.sha256, kept.rows, strict=True):
+            rows.append({**row, **_identity(one, sha256)})
+        dates = tuple(one.date for one in job.recordings)
+        outcomes = tuple(str(row["outcome"]) for row in kept.rows)
+        outcomes += (REFUSED,) * broken[job.joint.name]
+        _put_draws(draws, job, kept.answer)
+        # The draws of single recordings are on disk, and are not needed any more.
+        now = None if kept.answer.gap_rad is None else kept.answer.gap_rad[-1:]
+        measured.append(Measured(job.joint, replace(kept.answer, gap_rad=now), dates, outcomes))
+    for one, digest in refused:
+        answer = RecordingAnswer(REFUSED, one.reason)
+        rows.append({**recording_row(answer, None, False, level), **_identity(one, digest)})
+    rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
+    types, chosen = pool(measured, config.fleet.pool_by, config.run.seed)
+    of_joints = joint_rows(measured, chosen, level, config.fleet.decide_before)
+    write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
+    write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
+    asked = config.fleet
+    summary = summary_of(
+        rows, of_joints, types, level, config.run.seed, asked.pool_by, asked.decide_before
+    )
+    write_json(summary, folder / SUMMARY_FILE)
+    write_text(dump_config(config), folder / CONFIG_FILE)
+    return summary
+
+
+def _identity(one: Found, sha256: str | None) -> dict[str, Any]:
+    return {"joint": one.joint, "date": one.date, "file": one.file, "sha256": sha256}
+
+
+def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
+    if answer.gap_rad is None:
+        return
+    dates = np.array([job.recordings[number].date for number in answer.used], dtype="U10")
+    arrays: dict[str, Any] = {
+        "date": (("recording",), dates),
+        "delta_rad": (("recording", "draw"), answer.gap_rad),
+    }
+    for name in ("rate_rad_per_year", "rate_now_rad_per_year", "years_to_limit"):
+        values = getattr(answer, name)
+        if values is not None:
+            arrays[name] = (("wear_draw",), values)
+    draws.put(job.joint.name, arrays, {"reason": answer.reason or "", "route": answer.route})
+
+
+def summary_of(
+    rows: Sequence[Mapping[str, Any]],
+    joints: Sequence[Mapping[str, Any]],
+    types: Mapping[str, TypeRates],
+    level: Level,
+    seed: int,
+    pool_by: str | None,
+    before: Date | None,
+) -> FleetSummary:
+    """``summary.json`` of the rows of both tables."""
+    counted = Counter(str(row["outcome"]) for row in rows)
+    any_gap = any(row["delta_rad_median"] is not None for row in rows)
+    rates = {
+        name: {
+            "joints": found.joints,
+            "median_rad_per_year": interval(found.median_rad_per_year, level.level, level.kind),
+            "spread": interval(found.spread, level.level, level.kind),
+        }
+        for name, found in types.items()
+    }
+    return {
+        "kind": "fleet",
+        "outcome": "converged" if any_gap else "withheld",
+        "reason": None if any_gap else "No recording gives a gap: see reason in the tables.",
+        "warnings": [],
+        "version": bayesbl.__version__,
+        "commit": git_commit(),
+        "seed": seed,
+        "joints": len(joints),
+        "with_rate": sum(row["rate_rad_per_year_median"] is not None for row in joints),
+        "recordings": dict(counted),
+        "types": rates,
+        "alarms": [str(row["joint"]) for row in joints if row["alarm"]],
+        "most_urgent": [dict(row) for row in joints[:MOST_URGENT]],
+        "level": level.level,
+        "interval_kind": level.kind,
+        "pool_by": pool_by,
+        "decide_before": None if before is None else before.isoformat(),
+    }
+
+
+def _forget_others(jobs: Sequence[JointJob], store: WorkStore) -> None:
+    """What no file that is there leads to any more, is not needed."""
+    used = set()
+    for job in jobs:
+        kept = store.recall("joint", job.problem(), KeptJoint)
+        used |= {store.address_of("joint", job.problem()), *(kept.addresses if kept else ())}
+    store.keep_only(used)

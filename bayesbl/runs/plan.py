@@ -1,0 +1,183 @@
+"""A bench in, its motions out, ranked by how well they would tell the gap."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Literal, TypedDict
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.config.bench import load_bench
+from bayesbl.config.plan import PlanConfig
+from bayesbl.errors import ConfigError
+from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
+from bayesbl.results.provenance import provenance_of
+from bayesbl.results.summary_types import Head, head
+from bayesbl.results.variables import Group, dataset, table
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+
+if TYPE_CHECKING:
+    from bayesbl.bench.bench import Bench
+    from bayesbl.runs.summary import Summary
+
+MOTIONS = Group(
+    "motions",
+    table("""
+        low_rad (motion) | rad | lower end of the strokes, load angle, 0 hangs straight down
+        high_rad (motion) | rad | upper end of the strokes
+        speed_rpm (motion) | rpm | largest speed of the motor
+        acceleration_rpm_per_s (motion) | rpm/s | acceleration of the motor
+        dwell_s (motion) | s | rest between two strokes
+        duration_s (motion) | s | length of the recording
+        flank_changes (motion) | 1 | how often the load would pass from one flank to the other
+        expected_relative_sd (motion) | 1 | standard deviation of ln δ that is expected, NaN where
+            no flank changes
+    """),
+)
+
+
+class PlannedEntry(TypedDict):
+    """A motion, as ``motion = {…}`` of a simulation takes it, with what it would tell."""
+
+    kind: Literal["strokes"]
+    range_rad: list[float]
+    speed_rpm: float
+    acceleration_rpm_per_s: float
+    dwell_s: float
+    duration_s: float
+    flank_changes: int
+    expected_relative_sd: float | None
+
+
+class Planned(TypedDict):
+    """``plan``: the motions, the one that tells δ best first."""
+
+    gap_rad: float
+    motions: list[PlannedEntry]
+
+
+class PlanSummary(Head):
+    """``summary.json`` of a plan."""
+
+    kind: Literal["plan"]
+    plan: Planned
+
+
+def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a plan."""
+    return (MOTIONS,)
+
+
+def run(config: PlanConfig, options: Options) -> Summary:
+    """Rank, and write the output folder."""
+    return run_into_folder(config, options, lambda _: planned_tree(config))
+
+
+def describe(config: PlanConfig, plan: Plan) -> None:
+    """Which bench, and within which limits."""
+    plan.add("output", partial(require_output, config.run.output))
+    bench = _bench(config)
+    plan.add("noise", lambda: _noise(bench))
+    low, high = config.limits.range_rad
+    plan.lines.append(
+        ("limits", f"{low:g} to {high:g} rad of the load, {config.limits.speed_rpm:g} rpm")
+    )
+
+
+def planned_tree(config: PlanConfig) -> xr.DataTree:
+    """The result of a plan.
+
+    Raises
+    ------
+    UserError
+        If the bench file cannot be used, or its drive can follow none of the motions.
+    """
+    limits = config.limits
+    allowed = MotionLimits(
+        (limits.range_rad[0], limits.range_rad[1]),
+        limits.speed_rpm,
+        limits.acceleration_rpm_per_s,
+        limits.dwell_s,
+        limits.duration_s,
+    )
+    motions = ranked_motions(
+        _bench(config), allowed, config.gap_rad, config.sampling_hz, config.run.workers
+    )
+    shown = any(motion.flank_changes for motion in motions)
+    tree = xr.DataTree.from_dict({MOTIONS.name: _group(motions)})
+    tree.attrs = {
+        "kind": "plan",
+        "outcome": "converged" if shown else "withheld",
+        "reason": "" if shown else NONE_SHOWS,
+        "warnings": [],
+        "gap_rad": config.gap_rad,
+        **provenance_of(config),
+    }
+    return tree
+
+
+NONE_SHOWS = (
+    "Within these limits the load never passes from one tooth flank to the other, so no recording "
+    "can tell δ. Allow a range in which gravity's torque changes its sign (hanging straight down "
+    "or upright), or more acceleration."
+)
+
+
+def summarise_plan(tree: xr.DataTree) -> PlanSummary:
+    """``summary.json`` of a plan."""
+    stored = tree[MOTIONS.name].to_dataset()
+    motions: list[PlannedEntry] = []
+    for i in range(stored.sizes["motion"]):
+        value = {str(name): float(stored[name].values[i]) for name in stored.data_vars}
+        sd = value["expected_relative_sd"]
+        motions.append(
+            {
+                "kind": "strokes",
+                "range_rad": [value["low_rad"], value["high_rad"]],
+                "speed_rpm": value["speed_rpm"],
+                "acceleration_rpm_per_s": value["acceleration_rpm_per_s"],
+                "dwell_s": value["dwell_s"],
+                "duration_s": value["duration_s"],
+                "flank_changes": round(value["flank_changes"]),
+                "expected_relative_sd": sd if np.isfinite(sd) else None,
+            }
+        )
+    gap = float(tree.attrs["gap_rad"])
+    return {"kind": "plan", **head(tree), "plan": {"gap_rad": gap, "motions": motions}}
+
+
+def _group(motions: list[PlannedMotion]) -> xr.Dataset:
+    return dataset(
+        MOTIONS,
+        {
+            "low_rad": [m.range_rad[0] for m in motions],
+            "high_rad": [m.range_rad[1] for m in motions],
+            "speed_rpm": [m.speed_rpm for m in motions],
+            "acceleration_rpm_per_s": [m.acceleration_rpm_per_s for m in motions],
+            "dwell_s": [m.dwell_s for m in motions],
+            "duration_s": [m.duration_s for m in motions],
+            "flank_changes": [float(m.flank_changes) for m in motions],
+            "expected_relative_sd": [
+                np.nan if m.expected_relative_sd is None else m.expected_relative_sd
+                for m in motions
+            ],
+        },
+    )
+
+
+def _bench(config: PlanConfig) -> Bench:
+    bench = load_bench(config.bench)
+    if bench.drive == "rigid":
+        raise ConfigError(
+            "A rigid bench has no gap to plan for.",
+            file=config.bench,
+            found='drive = "rigid"',
+            expected='drive = "two_mass"',
+        )
+    return bench
+
+
+def _noise(bench: Bench) -> str:
+    speed, current = noise_of_bench(bench).sd
+    return f"{speed:.3g} rpm, {current:.3g} A"

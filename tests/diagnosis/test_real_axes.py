@@ -1,0 +1,181 @@
+"""Naming on a rigid axis of any size: independent of units, with sizes, and with honest halves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench, BenchParameter
+from bayesbl.diagnosis.comparison import Comparison, EffectsFit, residuals
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.disagreement import Use
+from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
+from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.rigid.method import compared
+from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, within_turns, without_load_angle
+from bayesbl.diagnosis.selection import Problem, Settings, diagnose
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
+from experiments.positioning_axis import Axis, believed, drawn_axis, recorded
+
+MOTOR = ("motor_coulomb_friction", "motor_viscous_friction", "motor_torque_offset")
+
+
+def axis(seed: int, **changes: float) -> tuple[Axis, list[Recording]]:
+    rng = np.random.default_rng(seed)
+    made = replace(drawn_axis(rng), **changes)
+    return made, [recorded(made, name, rng, lasting_s=8.0, hz=500.0) for name in "ab"]
+
+
+def comparison(
+    recordings: list[Recording], bench: Bench, cutoff_hz: float, uses: tuple[tuple[Use, ...], ...]
+) -> InverseComparison:
+    found = [
+        part
+        for recording, use in zip(recordings, uses, strict=True)
+        for part in compared(recording, MOTOR_TORQUE, use, cutoff_hz)
+    ]
+    return InverseComparison(
+        tuple(part.piece for part in found),
+        tuple(part.motion for part in found),
+        tuple(part.known for part in found),
+        tuple(part.view for part in found),
+        bench,
+        within_turns(without_load_angle(TORQUE_TERMS), 0.1),
+        ("motor_inertia_kg_m2",),
+    )
+
+
+def answer(made: InverseComparison) -> Diagnosis:
+    return diagnose(Problem(made, lambda fit: ()), made.bench, Settings())
+
+
+def sizes(found: Diagnosis) -> dict[str, float]:
+    return {e.name: next(iter(e.parameters.values())).value for e in found.effects}
+
+
+WHOLE: tuple[tuple[Use, ...], ...] = (("used",), ("held_out",))
+
+
+@pytest.mark.parametrize(
+    ("angle", "torque", "time"),
+    [(1e-3, 1.0, 1.0), (1e3, 1.0, 1.0), (1.0, 1e-3, 1e3), (1e3, 1e3, 1e-3)],
+)
+def test_no_answer_depends_on_the_units(angle: float, torque: float, time: float) -> None:
+    made, recordings = axis(3)
+    bench = believed(made)
+    first = answer(comparison(recordings, bench, 20.0, WHOLE))
+    scaled = [
+        Recording(
+            r.name,
+            r.time_s * time,
+            {
+                MOTOR_POSITION: angle * r.channels[MOTOR_POSITION],
+                MOTOR_TORQUE: torque * r.channels[MOTOR_TORQUE],
+            },
+        )
+        for r in recordings
+    ]
+    inertia = torque * time**2 / angle
+    parameters = {
+        name: BenchParameter(item.value * inertia, item.tolerance * inertia)
+        if name.endswith("kg_m2")
+        else item
+        for name, item in bench.parameters.items()
+    }
+    other = answer(comparison(scaled, replace(bench, parameters=parameters), 20.0 / time, WHOLE))
+    assert {*MOTOR} <= {e.name for e in first.effects}
+    assert other.verdict == first.verdict
+    units = {
+        "torque_nm": torque,
+        "coefficient_nm_s_per_rad": torque * time / angle,
+        "speed_rad_per_s": angle / time,
+    }
+    for one, same in zip(first.effects, other.effects, strict=True):
+        assert one.name == same.name
+        assert one.indistinguishable_from == same.indistinguishable_from
+        for key, estimate in one.parameters.items():
+            assert same.parameters[key].value == pytest.approx(
+                units[key] * estimate.value, rel=1e-3
+            )
+            assert same.parameters[key].sd == pytest.approx(units[key] * estimate.sd, rel=1e-2)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_the_three_laws_of_a_slow_axis_are_named_with_their_sizes(seed: int) -> None:
+    # 100 axes drawn like these: `bayesbl run configs/positioning_axis.toml`.
+    made, recordings = axis(seed)
+    found = sizes(answer(comparison(recordings, believed(made), 20.0, WHOLE)))
+    assert found["motor_coulomb_friction"] == pytest.approx(made.coulomb_nm, rel=0.05)
+    assert found["motor_viscous_friction"] == pytest.approx(made.viscous_nm_s_per_rad, rel=0.05)
+    assert found["motor_torque_offset"] == pytest.approx(made.offset_nm, rel=0.05)
+    assert "channel_time_skew" not in found
+    assert "friction_asymmetry" not in found
+
+
+def test_the_cut_off_is_where_the_position_no_longer_resolves_the_acceleration() -> None:
+    # A sine in white noise: 1 % where σ² Σ f⁴ reaches a hundredth of its power.
+    rng = np.random.default_rng(1)
+    time = np.arange(20_000) / 1000.0
+    sd = 1e-4
+    position = np.sin(2.0 * np.pi * 3.0 * time) + sd * rng.standard_normal(time.size)
+    found = resolved_hz([position], 1e-3)
+    # Power of the sine n/4 · 3⁴ · n; of the noise below f, a line every 1/20 s: 20 f⁵/5 · n σ².
+    expected = (0.01 * 0.25 * time.size * 81.0 / (4.0 * sd**2)) ** 0.2
+    assert found == pytest.approx(expected, rel=0.1)
+
+
+def test_a_prediction_is_coherent_up_to_where_the_motion_ends() -> None:
+    made, recordings = axis(3, torque_noise_nm=0.02)
+    widest = 60.0
+    found = coherent_hz(comparison(recordings, believed(made), widest, WHOLE))
+    assert found is not None
+    assert 5.0 < found <= widest
+
+
+def test_nothing_is_decided_on_what_is_held_out() -> None:
+    made, recordings = axis(3)
+    bench = believed(made)
+    spoilt = Recording(
+        "b",
+        recordings[1].time_s,
+        {
+            **recordings[1].channels,
+            MOTOR_TORQUE: np.random.default_rng(0).permutation(
+                recordings[1].channels[MOTOR_TORQUE]
+            ),
+        },
+    )
+    first = answer(comparison(recordings, bench, 20.0, WHOLE))
+    other = answer(comparison([recordings[0], spoilt], bench, 20.0, WHOLE))
+    assert sizes(other) == sizes(first)
+    assert (
+        other.disagreement.overall["held_out"].after > first.disagreement.overall["held_out"].after
+    )
+
+
+def test_both_halves_of_a_split_recording_have_one_time() -> None:
+    # Friction that drifts: fitted on the first half, it goes on in the second.
+    made, recordings = axis(3)
+    whole = recordings[0]
+    position = whole.channels[MOTOR_POSITION]
+    speed = np.gradient(position, whole.time_s)
+    drift = 0.05 * made.coulomb_nm * whole.time_s * np.sign(speed)
+    torque = whole.channels[MOTOR_TORQUE] + drift
+    drifting = Recording("a", whole.time_s, {MOTOR_POSITION: position, MOTOR_TORQUE: torque})
+    split = comparison([drifting], believed(made), 20.0, (("used", "held_out"),))
+    names = ("friction_drift", "motor_viscous_friction", "motor_torque_offset")
+    fit = split.fit(names)
+    assert fit.effects["friction_drift"]["rate_nm_per_s"] == pytest.approx(
+        0.05 * made.coulomb_nm, rel=0.05
+    )
+    assert shown_rms(split, fit, "held_out") < 1.3 * shown_rms(split, fit, "used")
+
+
+def shown_rms(made: Comparison, fit: EffectsFit, use: Use) -> float:
+    parts = residuals(made, fit, use)
+    shown = [p for p in made.pieces if p.use == use]
+    (rest,) = (part for part, piece in zip(parts, shown, strict=True) if piece.shown)
+    return math.sqrt(float(np.mean(rest**2)))

@@ -1,0 +1,209 @@
+"""Motions: found in recordings, matched with their bench, answered only where a flank changes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.motion import Motion, sine, strokes
+from bayesbl.config.bench import reference_bench
+from bayesbl.errors import RecordingError
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.motions import changes_of, flank_changes
+from bayesbl.matching.observed import begin_of, observed
+from bayesbl.matching.planning import MotionLimits, ranked_motions
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.signals import GAP, REFERENCE_DELAY
+from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
+from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
+from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.moving import cycle_of, moves
+from bayesbl.recording.types import REFERENCE_POSITION, REFERENCE_SPEED, Recording
+from bayesbl.sampling.chains import SamplerSettings
+
+RANGE_RAD = (1e-4, 1e-2)
+GAP_RAD = 8e-4
+BENCH = replace(
+    reference_bench(),
+    measurement=replace(
+        reference_bench().measurement,
+        speed_noise=NoiseModel(1.5, (0.6,)),
+        current_noise=NoiseModel(0.05),
+    ),
+)
+SWINGING = strokes(120.0, (-0.4, 0.5), 1500.0, 6000.0, 0.1, 7.0)
+HELD_UP = strokes(120.0, (0.9, 1.5), 600.0, 1500.0, 0.2, 8.0)
+
+
+def recorded(
+    motion: Motion = SWINGING, bench: Bench = BENCH, seed: int = 1, sampling_hz: float = 500.0
+) -> Recording:
+    """A noisy recording of a motion, with both references."""
+    rng = np.random.default_rng(seed)
+    return bench.simulate_motion(GAP_RAD, motion, sampling_hz=sampling_hz, seed=rng, name="r")
+
+
+def only(recording: Recording, *left_out: str) -> Recording:
+    """The same without some channels."""
+    kept = {name: values for name, values in recording.channels.items() if name not in left_out}
+    return replace(recording, channels=kept)
+
+
+def cut(recording: Recording, begin: int, end: int | None = None) -> Recording:
+    """A part of a recording, its time from zero."""
+    part = slice(begin, end)
+    time = recording.time_s[part] - recording.time_s[begin]
+    kept = {name: values[part] for name, values in recording.channels.items()}
+    return replace(recording, time_s=time, channels=kept)
+
+
+def fitted(recording: Recording, bench: Bench = BENCH) -> SimulatedFit:
+    """The optimum of gap and start angle."""
+    unknowns = direct_unknowns(bench, ["r"], RANGE_RAD, moving=["r"])
+    return fit_aligned(bench, [observed(recording, bench)], unknowns)
+
+
+def z_of(fit: SimulatedFit) -> float:
+    """Error of ln δ in posterior standard deviations."""
+    return (math.log(fit.value(GAP, "r")) - math.log(GAP_RAD)) / fit.sd(GAP, "r")
+
+
+def test_only_a_reference_that_varies_is_a_motion() -> None:
+    moving = recorded()
+    assert moves(moving)
+    assert moves(only(moving, REFERENCE_SPEED))
+    assert not moves(only(moving, REFERENCE_SPEED, REFERENCE_POSITION))
+    steady = BENCH.simulate(GAP_RAD, rotations=2.0)
+    asked = np.full(steady.samples, 2000.0)
+    ramp = 2000.0 / 60.0 * 2.0 * math.pi * steady.time_s
+    assert not moves(replace(steady, channels={**steady.channels, REFERENCE_SPEED: asked}))
+    assert not moves(replace(steady, channels={**steady.channels, REFERENCE_POSITION: ramp}))
+
+
+def test_a_cycle_is_found_where_two_are_recorded() -> None:
+    time = np.arange(7000) / 1000.0
+    speed = SWINGING.speed_rpm(time)
+    way, top, acceleration = 0.9 * 120.0, 1500.0 * math.pi / 30.0, 6000.0 * math.pi / 30.0
+    stroke = way / top + top / acceleration + 0.1
+    assert cycle_of(speed) == pytest.approx(2000.0 * stroke, abs=1.0)
+    assert cycle_of(speed[: round(1.8 * 2000.0 * stroke)]) is None
+    slow = sine(120.0, (0.0, 1.0), 30.0, 70.0).speed_rpm(np.arange(70_000) / 1000.0)
+    assert cycle_of(slow) == 30_000
+    assert cycle_of(np.random.default_rng(1).standard_normal(3000).cumsum()) is None
+
+
+RECORDINGS = {
+    "whole": (recorded(), BENCH),
+    "speed asked alone": (only(recorded(seed=2), REFERENCE_POSITION), BENCH),
+    "position asked alone": (only(recorded(seed=3), REFERENCE_SPEED), BENCH),
+    "cut in a stroke": (cut(recorded(seed=4), 180), BENCH),
+    "cut while the stop rings": (cut(recorded(seed=5), 500), BENCH),
+    "one cycle": (cut(recorded(seed=6), 0, 1100), BENCH),
+    "sine": (recorded(sine(120.0, (-0.5, 0.5), 2.0, 7.0), seed=7), BENCH),
+}
+VERTICAL = BENCH.with_parameters(gravity_torque_nm=0.0)
+RECORDINGS["no gravity"] = (recorded(bench=VERTICAL, seed=8), VERTICAL)
+LOOPED = BENCH.with_parameters(position_gain_per_s=5.0, gravity_angle_rad=0.3)
+RECORDINGS["position loop"] = (recorded(bench=LOOPED, seed=9), LOOPED)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_the_gap_is_recovered_and_the_check_passes(name: str) -> None:
+    # Normal errors are beyond 4 in one of 16,000; the check's false alarms are one in a thousand.
+    fit = fitted(*RECORDINGS[name])
+    assert abs(z_of(fit)) < 4.0
+    assert fit.sd(GAP, "r") == pytest.approx(fit.bound[fit.model.index(GAP, "r")], rel=0.01)
+    assert agrees(disagreements(fit), 1e-3)
+    assert flank_changes(fit, 0)
+
+
+def test_a_reference_that_is_held_and_late_is_found_so() -> None:
+    # As a digital drive has it: four samples late, and held for a millisecond each.
+    recording = recorded(seed=10, sampling_hz=1000.0)
+    late = {
+        name: np.r_[values[4:], np.full(4, values[-1])] if name.startswith("reference") else values
+        for name, values in recording.channels.items()
+    }
+    fit = fitted(replace(recording, channels=late))
+    assert fit.value(REFERENCE_DELAY, "r") == pytest.approx(4e-3, abs=1e-4)
+    assert abs(z_of(fit)) < 4.0
+
+
+def test_what_begins_unknown_is_left_out() -> None:
+    assert begin_of(observed(RECORDINGS["whole"][0], BENCH)) == 0
+    begin = begin_of(observed(RECORDINGS["cut in a stroke"][0], BENCH))
+    assert 0.02 < begin / 500.0 < 0.5
+
+
+def test_a_motion_without_a_change_of_flank_tells_no_gap() -> None:
+    seen = observed(recorded(HELD_UP), BENCH)
+    sampler = SamplerSettings(2, 1000, 0.9)
+    seed = np.random.SeedSequence(1)
+    found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed, corrected=False)
+    assert not flank_changes(found.posterior.fit, 0)
+    verdict = direct_verdict(found, 0)
+    assert verdict.outcome == "withheld"
+    assert verdict.reason is not None
+    assert "never passes from one tooth flank" in verdict.reason
+    assert "bayesbl plan" in verdict.reason
+
+
+def test_a_change_of_flank_is_a_passage_of_the_whole_gap() -> None:
+    gap = 1.0
+    twist = np.array([2.0, 0.5, 0.9, 1.5, 0.0, -0.5, -1.2, -0.9, -1.1, 0.2, 3.0])
+    found = changes_of(twist, gap, 0.1)
+    assert [(c.left_s, c.met_s, c.side) for c in found] == [
+        (pytest.approx(0.3), pytest.approx(0.6), -1),
+        (pytest.approx(0.8), pytest.approx(1.0), 1),
+    ]
+    excluded = np.arange(twist.size) > 8
+    assert len(changes_of(twist, gap, 0.1, excluded)) == 1
+
+
+def test_a_reference_of_the_load_is_refused() -> None:
+    recording = recorded()
+    asked = recording.channels[REFERENCE_SPEED] / 120.0
+    wrong = replace(recording, channels={**recording.channels, REFERENCE_SPEED: asked})
+    with pytest.raises(RecordingError, match="do not agree"):
+        observed(wrong, BENCH)
+
+
+def test_noise_is_that_of_the_samples_that_are_kept() -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((2, 6000))
+    spoiled, kept = noise.copy(), np.ones(6000, dtype=bool)
+    for begin in range(500, 6000, 1000):
+        spoiled[:, begin : begin + 200] += 50.0
+        kept[begin : begin + 200] = False
+    found = estimate_channel_noise(spoiled, 1000, kept)
+    assert found.order == 0
+    assert found.sd == pytest.approx([1.0, 1.0], rel=0.05)
+    fast = estimate_fast_noise(noise + np.linspace(0.0, 300.0, 6000), 250)
+    assert fast.order == 0
+    assert fast.sd == pytest.approx([1.0, 1.0], rel=0.05)
+
+
+def test_a_plan_expects_what_a_fit_then_finds() -> None:
+    limits = MotionLimits((-0.4, 1.4), 1500.0, 6000.0, 0.1, 3.0)
+    ranked = ranked_motions(BENCH, limits, GAP_RAD, 250.0)
+    expected = [m.expected_relative_sd for m in ranked]
+    shown = [sd for sd in expected if sd is not None]
+    assert shown == sorted(shown)
+    assert expected[len(shown) :] == [None] * (len(expected) - len(shown))
+    assert 0 < len(shown) < len(expected)
+    found = []
+    for planned in ranked[0 : len(shown) : max(1, len(shown) // 2)]:
+        motion = strokes(
+            120.0, planned.range_rad, planned.speed_rpm, planned.acceleration_rpm_per_s, 0.1, 3.0
+        )
+        found.append(
+            (planned.expected_relative_sd, fitted(recorded(motion, sampling_hz=250.0)).sd(GAP, "r"))
+        )
+    # At one gap of the three that a plan goes by; the order is held, and the size roughly.
+    ratios = np.array([sd / promised for promised, sd in found if promised])
+    assert np.all((ratios > 0.2) & (ratios < 2.0))
