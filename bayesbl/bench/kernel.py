@@ -97,9 +97,9 @@ POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width), width this share of the reference speed at motor and load:
-# 1 rpm of 2000. A share, so that a slow joint has the same friction as a fast one.
-FRICTION_WIDTH_SHARE = 1.0 / 2000.0
+# sign(ω) of friction is tanh(ω/width); both widths are about 1 rpm at the motor of a 1:100 gear.
+MOTOR_SIGN_WIDTH = 0.1  # rad/s
+LOAD_SIGN_WIDTH = 1e-3  # rad/s
 # The integral fades out while the demand passes the current limit by this share of it.
 ANTI_WINDUP_BAND = 0.01
 
@@ -108,6 +108,8 @@ ANTI_WINDUP_BAND = 0.01
 LOCAL_SHARE = 0.004
 # Longest step in radians of the fastest oscillation: what the dense output still follows.
 LONGEST_PHASE = 1.0
+# rad/s: pace of a rigid bench that nothing drives.
+SLOWEST_RATE = 0.1
 
 DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
@@ -142,6 +144,7 @@ class Constants(NamedTuple):
     rigid: bool
     reference: float
     friction_width: float
+    load_friction_width: float
     gap: float
     reference_angle: float
     phase_offset: float
@@ -202,7 +205,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.hard_dead_zone] != 0.0,
         p[Slot.rigid] != 0.0,
         p[Slot.reference_speed_rpm] / RPM,
-        FRICTION_WIDTH_SHARE * abs(p[Slot.reference_speed_rpm]) / RPM,
+        MOTOR_SIGN_WIDTH,
+        LOAD_SIGN_WIDTH,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -247,6 +251,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.rigid,
         row[1],
         c.friction_width,
+        c.load_friction_width,
         c.gap,
         c.reference_angle,
         c.phase_offset,
@@ -415,7 +420,7 @@ def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
         torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
             torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
-                speed * c.ratio / c.friction_width
+                speed / c.load_friction_width
             )
     return torque
 
@@ -704,9 +709,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
     fastest = math.sqrt(motor_rate**2 + load_rate**2)
     if c.rigid:
-        # Let go, it is gravity that sets the pace; without any, its own turning.
+        # Let go, it is gravity that sets the pace.
         swing = math.sqrt(c.gravity * c.per_ratio * c.per_ratio / inertia)
-        fastest = max(loop_rate, swing, c.fastest_reference * c.per_ratio)
+        fastest = max(loop_rate, swing, SLOWEST_RATE)
     torque = speed * inertia * max(fastest, loop_rate)
     scale[MOTOR_SPEED] = 1.0 / speed
     scale[MOTOR_ANGLE] = fastest / speed

@@ -130,12 +130,15 @@ def simulate_states(
     States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
     sensed speed, Dahl z; the last three are zero while no effect is on. The position loop's ramp
     starts at the initial motor angle. Dry friction changes its sign over the given width at the
-    motor, by default the share of the reference speed that holds elsewhere. No check of the
+    motor, by default over what holds elsewhere. No check of the
     parameters, so gains may be zero here.
     """
     c = kernel.constants(parameters, initial_state[0], 0.0)
     if friction_width_rad_per_s is not None:
-        c = c._replace(friction_width=friction_width_rad_per_s)
+        c = c._replace(
+            friction_width=friction_width_rad_per_s,
+            load_friction_width=friction_width_rad_per_s * c.per_ratio,
+        )
     size = STATES if c.effects else kernel.DRIVE_TORQUE
     state = np.array(initial_state[:size], dtype=float)
     out = np.zeros((STATES, samples))

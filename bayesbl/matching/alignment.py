@@ -13,7 +13,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.motions import noise_of, start_angles, undecided_starts
+from bayesbl.matching.motions import motion_starts, noise_of, start_angles, undecided_starts
 from bayesbl.matching.observed import Observed, without_start
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
@@ -21,8 +21,6 @@ from bayesbl.recording.moving import first_move
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
-GAPS_TRIED_IN_MOTION = 96
-"""Steps of 5 %: where many flanks change, χ² has a valley for each sequence of impacts."""
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 
@@ -99,9 +97,7 @@ def aligned_starts(
     for place, members in by_gap.items():
         scanned = dict(grids or {})
         if place is not None:
-            moving = any(model.recordings[i].motion is not None for i in members)
-            count = GAPS_TRIED_IN_MOTION if moving and grids is None else GAPS_TRIED
-            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], count))
+            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
         points, shape = _combinations(start, scanned)
         aligned = [
             (_align if model.recordings[i].motion is None else start_angles)(model, points, i)
@@ -129,6 +125,8 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
         if seen.motion is None:
             continue
         own = [k for k, u in enumerate(model.unknowns) if u.recording == seen.name]
+        if all(model.unknowns[k].name != GAP for k in own):
+            continue
         shared = {
             u.name: float(u.value(starts[0][k]))
             for k, u in enumerate(model.unknowns)
@@ -143,7 +141,7 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
             {**model.settings, **shared},
             model.recent,
         )
-        fits = [fit_simulated(alone, start[own]) for start in starts]
+        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own], 0)]
         best = min(fits, key=lambda fit: fit.chi_square)
         for start in settled:
             start[own] = best.point

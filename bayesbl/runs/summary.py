@@ -31,8 +31,8 @@ _SUMMARISE = {
     "fit": ("bayesbl.measurement.summary", "summarise_fit"),
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
-    "identify": ("bayesbl.identification.summary", "summarise_identification"),
     "plan": ("bayesbl.runs.plan", "summarise_plan"),
+    "identify": ("bayesbl.identification.summary", "summarise_identification"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
     "study": ("bayesbl.runs.study", "summarise_study"),
 }

@@ -415,8 +415,8 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "gap_rad": 1e-3,
     }
     of_an_identification = {"effects": "catalogue"}
-    others = of_a_study | of_a_plan | of_an_identification
-    assert set(values | others) == set(OPTIONS)
+    of_others = of_a_study | of_a_plan | of_an_identification
+    assert set(values | of_others) == set(OPTIONS)
     files, dates = [folder / "before.csv", folder / "after.csv"], [date(2026, 3, 1)] * 2
     config = config_from_options("compare", files, None, dates, **values)
     assert config.dates == tuple(dates)

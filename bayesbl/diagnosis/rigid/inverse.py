@@ -13,26 +13,19 @@ coloured noise widens its covariance instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
 from bayesbl.bench.effects import effect_named
-from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
-from bayesbl.diagnosis.rigid.motion import Motion
+from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
+from bayesbl.diagnosis.rigid.columns import WIDTH, ComparedColumns, Values
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
-from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
-from bayesbl.diagnosis.rigid.view import View
+from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray
-
-Values = dict[str, float]
-Columns = dict[str, FloatArray]
-
-WIDTH = "friction_width"
 
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 """In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
@@ -42,46 +35,8 @@ SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 21))
 
 
 @dataclass(frozen=True, slots=True)
-class InverseComparison:
-    """Motion of every piece against what was measured of torque, current or load position.
-
-    Attributes
-    ----------
-    motions, known
-        For every piece, over its whole recording: motion, and known torques at the motor, N m.
-    views
-        For every piece: what is compared of a signal over its recording.
-    terms
-        Effects that may take part.
-    unknown
-        Bench parameters that are fitted: inertias and the gravity torque.
-    unit
-        N m or rad in one unit of the channel: K_t where current is compared.
-    load
-        The load's position is compared; its zero is fitted for each recording.
-    load_angle_known, phases_shared
-        The motor position tells the load's angle, so gravity's direction; it is absolute, so one
-        phase holds for all recordings. Without either, sine and cosine are free per recording.
-    seen
-        For every piece, what has been computed of it.
-    """
-
-    pieces: tuple[Piece, ...]
-    motions: tuple[Motion, ...]
-    known: tuple[FloatArray, ...]
-    views: tuple[View, ...]
-    bench: Bench
-    terms: Mapping[str, Term]
-    unknown: tuple[str, ...] = ()
-    unit: float = 1.0
-    load: bool = False
-    load_angle_known: bool = False
-    phases_shared: bool = False
-    seen: tuple[dict[Hashable, FloatArray], ...] = field(default=(), repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if not self.seen:
-            object.__setattr__(self, "seen", tuple({} for _ in self.pieces))
+class InverseComparison(ComparedColumns):
+    """Motion of every piece against what was measured of torque, current or load position."""
 
     @property
     def candidates(self) -> tuple[TestedEffect, ...]:
@@ -173,23 +128,7 @@ class InverseComparison:
         ]
         return scan_orders(rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
 
-    @property
-    def _used(self) -> list[int]:
-        return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
-
     # Shapes
-
-    def _scanned(self, name: str) -> list[str]:
-        """Parameters of an effect that the linear solution does not give."""
-        term = self.terms[name]
-        if name == SKEW:
-            return [term.candidate.amplitude]
-        return [term.law.scanned] if term.law.scanned else []
-
-    def _directional(self, effects: tuple[str, ...]) -> bool:
-        """Whether dry friction takes part, named or in the bench."""
-        names = (*effects, *(e.name for e in self.bench.effects))
-        return not self.load and any("direction" in effect_named(n).depends_on for n in names)
 
     def _grid(self, name: str) -> tuple[float, ...]:
         """Values of an effect's shape to try, in its own unit."""
@@ -295,119 +234,6 @@ class InverseComparison:
             cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
         )
         shapes[key] = float(found.x) if found.fun <= costs[best] else float(grid[best])
-
-    # What is compared
-
-    def _seen(self, i: int, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
-        """A signal over a recording as it is compared, computed once."""
-        known = self.seen[i]
-        if key not in known:
-            known[key] = self.views[i](make())
-        return known[key]
-
-    def _motion(self, i: int, shapes: Mapping[str, float]) -> Motion:
-        """Motion as the compared channel shows it: a channel that lags shows what was."""
-        motion = self.motions[i]
-        for key, sign in ((f"{SKEW}.current_s", 1.0), (f"{SKEW}.position_s", -1.0)):
-            if shapes.get(key):
-                motion = motion.shifted(sign * shapes[key])
-        return replace(motion, friction_width=shapes.get(WIDTH, 0.0))
-
-    def _base(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> FloatArray:
-        """The nominal bench, and effects that no coefficient scales, in units of the channel."""
-        skew = _skew(shapes)
-        if self.load:
-            ratio = self.bench.value("gear_ratio")
-            base = self._seen(i, ("base", skew), lambda: self._motion(i, shapes).angle / ratio)
-            for name in effects:
-                term = self.terms[name]
-                if name != SKEW and term.law.scanned == term.candidate.amplitude:
-                    amount = {term.law.scanned: shapes[f"{name}.{term.law.scanned}"]}
-                    base = base + self._signal(i, name, amount, shapes)
-            return base
-        bench = self.bench
-        if not self.load_angle_known:
-            bench = bench.with_parameters(gravity_torque_nm=0.0)
-        if self.views[i].above:
-
-            def waves() -> FloatArray:
-                motion = self._motion(i, shapes)
-                parts = [
-                    TORQUE_TERMS[e.name].law.signal(motion, bench, e.complete())
-                    for e in bench.effects
-                    if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
-                ]
-                return np.asarray(sum(parts, np.zeros_like(motion.angle)) / self.unit)
-
-            return self._seen(i, ("base", skew), waves)
-
-        def torque() -> FloatArray:
-            needed = required_torque(self._motion(i, shapes), bench) + self.known[i]
-            return np.asarray(needed / self.unit)
-
-        return self._seen(i, ("base", skew, shapes.get(WIDTH)), torque)
-
-    def _signal(
-        self, i: int, name: str, given: Mapping[str, float], shapes: Mapping[str, float]
-    ) -> FloatArray:
-        """An effect's law with these parameters, in units of the channel, as compared."""
-        law = self.terms[name].law
-        width = shapes.get(WIDTH) if "direction" in effect_named(name).depends_on else None
-        unit = 1.0 if self.load else self.unit
-        return self._seen(
-            i,
-            (name, *given.items(), _skew(shapes), width),
-            lambda: law.signal(self._motion(i, shapes), self.bench, given) / unit,
-        )
-
-    def _columns(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
-        """Linear coefficients by name to what one of each adds."""
-        found = self._nuisances(i, shapes)
-        where = "" if self.phases_shared else f"@{self.pieces[i].name}"
-        for name in effects:
-            term = self.terms[name]
-            amplitude, scanned = term.candidate.amplitude, term.law.scanned
-            if name == SKEW or scanned == amplitude:
-                continue
-            if self.views[i].above and scanned != ORDER:
-                continue
-            shape = {scanned: shapes[f"{name}.{scanned}"]} if scanned else {}
-            if term.periodic:
-                for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi)):
-                    given = {amplitude: 1.0, PHASE: phase, **shape}
-                    found[f"{name}.{label}{where}"] = self._signal(i, name, given, shapes)
-                continue
-            off = dict.fromkeys((amplitude, *term.law.linear), 0.0)
-            for parameter in off:
-                given = {**off, parameter: 1.0, **shape}
-                found[f"{name}.{parameter}"] = self._signal(i, name, given, shapes)
-        return found
-
-    def _nuisances(self, i: int, shapes: Mapping[str, float]) -> Columns:
-        ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
-        skew = _skew(shapes)
-        if self.views[i].above:
-            return {}
-        if self.load:
-            ones = np.ones_like(self.motions[i].angle)
-            return {f"offset@{where}": self._seen(i, "offset", lambda: ones)}
-
-        def of(name: str, make: Callable[[Motion], FloatArray]) -> FloatArray:
-            return self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
-
-        found = {}
-        for name in self.unknown:
-            if name == "motor_inertia_kg_m2":
-                found[name] = of(name, lambda motion: motion.acceleration)
-            elif name == "load_inertia_kg_m2":
-                found[name] = of(name, lambda motion: motion.acceleration / ratio**2)
-            elif self.load_angle_known:
-                found[name] = of(name, lambda motion: np.sin(motion.angle / ratio) / ratio)
-        if not self.load_angle_known and self.bench.value("gravity_torque_nm") > 0.0:
-            sine = of("gravity sine", lambda motion: np.sin(motion.angle / ratio) / ratio)
-            cosine = of("gravity cosine", lambda motion: np.cos(motion.angle / ratio) / ratio)
-            found |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
-        return found
 
     # Least squares
 
@@ -565,10 +391,6 @@ class InverseComparison:
         if effect == SKEW:
             return 1e-3 / self.views[0].low_pass.cutoff_hz
         return 1e-5 * value if parameter == ORDER else 1e-2 * value
-
-
-def _skew(shapes: Mapping[str, float]) -> tuple[float, float]:
-    return shapes.get(f"{SKEW}.current_s", 0.0), shapes.get(f"{SKEW}.position_s", 0.0)
 
 
 def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
