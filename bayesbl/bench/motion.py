@@ -24,6 +24,9 @@ from bayesbl.recording.types import FloatArray
 PIECES_PER_PERIOD = 100
 """Of a sine: a cubic through value and slope at its ends is then off by 2e-7 of the amplitude."""
 
+EARLIER_S = 1e-7
+"""Of a held reference's steps before the samples that show them."""
+
 STRAIGHT_SHARE = 1e-6
 """Recorded references that are this close to a straight line, as a share of the largest speed, are
 one piece: 0.002 rpm of 2000 rpm."""
@@ -192,6 +195,18 @@ def recorded_motion(
     knots, values = _corners_restored(at, speed, _straight(at, speed, tolerance))
     position = None if position_rad is None else np.interp(knots, time, position_rad)
     return Motion(through(knots, values, position=position), float(time[-1]))
+
+
+def held_motion(motion: Motion, samples: int, sampling_hz: float) -> Motion:
+    """The same motion as a digital drive has it: the reference of each sample held to the next."""
+    time = np.arange(samples) / sampling_hz
+    pieces = np.zeros((samples, PIECE_COLUMNS))
+    # A sample sees the reference that came with it.
+    pieces[:, 0] = time - EARLIER_S
+    pieces[:, 1] = motion.speed_rpm(time) / RPM
+    pieces[:, 6] = pieces[:, 1]
+    pieces[:, 5] = np.r_[0.0, np.cumsum(pieces[:-1, 1]) / sampling_hz]
+    return Motion(pieces, motion.duration_s, motion.start_angle_rad)
 
 
 def _straight(time: FloatArray, values: FloatArray, tolerance: float) -> list[int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +20,12 @@ LOADED_SHARE = 0.05
 that a bench calls free of friction may still hold some per cent."""
 
 ANGLES_SCANNED = 36
-GAPS_SCANNED = 16
-GAPS_SCANNED_ALONE = 96
-"""Without gravity, where there is no angle to be scanned."""
-VALLEYS_REFINED = 6
-VALLEYS_FITTED = 3
-"""A motion has more valleys of χ² than a rotation: one for each sequence of impacts."""
-REFINEMENTS = 4
+ANGLES_REFINED = 4
+REFINEMENTS = 3
+GAPS_SCANNED = 12
+GAPS_SCANNED_FINELY = 96
+"""Steps of 5 %: a motion has a valley of χ² for each sequence of impacts."""
+VALLEYS_FITTED = 4
 AT_ONCE = 64
 """Simulated motions held in memory together."""
 SCANNED_S = 4.0
@@ -76,17 +74,22 @@ def start_angles(
     place = _angle_place(model, recording)
     if place is None:
         return np.zeros(len(points)), _rough_chi_square(model, points, recording)
-    width = 2.0 * math.pi / ANGLES_SCANNED
-    tried = np.repeat(points[len(points) // 2][None], ANGLES_SCANNED, axis=0)
-    tried[:, place] = width * np.arange(ANGLES_SCANNED)
-    best = _refined(model, recording, tried, {place: width})
+    width, best, reach = 2.0 * math.pi / ANGLES_SCANNED, 0.0, np.arange(float(ANGLES_SCANNED))
+    for _ in range(REFINEMENTS + 1):
+        tried = np.repeat(points[len(points) // 2][None], reach.size, axis=0)
+        tried[:, place] = best + width * reach
+        best = float(tried[int(np.argmin(_rough_chi_square(model, tried, recording))), place])
+        width, reach = width / 4.0, np.arange(-3.0, 4.0)
     tried = points.copy()
-    tried[:, place] = best[place]
+    tried[:, place] = best
     return tried[:, place], _rough_chi_square(model, tried, recording)
 
 
 def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) -> list[FloatArray]:
     """Points to fit a motion alone from, best first: its gap and its start angle by scan.
+
+    The angle is refined with the gap free over its whole range, for gravity moves the current by
+    more than any gap does; then the gap is scanned finely at each of the best angles.
 
     Parameters
     ----------
@@ -96,27 +99,33 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
     name = model.recordings[recording].name
     gap = next(k for k, u in enumerate(model.unknowns) if (u.name, u.recording) == (GAP, name))
     place = _angle_place(model, recording)
-    angles = 1 if place is None else ANGLES_SCANNED
-    gaps = GAPS_SCANNED if place is not None else GAPS_SCANNED_ALONE
-    grid = np.linspace(model.low[gap], model.high[gap], gaps)
-    widths = {gap: float(grid[1] - grid[0])}
-    tried = np.repeat(start[None], gaps * angles, axis=0)
-    tried[:, gap] = np.repeat(grid, angles)
+
+    def scanned(gaps: int, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        grid = np.linspace(model.low[gap], model.high[gap], gaps)
+        tried = np.repeat(start[None], gaps * angles.size, axis=0)
+        tried[:, gap] = np.tile(grid, angles.size)
+        if place is not None:
+            tried[:, place] = np.repeat(angles, gaps)
+        cost = _rough_chi_square(model, tried, recording)
+        return tried.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
+
+    best = np.zeros(1)
     if place is not None:
-        widths[place] = 2.0 * math.pi / angles
-        tried[:, place] = np.tile(widths[place] * np.arange(angles), gaps)
-    cost = _rough_chi_square(model, tried, recording).reshape(gaps, angles)
-    around = [
-        np.roll(np.pad(cost, ((1, 1), (0, 0)), constant_values=np.inf), (down, right), (0, 1))[1:-1]
-        for down in (-1, 0, 1)
-        for right in (-1, 0, 1)
-        if (down, right) != (0, 0) and (angles > 1 or right == 0)
-    ]
-    valleys = np.flatnonzero((cost <= np.min(around, axis=0)).ravel())
-    deepest = valleys[np.argsort(cost.ravel()[valleys])][:VALLEYS_REFINED]
-    refined = [_refined(model, recording, tried[k : k + 1], widths) for k in deepest]
-    order = np.argsort(_rough_chi_square(model, np.array(refined), recording))
-    return [refined[k] for k in order[:VALLEYS_FITTED]]
+        width = 2.0 * math.pi / ANGLES_SCANNED
+        angles = width * np.arange(float(ANGLES_SCANNED))
+        cost = scanned(GAPS_SCANNED, angles)[1].min(axis=1)
+        valleys = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
+        best = angles[valleys[np.argsort(cost[valleys])][:ANGLES_REFINED]]
+        for _ in range(REFINEMENTS):
+            width /= 4.0
+            tried = (best[:, None] + width * np.arange(-3.0, 4.0)).ravel()
+            cost = scanned(GAPS_SCANNED, tried)[1].min(axis=1).reshape(best.size, -1)
+            best = tried.reshape(best.size, -1)[np.arange(best.size), np.argmin(cost, axis=1)]
+    points, costs = scanned(GAPS_SCANNED_FINELY, best)
+    beside = np.pad(costs, ((0, 0), (1, 1)), constant_values=np.inf)
+    valleys = np.flatnonzero((costs <= beside[:, :-2]) & (costs <= beside[:, 2:]))
+    order = valleys[np.argsort(costs.ravel()[valleys])][:VALLEYS_FITTED]
+    return [points.reshape(costs.size, -1)[k] for k in order]
 
 
 def _angle_place(model: SimulatedSignals, recording: int) -> int | None:
@@ -124,26 +133,6 @@ def _angle_place(model: SimulatedSignals, recording: int) -> int | None:
     key = (START_ANGLE, model.recordings[recording].name)
     names = [(u.name, u.recording) for u in model.unknowns]
     return names.index(key) if key in names and model.bench.value("gravity_torque_nm") else None
-
-
-def _refined(
-    model: SimulatedSignals, recording: int, points: FloatArray, widths: Mapping[int, float]
-) -> FloatArray:
-    """The best of some points, (m, d) to (d,), refined on ever finer grids along some coordinates.
-
-    ``widths``: place to the step of the grid that the points are from.
-    """
-    cost = _rough_chi_square(model, points, recording)
-    best: FloatArray = points[int(np.argmin(cost))]
-    for round_ in range(1, REFINEMENTS + 1):
-        meshes = np.meshgrid(
-            *(best[k] + step / 3.0**round_ * np.arange(-2.0, 3.0) for k, step in widths.items())
-        )
-        tried = np.repeat(best[None], meshes[0].size, axis=0)
-        for k, mesh in zip(widths, meshes, strict=True):
-            tried[:, k] = mesh.ravel()
-        best = tried[int(np.argmin(_rough_chi_square(model, tried, recording)))]
-    return best
 
 
 def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:

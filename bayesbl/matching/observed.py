@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.motion import Motion, recorded_motion
+from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import RecordingError
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
@@ -266,6 +266,13 @@ def without_standstill(seen: Observed, bench: Bench) -> Observed:
     remembers = np.convolve(standing, memory)[: seen.samples] > 0.5
     # The motor lags behind its reference, so it stands a little later too: within the memory.
     return _without(seen, remembers)
+
+
+def with_held_reference(seen: Observed) -> Observed:
+    """The same with a reference that a digital drive holds from sample to sample."""
+    if seen.motion is None:
+        return seen
+    return replace(seen, motion=held_motion(seen.motion, seen.samples, seen.sampling_hz))
 
 
 def _recovery(seen: Observed, bench: Bench) -> int:

@@ -11,7 +11,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
 from bayesbl.matching.observed import begin_of
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.signals import GAP
+from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.recording.types import FloatArray
 
 EXCLUDED_END = 0.1
@@ -88,6 +88,11 @@ def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
             "The motion does not repeat, so the noise is taken from what is faster than the "
             "motion, and only slow disagreement with the bench can be seen: a motion recorded "
             "twice or more in a row is checked better."
+        )
+    if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
+        notes.append(
+            "The reference is taken as held from each sample to the next, as a digital drive has "
+            "it: a straight line between samples does not explain the recording."
         )
     if begin_of(seen) > 0:
         notes.append(

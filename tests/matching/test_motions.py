@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.motion import Motion, sine, strokes
+from bayesbl.bench.motion import Motion, held_motion, sine, strokes
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import fit_aligned
@@ -132,6 +132,16 @@ def test_a_reference_that_is_held_and_late_is_found_so() -> None:
     fit = fitted(replace(recording, channels=late))
     assert fit.value(REFERENCE_DELAY, "r") == pytest.approx(4e-3, abs=1e-4)
     assert abs(z_of(fit)) < 4.0
+
+
+def test_a_reference_that_a_drive_holds_is_found_so() -> None:
+    held = held_motion(SWINGING, 3501, 500.0)
+    seen = observed(recorded(held, seed=11), BENCH)
+    sampler = SamplerSettings(2, 1000, 0.9)
+    seed = np.random.SeedSequence(1)
+    found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed, corrected=False)
+    assert abs(z_of(found.posterior.fit)) < 4.0
+    assert any("held" in note for note in direct_verdict(found, 0).reasons)
 
 
 def test_what_begins_unknown_is_left_out() -> None:
