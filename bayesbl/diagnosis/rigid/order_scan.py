@@ -30,9 +30,9 @@ class OrderScan:
 
     |Σ r exp(i n θ)|² over half of what noise makes of it: the larger of what the neighbouring
     orders hold, by their median, which a line among them does not move, and of what the residual
-    would if it were white, so that what leaks from a line into a quiet place is none; summed over recordings before
-    the square where they share one phase, after it where not. What a filter passes and what it
-    holds back are scored apart: a ripple may show at high speed alone.
+    would if it were white, so that what leaks from a line into a quiet place is none. It is summed
+    over recordings before the square where they share one phase, after it where not. What a filter
+    passes and what it holds back are scored apart: a ripple may show at high speed alone.
 
     Attributes
     ----------
