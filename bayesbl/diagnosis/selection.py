@@ -131,7 +131,7 @@ def diagnose(
     comparison = problem.comparison
     before = comparison.fit((), None)
     after = _select(comparison, before, settings, progress)
-    effects = tuple(_named(comparison, name, after) for name in after.effects)
+    effects = tuple(_named(comparison, name, after) for name in _by_weight(comparison, after))
     estimates = _bench_estimates(comparison, after)
     errors = _parameter_errors(bench, estimates)
     remaining = problem.remaining(after)
@@ -146,6 +146,20 @@ def diagnose(
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
     )
+
+
+def _by_weight(comparison: Comparison, after: EffectsFit) -> list[str]:
+    """Named effects, the one without which the shown disagreement would be largest first."""
+
+    def left(name: str) -> float:
+        fit = comparison.fit(tuple(e for e in after.effects if e != name), after)
+        return sum(
+            float(np.sum(piece.kept(piece.measured - prediction) ** 2))
+            for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
+            if piece.use == "used" and piece.shown
+        )
+
+    return sorted(after.effects, key=left, reverse=True)
 
 
 def _signals(
