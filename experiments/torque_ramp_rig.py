@@ -75,9 +75,7 @@ class Ramps:
 def torque_of(ramps: Ramps) -> tuple[Array, NDArray[np.int64]]:
     """Torque over time at every step, and the number of the half cycle."""
     parts, halves, number = [], [], 0
-    for torque, cycles, period in zip(
-        ramps.torque_nm, ramps.torque_cycles, ramps.period_s, strict=True
-    ):
+    for torque, cycles, period in zip(ramps.torque_nm, ramps.cycles, ramps.period_s, strict=True):
         steps = round(period / STEP_S)
         phase = np.arange(steps * cycles) / steps
         parts.append(torque * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * phase)))

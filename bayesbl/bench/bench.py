@@ -15,6 +15,7 @@ import numpy as np
 
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
+from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
@@ -116,7 +117,8 @@ class Bench:
 
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
     ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
-    with recordings but not simulated in steady rotation.
+    with recordings but not simulated in steady rotation. ``identified``: what recordings told of
+    some parameters together; it goes before their tolerances.
     """
 
     parameters: Mapping[str, BenchParameter]
@@ -125,6 +127,7 @@ class Bench:
     measurement: Measurement = Measurement()
     effects: tuple[BenchEffect, ...] = ()
     assumed: frozenset[str] = frozenset()
+    identified: JointNormal | None = None
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -153,7 +156,7 @@ class Bench:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings and arrays do not cross process boundaries as they are.
         plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        return Bench, (*plain, self.assumed)
+        return Bench, (*plain, self.assumed, self.identified)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -194,7 +197,7 @@ class Bench:
         return dataclasses.replace(self, effects=tuple(effects))
 
     def draw(self, rng: np.random.Generator) -> Bench:
-        """A bench drawn uniformly within the tolerances, known exactly.
+        """A bench drawn uniformly within the tolerances, or as identified, known exactly.
 
         One number is drawn for each parameter, tolerance or not, so that giving one more
         parameter a tolerance does not change the others' draws.
@@ -208,7 +211,11 @@ class Bench:
             name: BenchParameter(item.value + item.tolerance * float(shifts.get(name, 0.0)))
             for name, item in self.parameters.items()
         }
-        return dataclasses.replace(self, parameters=drawn)
+        if self.identified is not None:
+            factors = self.identified.draw(rng, 1)[0]
+            for name, factor in zip(self.identified.names, factors, strict=True):
+                drawn[name] = BenchParameter(self.parameters[name].value * float(factor))
+        return dataclasses.replace(self, parameters=drawn, identified=None)
 
     def rotation_period_s(self, reference_speed_rpm: float | None = None) -> float:
         """Time of one load rotation T_w = 2πN/|ω_ref|, s."""

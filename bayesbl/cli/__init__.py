@@ -21,6 +21,7 @@ from bayesbl.cli.bench import (
     sweep_command,
 )
 from bayesbl.cli.configurations import check_command, fleet_command, init_command, run_command
+from bayesbl.cli.identifying import identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
@@ -54,6 +55,7 @@ app.command("simulate")(simulate_command)
 app.command("sweep")(sweep_command)
 app.command("diagnose")(diagnose_command)
 app.command("plan")(plan_command)
+app.command("identify")(identify_command)
 app.command("effects")(effects_command)
 app.command("figures")(figures_command)
 app.command("report")(report_command)

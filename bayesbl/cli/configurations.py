@@ -70,16 +70,30 @@ def check_command(config: ConfigPath) -> None:
 
 def init_command(
     recordings: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(metavar="RECORDING", help="One to fit, several to compare."),
-    ],
+    ] = None,
+    bench: Annotated[
+        bool,
+        typer.Option("--bench", help="Write a joint's data sheet to fill in, joint.toml, instead."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="The file to write. [default: RECORDING.toml]"),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
-    """Write a first configuration for recordings, with columns and units guessed."""
+    """Write a first configuration for recordings, or a joint's data sheet to fill in."""
+    if bench:
+        _init_bench(recordings, out, force)
+        return
+    if not recordings:
+        raise ConfigError(
+            "There is nothing to write a configuration for.",
+            where="RECORDING",
+            found="nothing",
+            expected="one or more recordings; or --bench for a joint's data sheet to fill in",
+        )
     from bayesbl.presentation.first_configuration import guessed, what_next
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_configuration import start_config
@@ -90,6 +104,21 @@ def init_command(
     print_blocks(guessed(guess), make_console())
     say(what_next(path, sound=not plan.problems, torque_ramps=guess.torque_ramps))
     _print_findings(plan)
+
+
+def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) -> None:
+    from bayesbl.presentation.terminal import say
+    from bayesbl.runs.first_bench import write_first_bench
+
+    if recordings:
+        raise ConfigError(
+            "A data sheet is written without recordings.",
+            where="--bench",
+            found=", ".join(map(str, recordings)),
+            expected="bayesbl init --bench, and bayesbl init RECORDING for their columns",
+        )
+    path = write_first_bench(out, force=force)
+    say(f"Written to {path}. Fill in your numbers, then: bayesbl check {path}")
 
 
 def _print_findings(plan: Plan) -> None:

@@ -84,7 +84,11 @@ Curve = Annotated[
 ]
 BenchFile = Annotated[
     Path | None,
-    _option("--bench", "FILE", "Bench of the joint: simulated, and swept for curves."),
+    _option(
+        "--bench",
+        "FILE|RESULT",
+        "Bench of the joint, its file or what identify found: simulated, and swept for curves.",
+    ),
 ]
 Route = Annotated[
     str | None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -24,6 +25,7 @@ from bayesbl.bench.bench import (
 )
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.config import printed_units
 from bayesbl.config.fields import (
     Section,
     as_tuple,
@@ -57,9 +59,13 @@ def _effect_name(name: str) -> str:
 
 
 class ParameterEntry(Section):
-    """An entry of ``[parameters]``; a tolerance is the half-width of a uniform prior."""
+    """An entry of ``[parameters]``; a tolerance is the half-width of a uniform prior.
+
+    ``unit``: as the data sheet prints it, where it is not the one in the parameter's name.
+    """
 
     value: float
+    unit: str | None = None
     tolerance: float | None = Field(default=None, ge=0.0)
     relative_tolerance: float | None = Field(default=None, ge=0.0, lt=1.0)
 
@@ -74,11 +80,14 @@ class ParameterEntry(Section):
             )
         return self
 
-    def parameter(self) -> BenchParameter:
-        """As the bench takes it."""
+    def parameter(self, value: float) -> BenchParameter:
+        """As the bench takes it; ``value`` in the bench's own unit."""
         if self.relative_tolerance is not None:
-            return BenchParameter(self.value, self.relative_tolerance * abs(self.value))
-        return BenchParameter(self.value, self.tolerance or 0.0)
+            return BenchParameter(value, self.relative_tolerance * abs(value))
+        tolerance = self.tolerance or 0.0
+        if value != self.value and self.value:
+            tolerance *= abs(value / self.value)
+        return BenchParameter(value, tolerance)
 
 
 class _NoiseEntry(Section):
@@ -190,11 +199,52 @@ class BenchFile(Section):
     measurement: MeasurementSection = MeasurementSection()
     effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
 
+    @field_validator("parameters")
+    @classmethod
+    def _units(cls, parameters: dict[str, ParameterEntry]) -> dict[str, ParameterEntry]:
+        for name, entry in parameters.items():
+            if entry.unit is not None and printed_units.spelled(entry.unit) not in (
+                known := printed_units.accepted(name)
+            ):
+                refuse(
+                    f"The unit of {name} is not known.",
+                    found=f'"{entry.unit}"',
+                    expected=" or ".join(f'"{unit}"' for unit in known),
+                    at=(name, "unit"),
+                )
+        return parameters
+
     @field_validator("effects")
     @classmethod
     def _each_once(cls, effects: tuple[EffectEntry, ...]) -> tuple[EffectEntry, ...]:
         require_different([effect.name for effect in effects], "An effect is listed twice.")
         return effects
+
+    def _values(self) -> dict[str, float]:
+        """Every value given, in the bench's own unit."""
+        units = {
+            name: printed_units.spelled(entry.unit)
+            for name, entry in self.parameters.items()
+            if entry.unit is not None and name in printed_units.CONVERSIONS
+        }
+        printed = {name: entry.value for name, entry in self.parameters.items()}
+        try:
+            return printed_units.converted(printed, units)
+        except KeyError as missing:
+            raise BenchError(
+                "A unit is converted with another parameter, which is missing.",
+                where=str(missing.args[0]),
+                found=", ".join(f'{name} in "{unit}"' for name, unit in units.items()),
+                expected=f"a value of {missing.args[0]}",
+            ) from None
+        except ZeroDivisionError:
+            name = next(name for name in units if printed[name] == 0.0)
+            raise BenchError(
+                "Nothing can be converted from zero here.",
+                where=name,
+                found=f'0 in "{units[name]}"',
+                expected="a number above zero",
+            ) from None
 
     def bench(self) -> Bench:
         """The bench.
@@ -204,7 +254,8 @@ class BenchFile(Section):
         BenchError
             If its parameters make no physical sense together.
         """
-        given = {name: entry.parameter() for name, entry in self.parameters.items()}
+        values = self._values()
+        given = {name: entry.parameter(values[name]) for name, entry in self.parameters.items()}
         idle = {
             name: BenchParameter(info.idle)
             for name, info in PARAMETER_INFO.items()
@@ -235,7 +286,24 @@ def load_bench(path: str | Path) -> Bench:
         Naming file and field: no such file, not TOML, unknown keys or effects, values out of
         range, parameters that make no physical sense.
     """
-    loaded = load_file(Path(path), BenchFile)
+    return _bench_of(load_file(Path(path), BenchFile), path)
+
+
+def parse_bench(text: str, path: str | Path) -> Bench:
+    """The bench of a bench file's text that a result holds; ``path`` is named by refusals.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`load_bench`.
+    """
+    try:
+        return _bench_of(BenchFile.model_validate(tomllib.loads(text)), path)
+    except ValueError as error:
+        raise ConfigError("The bench in this result is damaged.", file=path) from error
+
+
+def _bench_of(loaded: BenchFile, path: str | Path) -> Bench:
     try:
         return loaded.bench()
     except BenchError as error:

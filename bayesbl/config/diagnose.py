@@ -22,7 +22,7 @@ from bayesbl.recording.channels import did_you_mean
 Method = Literal["forward", "inverse", "free_motion"]
 
 
-def _effects(value: object) -> object:
+def effect_names(value: object) -> object:
     """Refused before the choice between ``"all"`` and a list, which would report every branch."""
     # Imported here: the catalogue needs the compiled simulator, which takes a second.
     from bayesbl.bench.effects import EFFECT_BY_NAME
@@ -42,7 +42,8 @@ def _effects(value: object) -> object:
     return tuple(value)
 
 
-def _bench_parameter(name: str) -> str:
+def bench_parameter(name: str) -> str:
+    """A name of a bench parameter; refused if there is none."""
     from bayesbl.bench.parameters import PARAMETER_INFO
 
     if name not in PARAMETER_INFO:
@@ -87,7 +88,7 @@ class Unknowns(Section):
 
     gap_rad: Range | None = None
     bench_parameters: Annotated[
-        tuple[Annotated[str, AfterValidator(_bench_parameter)], ...], BeforeValidator(as_tuple)
+        tuple[Annotated[str, AfterValidator(bench_parameter)], ...], BeforeValidator(as_tuple)
     ] = ()
 
 
@@ -103,7 +104,7 @@ class Candidates(Section):
     Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
     """
 
-    effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(_effects)] = "all"
+    effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(effect_names)] = "all"
     max_effects: int | None = Field(default=None, ge=1, le=10)
     false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
 

@@ -161,6 +161,8 @@ InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
 ResultFile = Annotated[Path, BeforeValidator(_result_file)]
 """A ``result.nc``, or the output folder that holds it."""
+BenchSource = ResultFile
+"""A bench file, or the result of an identification: its folder or ``result.nc``."""
 Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
 SymbolName = Annotated[str, AfterValidator(_symbol)]
 ChannelName = Annotated[str, AfterValidator(_channel)]

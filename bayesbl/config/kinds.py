@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.fleet import FleetConfig
+from bayesbl.config.identify import IdentifyConfig
 from bayesbl.config.measurement import CompareConfig, FitConfig
 from bayesbl.config.plan import PlanConfig
 from bayesbl.config.sections import RunConfig
@@ -20,6 +21,7 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
         "sweep": SweepConfig,
         "plan": PlanConfig,
         "diagnose": DiagnoseConfig,
+        "identify": IdentifyConfig,
         "study": StudyConfig,
         "fleet": FleetConfig,
     }
@@ -34,6 +36,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "sweep": "a bench to be swept over its gap",
         "plan": "a bench whose motions are to be ranked",
         "diagnose": "recordings, and the bench that should describe them",
+        "identify": "recordings, and the data sheet that a bench is identified from",
         "study": "an experiment and its rows",
         "fleet": "an inventory of joints, and where their recordings are",
         "bench": "a virtual bench",

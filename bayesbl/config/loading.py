@@ -39,6 +39,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
     {
         "curve": ("curve", "source"),
         "bench": ("estimator", "bench"),
+        "effects": ("identify", "effects"),
         "route": ("estimator", "route"),
         "level": ("interval", "level"),
         "limit_rad": ("joint", "limit_rad"),
@@ -60,6 +61,14 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 """Command-line option to the field it sets."""
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
+
+_OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
+    {"identify": {"bench": ("bench",)}, "plan": {"bench": ("bench",)}}
+)
+"""Options that set another field in some kinds."""
+
+_COMMON_SECTIONS = ("schema", "run", "columns", "interval")
+"""Sections that an identification takes from the configuration of a measurement."""
 
 _LONGEST_OUTPUT = 200
 """Bytes in the name of an output folder; file systems take 255, and hidden siblings need some."""
@@ -136,6 +145,10 @@ def config_from_options(
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
     require_kind(document.tables, _sharing(kind), document.file, document.text)
     tables = {"schema": 1, **document.tables, "kind": kind}
+    if kind == "identify" and _kind_of(document) not in ("", kind):
+        tables = {name: tables[name] for name in _COMMON_SECTIONS if name in tables}
+        tables["kind"] = kind
+        tables["run"] = {k: v for k, v in tables.get("run", {}).items() if k != "output"}
     origins: dict[Location, str] = {("kind",): "command"}
     if dates and len(dates) != len(recordings):
         raise ConfigError(
@@ -151,8 +164,7 @@ def config_from_options(
         if value is not None:
             path_like = option in _PATH_OPTIONS and value != PUBLISHED
             plain = str(Path(str(value)).absolute()) if path_like else value
-            # A plan is about its bench; elsewhere the bench is one of the estimator's means.
-            location = ("bench",) if (kind, option) == ("plan", "bench") else OPTIONS[option]
+            location = _OF_KIND.get(kind, OPTIONS).get(option, OPTIONS[option])
             _set(tables, location, plain)
             origins[location] = "--" + option.replace("_", "-")
     _set_default(tables, ("run", "output"), _default_output(kind, recordings, config))
@@ -161,9 +173,10 @@ def config_from_options(
 
 def _sharing(kind: str) -> list[str]:
     """The kinds whose files a run of this kind can start from: those with the same sections."""
-    if not issubclass(KINDS[kind], SnapshotConfig):
-        return [kind]
-    return [other for other, model in KINDS.items() if issubclass(model, SnapshotConfig)]
+    measured = [other for other, model in KINDS.items() if issubclass(model, SnapshotConfig)]
+    if kind == "identify":
+        return [kind, *measured]
+    return measured if kind in measured else [kind]
 
 
 def dump_config(config: RunConfig) -> str:

@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl.config.fields import (
+    BenchSource,
     CurveSource,
-    InputPath,
     Positive,
     Range,
     ResultFile,
@@ -137,7 +137,7 @@ class Estimator(Section):
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp"] = "amplitude"
-    bench: InputPath | None = None
+    bench: BenchSource | None = None
     gap_rad: Range = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)

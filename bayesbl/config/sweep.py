@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bayesbl.config.fields import InputPath, Positive, Section, refuse
+from bayesbl.config.fields import BenchSource, Positive, Section, refuse
 from bayesbl.config.sections import Interval, Model, RunConfig
 
 
@@ -63,7 +63,7 @@ class SweepConfig(RunConfig):
     """``kind = "sweep"``: the gap curve of a bench."""
 
     kind: Literal["sweep"]
-    bench: InputPath
+    bench: BenchSource
     sweep: Sweep = Field(default_factory=Sweep)
     estimator: SweepEstimator = Field(default_factory=SweepEstimator)
     interval: Interval = Field(default_factory=Interval)

@@ -26,14 +26,18 @@ class SweptDraws:
     names
         The p parameters that have a tolerance.
     shifts
-        Each parameter's departure in units of its tolerance, in [−1, 1], shape (b, p).
+        Each parameter's departure in units of its tolerance, in [−1, 1], shape (b, p); beyond that
+        where it was identified.
     departures
         Departure of (ln A, ln ω, ln τ) from the nominal sweep at each gap, shape (b, g, 3).
+    root
+        Of the covariance of the shifts where they are normal, shape (p, p); ``None``: uniform.
     """
 
     names: tuple[str, ...]
     shifts: FloatArray
     departures: FloatArray
+    root: FloatArray | None = None
 
 
 def virtual_departures(
@@ -57,7 +61,10 @@ def virtual_departures(
     solution = np.linalg.lstsq(design, flat, rcond=None)[0]
     freedom = max(draws - design.shape[1], 1)
     left = (flat - design @ solution) * np.sqrt(draws / freedom)
-    virtual = generator.uniform(-1.0, 1.0, size=(count, parameters))
+    if swept.root is None:
+        virtual = generator.uniform(-1.0, 1.0, size=(count, parameters))
+    else:
+        virtual = generator.standard_normal((count, parameters)) @ swept.root.T
     described = _terms(virtual, squares) @ solution + left[generator.integers(draws, size=count)]
     return np.asarray(described.reshape(count, *swept.departures.shape[1:]))
 

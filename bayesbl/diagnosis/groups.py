@@ -98,14 +98,14 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
         Of the credible intervals.
     """
     group = disagreement_group(found.disagreement.unit or "as the channel")
-    groups = {"disagreement": _of_rows(group, found.disagreement.pieces)}
+    groups = {"disagreement": of_rows(group, found.disagreement.pieces)}
     if found.signals:
         group = signals_group(unit_of(found.signals[0].channel))
-        groups["signals"] = _of_rows(group, found.signals)
+        groups["signals"] = of_rows(group, found.signals)
     if found.posterior is not None:
-        groups["posterior"] = _posterior(found.posterior)
+        groups["posterior"] = posterior_dataset(found.posterior)
     if found.ranking:
-        groups["ranking"] = _of_rows(RANKING, found.ranking)
+        groups["ranking"] = of_rows(RANKING, found.ranking)
     for stage, analysis in zip(
         STAGES, (found.residuals_before, found.residuals_after), strict=True
     ):
@@ -127,7 +127,7 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     return tree
 
 
-def _of_rows(group: Group, rows: Sequence[object]) -> xr.Dataset:
+def of_rows(group: Group, rows: Sequence[object]) -> xr.Dataset:
     """A group of which every declared variable is an attribute of each row."""
     return dataset(
         group,
@@ -146,7 +146,8 @@ def _stacked(rows: Sequence[object], declared: Variable) -> object:
     return padded(values, max(value.size for value in values))
 
 
-def _posterior(posterior: DirectPosterior) -> xr.Dataset:
+def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
+    """Draws of every unknown, in its own unit."""
     values = {}
     for i, unknown in enumerate(posterior.fit.model.unknowns):
         name = result_name(unknown)

@@ -12,7 +12,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 import xarray as xr
 
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
-from bayesbl.diagnosis.disagreement import FloorFrom, Use
+from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
@@ -140,22 +140,13 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     def of(value: object) -> Any:
         return plain(value, lambda estimate: interval_of(estimate, level, kind))
 
-    table = found.disagreement
-    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
-    for piece in table.pieces:
-        entry: Any = {key: value for key, value in of(piece).items() if key not in _PLACE}
-        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
     answer: Answer = {
         "verdict": found.verdict,
         "effects": of(found.effects),
         "parameter_errors": of(found.parameter_errors),
         "bench_parameters": of(found.bench_parameters),
         "remaining": [_remaining(entry) for entry in found.remaining],
-        "disagreement": {
-            "unit": table.unit,
-            "recordings": recordings,
-            "over_all": of(table.overall),
-        },
+        "disagreement": disagreement_summary(found.disagreement),
         "delta_rad_before": of(found.delta_before),
         "delta_rad_after": of(found.delta_after),
         "suggested_recording": of(found.suggestion),
@@ -163,7 +154,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     if found.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
     if found.posterior is not None:
-        answer["diagnostics"] = _sampling(found.posterior)
+        answer["diagnostics"] = sampling_summary(found.posterior)
     return answer
 
 
@@ -210,7 +201,17 @@ def _remaining(entry: Unexplained) -> RemainingSummary:
     return found
 
 
-def _sampling(posterior: DirectPosterior) -> SamplingSummary:
+def disagreement_summary(table: DisagreementTable) -> DisagreementTableSummary:
+    """By recording, channel and use, and over all."""
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
+    for piece in table.pieces:
+        entry: Any = {key: value for key, value in plain(piece).items() if key not in _PLACE}
+        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
+    return {"unit": table.unit, "recordings": recordings, "over_all": plain(table.overall)}
+
+
+def sampling_summary(posterior: DirectPosterior) -> SamplingSummary:
+    """How well a posterior was sampled."""
     diagnostics = posterior.diagnostics
     return {
         "r_hat": max(diagnostics.r_hat.values()),

@@ -96,10 +96,10 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
     gap = bench = None
     if "delta_rad" in posterior:
         gap = _flat(posterior["delta_rad"].values)
-    if stored.route == "direct":
+    if gap is not None and stored.route == "direct":
         unknowns = _unknowns(job, stored.name)
         bench = np.array([as_normal(u, _flat(posterior[u.name].values)) for u in unknowns])
-        bench = bench.reshape(len(unknowns), -1)
+        bench = bench.reshape(len(unknowns), gap.size)
     amplitude = None
     if "amplitude_rpm" in posterior:
         found = stored.interval("posterior", "amplitude_rpm")

@@ -100,8 +100,7 @@ def pooled(rates: Sequence[FloatArray], generator: np.random.Generator) -> Poole
         for draws in logs:
             likely += _log_mean_density(np.quantile(draws, levels), centres, spreads)
         share = np.exp(likely - likely.max())
-    share = share.ravel()
-    place = generator.choice(share.size, HYPER_DRAWS, p=share / share.sum())
+    place = generator.choice(share.size, HYPER_DRAWS, p=share.ravel() / share.sum())
     # Within a cell of the grid any point is as likely.
     step = np.array([centres[1] - centres[0], np.log(spreads[1] / spreads[0])])
     shift = generator.uniform(-0.5, 0.5, (2, HYPER_DRAWS)) * step[:, None]

@@ -74,8 +74,9 @@ class MatchedAlone:
         values, vectors = np.linalg.eigh(self.covariance)
         scatter = np.sqrt(2.0 / self.bench.shape[1])
         kept = vectors[:, values < 1.0 - BEYOND_CHANCE * scatter]
-        inverse = (kept / values[: kept.shape[1]]) @ kept.T
-        return inverse - kept @ kept.T, inverse @ self.mean
+        inverse: FloatArray = np.asarray((kept / values[: kept.shape[1]]) @ kept.T, dtype=float)
+        precision: FloatArray = inverse - kept @ kept.T
+        return precision, np.asarray(inverse @ self.mean, dtype=float)
 
     def at(self, bench: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Draws of the gap on given benches, shape (draw,)."""
@@ -89,8 +90,8 @@ class MatchedAlone:
 def shared_bench(alone: Sequence[MatchedAlone]) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance of z by all these recordings; the prior's where there are none."""
     precision = np.eye(alone[0].mean.size) + sum(one.learnt[0] for one in alone)
-    covariance = np.linalg.inv(precision)
-    return covariance @ sum(one.learnt[1] for one in alone), covariance
+    covariance = np.asarray(np.linalg.inv(precision), dtype=float)
+    return np.asarray(covariance @ sum(one.learnt[1] for one in alone), dtype=float), covariance
 
 
 def paired_gaps(

@@ -13,7 +13,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.motions import noise_of, start_angles, undecided_starts
+from bayesbl.matching.motions import motion_starts, noise_of, start_angles, undecided_starts
 from bayesbl.matching.observed import Observed, without_start
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
@@ -39,7 +39,7 @@ def fit_aligned(
     """
     noise = [noise_of(seen, seen.signals) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
-    fits = [fit_simulated(model, start) for start in aligned_starts(model)]
+    fits = [fit_simulated(model, start) for start in _each_settled(model, aligned_starts(model))]
     best = min(fits, key=lambda fit: fit.chi_square)
     for i in undecided_starts(best):
         recordings = _started_later(recordings, i, bench)
@@ -113,6 +113,40 @@ def aligned_starts(
                 starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
     _, first = np.unique(starts, axis=0, return_index=True)
     return [starts[k] for k in np.sort(first)]
+
+
+def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[FloatArray]:
+    """The starts, with every motion's own unknowns where it alone is fitted best from any of them.
+
+    A motion has more valleys than a rotation, and the best of one recording is not that of another.
+    """
+    settled = [start.copy() for start in starts]
+    for i, seen in enumerate(model.recordings):
+        if seen.motion is None:
+            continue
+        own = [k for k, u in enumerate(model.unknowns) if u.recording == seen.name]
+        if all(model.unknowns[k].name != GAP for k in own):
+            continue
+        shared = {
+            u.name: float(u.value(starts[0][k]))
+            for k, u in enumerate(model.unknowns)
+            if u.recording is None
+        }
+        alone = SimulatedSignals(
+            model.bench,
+            [seen],
+            [model.unknowns[k] for k in own],
+            [model.noise[i]],
+            model.workers,
+            {**model.settings, **shared},
+            model.recent,
+        )
+        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own], 0)]
+        best = min(fits, key=lambda fit: fit.chi_square)
+        for start in settled:
+            start[own] = best.point
+    _, first = np.unique(settled, axis=0, return_index=True)
+    return [settled[k] for k in np.sort(first)]
 
 
 def _combinations(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,12 +50,11 @@ class SimulatedFit:
 
     @property
     def deviations(self) -> FloatArray:
-        """Centre minus coordinate in prior standard deviations, for normal priors.
+        """Centre minus coordinate in prior standard deviations, for normal priors; whitened.
 
         Such a prior is a measurement beside the recordings, of a start angle for instance.
         """
-        found = zip(self.model.unknowns, self.point, strict=True)
-        return np.array([(u.centre - x) / u.sd for u, x in found if math.isfinite(u.sd)])
+        return self.model.normal_prior.deviations(self.point)
 
     @property
     def bound(self) -> FloatArray:
@@ -119,11 +117,11 @@ def fit_simulated(
     value = _objective(model, point, residual)
     damping = 1e-3
     jacobian = np.zeros((residual.size, point.size))
-    precision = np.diag(model.prior_precision())
+    precision, normal = model.prior_precision(), model.normal_prior.precision
     for _ in range(MOST_ROUNDS):
         jacobian, steps = _jacobian(model, point, residual, steps)
         gradient = jacobian.T @ residual + _prior_pull(model, point)
-        curvature = jacobian.T @ jacobian + np.diag(_gaussian_precision(model))
+        curvature = jacobian.T @ jacobian + normal
         gained = 0.0
         while damping < 1e8:
             move = _bounded_step(model, point, gradient, curvature, damping)
@@ -158,9 +156,14 @@ def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, say with new noise."""
     residual = model.whitened(fit.point)[0]
     jacobian, _ = _jacobian(model, fit.point, residual, fit.steps)
-    precision = np.diag(model.prior_precision())
+    precision = model.prior_precision()
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)
+
+
+def derivatives(model: SimulatedSignals, point: FloatArray, steps: FloatArray) -> FloatArray:
+    """Of the whitened signals by the coordinates at a point, shape (N, d)."""
+    return _jacobian(model, point, model.whitened(point)[0], steps)[0]
 
 
 def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray) -> float:
@@ -170,13 +173,9 @@ def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray)
     )
 
 
-def _gaussian_precision(model: SimulatedSignals) -> FloatArray:
-    return np.array([u.sd**-2.0 for u in model.unknowns])
-
-
 def _prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
-    centre = np.array([u.centre for u in model.unknowns])
-    return np.asarray(-(point - centre) * _gaussian_precision(model))
+    prior = model.normal_prior
+    return np.asarray(model.prior_slope - prior.precision @ (point - prior.centre))
 
 
 def _bounded_step(

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesbl.bench.parameters import cannot_be_negative
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress, SamplerSettings, Walk, thinned, walk
@@ -189,10 +189,7 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
     steps = generator.standard_normal((count, fit.point.size))
     moves = steps @ np.linalg.cholesky(fit.covariance).T
     half = 0.5 * (model.high - model.low)
-    margin = np.array(
-        [0.0 if u.logarithmic or not math.isfinite(h) else BEYOND * h
-         for u, h in zip(model.unknowns, half, strict=True)]
-    )  # fmt: skip
+    margin = np.array([_margin(u, h) for u, h in zip(model.unknowns, half, strict=True)])
     # Below zero much makes no physical sense, and at zero some of it neither.
     floor = [
         -math.inf
@@ -207,6 +204,18 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
     return np.asarray(fit.point + share[:, None] * moves)
 
 
+def _margin(unknown: Unknown, half_width: float) -> float:
+    """How far the surrogate's points may leave a flat prior's range.
+
+    The logarithm of a bench parameter may go three standard deviations of that prior beyond it:
+    what scales several of them at once changes no signal, and points pulled back along it would
+    not spread along what does.
+    """
+    if unknown.name == GAP or not math.isfinite(half_width):
+        return 0.0
+    return 3.0 * unknown.prior_sd if unknown.logarithmic else BEYOND * half_width
+
+
 def _walk(
     model: SimulatedSignals,
     surrogate: Surrogate,
@@ -218,8 +227,10 @@ def _walk(
 ) -> Walk:
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
+    # Wide tolerances are cut by the ends of other parameters' ranges: most first draws are outside.
+    wide = bool(np.any(model.prior_slope))
     ensembles = [
-        Ensemble(target, centre, covariance, (model.low, model.high), s)
+        Ensemble(target, centre, covariance, (model.low, model.high), s, redrawn=wide)
         for s in seed.spawn(settings.ensembles)
     ]
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
@@ -258,7 +269,8 @@ def _judge(
         failures.append(
             f"Only {effective:.0f} of {draws.shape[0] * draws.shape[1]} draws carry the weight "
             f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): the surrogate does "
-            "not have the shape of the posterior. Narrow the bench's tolerances."
+            "not have the shape of the posterior. Narrow the bench's tolerances, or find "
+            "them from recordings (bayesbl identify)."
         )
     if failed > LARGEST_FAILED_SHARE:
         failures.append(
@@ -290,11 +302,12 @@ def _at_edges(
         )
         for side, edge in edges:
             if abs(float(own.mean()) - edge) < PRESSED * float(own.std()):
+                low, high = unknown.value(np.array([unknown.low, unknown.high]))
                 yield (
                     i,
                     side,
                     f"{unknown.label} lies at the {side} edge of its tolerance "
-                    f"({unknown.low:.4g} to {unknown.high:.4g}): its true value may lie beyond.",
+                    f"({low:.4g} to {high:.4g}): its true value may lie beyond.",
                 )
 
 

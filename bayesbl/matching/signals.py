@@ -26,6 +26,7 @@ from bayesbl.bench.effects import (
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
+from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
@@ -59,9 +60,11 @@ class Unknown:
     recording
         Name of the recording it belongs to; ``None`` if all share it.
     logarithmic
-        The coordinate is the natural logarithm of the value.
+        The coordinate is ln of the value.
     added
         The value is added to what the recording has without it.
+    flat_in_value
+        The prior is uniform in the value, not in its logarithm.
     """
 
     name: str
@@ -72,6 +75,7 @@ class Unknown:
     recording: str | None = None
     logarithmic: bool = False
     added: bool = False
+    flat_in_value: bool = False
 
     @property
     def label(self) -> str:
@@ -113,11 +117,16 @@ def reference_delay_unknown(recording: str) -> Unknown:
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
-    """Every bench parameter that is not known exactly, uniform within its tolerance."""
-    return [
-        Unknown(name, bench.value(name) - half, bench.value(name) + half)
-        for name, half in bench.tolerances.items()
-    ]
+    """Every bench parameter not known exactly: uniform within its tolerance, or as identified."""
+    found, joint = [], bench.identified
+    for name, half in bench.tolerances.items():
+        value = bench.value(name)
+        if joint is None or name not in joint.names:
+            found.append(Unknown(name, value - half, value + half))
+        else:
+            low, middle, high = joint.range(name, value)
+            found.append(Unknown(name, low, high, middle, joint.sd(name), logarithmic=True))
+    return found
 
 
 def drift_unknowns(
@@ -172,6 +181,10 @@ class SimulatedSignals:
         What is known besides the bench, by name, such as ``gap_rad``.
     recent
         Simulations that another comparison of the same recordings has made.
+    normal_prior
+        Of the unknowns that have one.
+    prior_slope
+        Slope of the log prior beside it, 1 where flat in the value, (d,).
     """
 
     bench: Bench
@@ -184,6 +197,13 @@ class SimulatedSignals:
 
     def __post_init__(self) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
+        self.normal_prior = NormalPrior.of(
+            np.array([u.centre for u in self.unknowns]),
+            np.array([u.sd for u in self.unknowns]),
+            [u.name if u.recording is None and not u.added else None for u in self.unknowns],
+            self.bench.identified,
+        )
+        self.prior_slope = np.array([float(u.flat_in_value) for u in self.unknowns])
         self._white_recordings = [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
@@ -301,13 +321,15 @@ class SimulatedSignals:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
         points = np.atleast_2d(points)
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
-        centre = np.array([u.centre for u in self.unknowns])
-        sd = np.array([u.sd for u in self.unknowns])
-        return np.where(inside, -0.5 * (((points - centre) / sd) ** 2).sum(axis=1), -np.inf)
+        density = self.normal_prior.log_density(points)
+        return np.where(inside, density + points @ self.prior_slope, -np.inf)
 
     def prior_precision(self) -> FloatArray:
-        """Diagonal of the inverse prior covariance, flat priors as normal ones, shape (d,)."""
-        return np.array([u.prior_sd**-2.0 for u in self.unknowns])
+        """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
+        own = np.array([u.prior_sd**-2.0 for u in self.unknowns])
+        together = self.normal_prior.together
+        own *= 1.0 - self.normal_prior.is_together
+        return np.asarray(np.diag(own) + together.T @ together)
 
 
 def _simulated(

@@ -134,7 +134,7 @@ class AmplitudeMeasurer:
     def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         start_from = task.config.estimator.search.start_from
-        earlier = task.earlier if start_from is None else read_earlier(start_from)
+        earlier = {} if start_from is None else read_earlier(start_from)
         check = task.config.posterior.check_sampler
         if check:
             require_second_sampler()
@@ -145,7 +145,7 @@ class AmplitudeMeasurer:
                 recording,
                 seed,
                 task.config.joint.gear_ratio,
-                earlier_of(recording.name, earlier),
+                earlier_of(recording.name, earlier) or task.earlier.get(recording.name),
                 check,
                 task.work,
             )

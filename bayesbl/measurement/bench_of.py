@@ -9,9 +9,9 @@ import numpy as np
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.config.bench import load_bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, ConfigError
+from bayesbl.results.identified import bench_from
 
 GEAR_RATIOS_APART = 0.01
 """Largest relative difference between the joint's gear ratio and its bench's."""
@@ -36,7 +36,7 @@ def bench_of(config: SnapshotConfig) -> Bench:
     file = config.estimator.bench
     if file is None:
         raise ConfigError("This route needs a bench.", expected="--bench FILE")
-    bench = load_bench(file)
+    bench = bench_from(file)
     if bench.drive == "rigid":
         raise ConfigError(
             "A rigid bench has no gap to measure.",

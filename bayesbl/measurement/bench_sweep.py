@@ -15,6 +15,7 @@ from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nomin
 from bayesbl.curve.swept_curve import departures
 from bayesbl.errors import BenchError
 from bayesbl.processes import processes
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.symbols import DisturbanceModel
 
@@ -71,7 +72,7 @@ class SweepProblem:
             rows.append(departures(row, nominal, self.model))
             if progress is not None:
                 progress("bench draws", len(rows), count)
-        return SweptDraws(names, shifts, np.array(rows))
+        return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
 
     def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:
         """The row of a bench drawn around the nominal one."""
@@ -82,6 +83,19 @@ class SweepProblem:
         benches = (self.bench.fingerprint(), None if drawn is None else drawn.fingerprint())
         inputs = (*benches, self.model, self.settings, self.seed)
         return self.work.get("sweep row", inputs, partial(_finite, make), SweepRow)
+
+
+def _root_of_shifts(bench: Bench) -> FloatArray | None:
+    """Of the covariance of the shifts of a bench with identified parameters; to first order."""
+    joint = bench.identified
+    if joint is None:
+        return None
+    names = list(bench.tolerances)
+    covariance = np.eye(len(names)) / 3.0  # of those that are uniform
+    own = [names.index(name) for name in joint.names]
+    scale = np.array([bench.value(name) / bench.tolerances[name] for name in joint.names])
+    covariance[np.ix_(own, own)] = np.outer(scale, scale) * joint.covariance
+    return np.asarray(np.linalg.cholesky(covariance))
 
 
 def _finite(make: Callable[[], SweepRow]) -> SweepRow:

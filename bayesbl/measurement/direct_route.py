@@ -52,6 +52,7 @@ from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
+from bayesbl.results.provenance import file_sha256
 from bayesbl.sampling.chains import SamplerSettings
 
 LARGEST_Z = 37.0
@@ -184,10 +185,22 @@ class DirectMeasurer:
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(found, index, recording.notes, level),
+            direct_verdict(
+                found, index, (*recording.notes, *self._counted_twice(recording)), level
+            ),
             direct_groups(posterior, recording, index, check),
             model_check=found.model_check(recording.name, level),
         )
+
+    def _counted_twice(self, recording: Recording) -> Iterator[str]:
+        """A note where the bench was identified from this very recording."""
+        joint = self.bench.identified
+        entry = next(e for e in self.config.recordings if e.name == recording.name)
+        if joint is not None and file_sha256(entry.file) in joint.sources:
+            yield (
+                f"The bench was identified from {entry.name} too, so this recording counts twice "
+                "and its interval is somewhat too narrow. Measure later recordings with that bench."
+            )
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:

@@ -130,11 +130,12 @@ class RampMeasurer:
         if task.progress is not None:
             report = partial(task.progress, " and ".join(task.names))
         play_seed, *seeds = task.seeds.direct.spawn(1 + len(files))
-        play = sample_play(widths, settings, play_seed, report)
+        elsewhere = _elsewhere(flanks)
+        play = sample_play(widths, settings, play_seed, report, round_the_turn=elsewhere)
         return Measurement(
             "torque_ramp",
             [
-                self._snapshot(*each, play)
+                self._snapshot(*each, play, elsewhere=elsewhere)
                 for each in zip(task.recordings, files, flanks, seeds, strict=True)
             ],
         )
@@ -146,6 +147,8 @@ class RampMeasurer:
         flanks: Flanks,
         seed: np.random.SeedSequence,
         play: PlayPosterior,
+        *,
+        elsewhere: bool,
     ) -> Snapshot:
         generator = np.random.default_rng(seed)
         width, scatter = play.width_rad[recording.name], play.scatter_rad[recording.name]
@@ -166,7 +169,8 @@ class RampMeasurer:
         why = against(flanks)
         outcome = "withheld" if why is not None else play.diagnostics.outcome
         reasons = [*filter(None, [why]), *play.diagnostics.reasons]
-        notes = notes_on(files, flanks, width, self.config.joint.gear_ratio is not None)
+        given = self.config.joint.gear_ratio is not None
+        notes = notes_on(files, flanks, width, ratio_given=given, elsewhere=elsewhere)
         answer = RampAnswer(
             files,
             flanks,
@@ -217,6 +221,19 @@ class RampMeasurer:
         return tuple(
             find_ramps(torque[a:b], position[a:b]) for a, b in zip(starts, stops, strict=True)
         )
+
+
+def _elsewhere(flanks: Sequence[Flanks]) -> bool:
+    """Whether snapshots of one file each were made at different positions of the turn.
+
+    They are at the same where their flanks overlap.
+    """
+    levels = [found.level for found in flanks if found.level is not None]
+    if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
+        return False
+    middles = [level.middle_rad for level in levels]
+    widest = max(float(level.widths()[0].mean()) for level in levels)
+    return max(middles) - min(middles) > widest
 
 
 def _joined(name: str, parts: Sequence[Recording]) -> Recording:

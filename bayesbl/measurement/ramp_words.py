@@ -37,9 +37,17 @@ def against(flanks: Flanks) -> str | None:
 
 
 def notes_on(
-    files: Sequence[Ramps], flanks: Flanks, width_rad: FloatArray, ratio_given: bool
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    width_rad: FloatArray,
+    *,
+    ratio_given: bool,
+    elsewhere: bool,
 ) -> Iterator[str]:
-    """What a reader should know of how δ came about."""
+    """What a reader should know of how δ came about.
+
+    ``elsewhere``: one file a snapshot, and not at the same position of the turn.
+    """
     level, largest = flanks.level, flanks.largest
     assert level is not None
     assert largest is not None
@@ -64,6 +72,8 @@ def notes_on(
             f"The ramps of {held} N m hardly move the joint, as friction holds it; those of "
             f"±{level.amplitude_nm:.3g} N m were used."
         )
+    if any(file.turned for file in files):
+        yield "The torque counts against the position in the file, and was turned round."
     if not ratio_given:
         yield "No gear_ratio is given: position and torque are taken as those of the output."
     missing = sum(not file for file in level.files)
@@ -72,7 +82,13 @@ def notes_on(
             f"{missing} of {len(files)} files have no cycle of ±{level.amplitude_nm:.3g} N m, and "
             "do not count for δ."
         )
-    if len(files) - missing == 1:
+    if elsewhere:
+        yield (
+            "One position round the turn in each snapshot, and not the same one: the intervals "
+            "allow for a gap that changes round the turn by up to 70 %. Give ramps at three "
+            "positions or more (files = […])."
+        )
+    elif len(files) - missing == 1:
         yield (
             "One position round the turn: δ is the gap there. How it changes round the turn is not "
             "known, nor in the interval; give ramps at three positions or more (files = […])."

@@ -174,9 +174,7 @@ def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArr
     However far that extrapolates; 0 of those that are in the base already.
     """
     fit = base.fit
-    known = [i for i, u in enumerate(fit.model.unknowns) if math.isfinite(u.sd)]
-    rows = np.zeros((len(known), fit.point.size))
-    rows[np.arange(len(known)), known] = [1.0 / fit.model.unknowns[i].sd for i in known]
+    rows = fit.model.normal_prior.rows
     explained, _ = np.linalg.qr(np.concatenate([fit.jacobian, rows]))
     residual = np.concatenate([fit.residual, fit.deviations])
     gains = np.zeros(len(candidates))

@@ -144,12 +144,14 @@ def name_missing(
     before = disagreements(nominal_fit)
     first = search.first(nominal)
     far: list[Explanation] = []
-    if first and is_gross(first[0]):
+    # In motions a search through the whole range of every candidate would take an hour.
+    moving = any(seen.motion is not None for seen in nominal_fit.model.recordings)
+    if first and is_gross(first[0]) and not moving:
         # What is missing may have drawn the gap to another optimum.
         far = search.from_afar(nominal)
         first = search.first_from_afar(first, far)
     final = search.extended(nominal, first, most=2)
-    if first and is_gross(first[0]) and not search.agrees(final):
+    if far and is_gross(first[0]) and not search.agrees(final):
         final = _better(final, search.extended(nominal, search.beside(far)))
     if final.candidates and search.add_late(candidates(order_peaks(final.fit)), final):
         final = search.continued(final)

@@ -13,7 +13,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.diagnosis.disagreement import Use
-    from bayesbl.diagnosis.summary import DiagnosisSummary, DisagreementSummary, HeldValue
+    from bayesbl.diagnosis.summary import (
+        DiagnosisSummary,
+        DisagreementSummary,
+        DisagreementTableSummary,
+        HeldValue,
+    )
     from bayesbl.results.intervals import Interval
 
 FAR_BEYOND_NOISE = 10.0
@@ -30,8 +35,8 @@ def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """One sentence per effect and parameter, the disagreement, what still repeats."""
     for sentence in (*effects(summary), *parameter_errors(summary)):
         yield Sentence(sentence)
-    yield _disagreement_table(summary)
-    if any(row["closed_fraction"] is None for *_, row in _rows(summary)):
+    yield disagreement_table(summary["disagreement"])
+    if any(row["closed_fraction"] is None for *_, row in _rows(summary["disagreement"])):
         yield Sentence(UNTOLD_SHARE, "aside")
     for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
         yield Sentence(sentence)
@@ -73,7 +78,7 @@ def effects(summary: DiagnosisSummary) -> Iterator[str]:
     """Each named effect with its parameters and what it cannot be distinguished from."""
     for effect in summary["effects"]:
         parameters = ", ".join(
-            _sized(name, interval) for name, interval in effect["parameters"].items()
+            sized(name, interval) for name, interval in effect["parameters"].items()
         )
         text = f"{in_words(effect['name'])}: {parameters}; {_beyond_noise(effect['z'])}."
         alike = effect["indistinguishable_from"]
@@ -148,7 +153,7 @@ def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
     )
 
 
-def _sized(parameter: str, interval: Interval | HeldValue) -> str:
+def sized(parameter: str, interval: Interval | HeldValue) -> str:
     """``torque 15.00 N m (14.99 to 15.02)``; of one recording, ``phase (reverse) 0.71 rad``."""
     name, space, recording = parameter.partition(" ")
     quantity, unit = quantity_and_unit(name)
@@ -177,7 +182,8 @@ def _beyond_noise(deviations: float) -> str:
     return f"{deviations:.0f} standard deviations from zero"
 
 
-def _disagreement_table(summary: DiagnosisSummary) -> Table:
+def disagreement_table(found: DisagreementTableSummary) -> Table:
+    """RMS of each recording and channel, and over all."""
     titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
     rows = [
         (
@@ -186,16 +192,15 @@ def _disagreement_table(summary: DiagnosisSummary) -> Table:
             *(_sized_rms(row, key) for key in ("before", "after", "noise_floor")),
             removed(row["closed_fraction"]),
         )
-        for name, use, row in _rows(summary)
+        for name, use, row in _rows(found)
     ]
     return table((text("Recording"), text("Use"), *map(numbers, titles)), rows)
 
 
-def _rows(summary: DiagnosisSummary) -> Iterator[tuple[str, Use, DisagreementSummary]]:
+def _rows(found: DisagreementTableSummary) -> Iterator[tuple[str, Use, DisagreementSummary]]:
     """(recording and channel, use, disagreement) of every row, those over all at the end."""
     from bayesbl.recording.types import CHANNELS  # numpy is behind it
 
-    found = summary["disagreement"]
     recordings = found["recordings"]
     several = len({channel for channels in recordings.values() for channel in channels}) > 1
     for recording, channels in recordings.items():

@@ -15,6 +15,7 @@ from bayesbl.presentation import (
     diagnosis,
     estimates,
     fleet,
+    identification,
     plan,
     study,
     sweep,
@@ -79,6 +80,15 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             assumptions.of_diagnosis,
             cards.of_diagnosis,
             diagnosis.residual_blocks,
+            warning_label="Note",
+        ),
+        "identify": Subject(
+            "Bench of a joint, from its data sheet and recordings",
+            identification.headline,
+            identification.blocks,
+            identification.advice,
+            identification.assumptions,
+            identification.cards,
             warning_label="Note",
         ),
         "sweep": Subject(

@@ -91,6 +91,12 @@ class Level:
         return self.range_rad / (2.0 * beyond) if beyond > 0.0 else np.inf
 
     @property
+    def middle_rad(self) -> float:
+        """Between the flanks, mean over all cycles."""
+        left = [0.5 * (c.first.left_rad + c.last.left_rad) for c in self.cycles]
+        return float(np.mean(left))
+
+    @property
     def width_over_range(self) -> float:
         """Share of the motion that does not go back with the torque."""
         reach = sum(c.range_rad for c in self.cycles)

@@ -91,8 +91,8 @@ class PlayPosterior:
 class _Scatter:
     """Log density of points (walker, d): ln σ of every snapshot, and ρ where they are paired."""
 
-    def __init__(self, snapshots: Sequence[Widths]) -> None:
-        by_file = any(len(s.by_file) > 1 for s in snapshots)
+    def __init__(self, snapshots: Sequence[Widths], *, round_the_turn: bool) -> None:
+        by_file = round_the_turn or any(len(s.by_file) > 1 for s in snapshots)
         observed = [s.observations(by_file=by_file) for s in snapshots]
         self.count = len(snapshots)
         most = max(y.size for y, _ in observed)
@@ -159,9 +159,18 @@ def sample_play(
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
+    *,
+    round_the_turn: bool = False,
 ) -> PlayPosterior:
-    """Sample the widths of all snapshots together, by independent ensembles."""
-    target = _Scatter(snapshots)
+    """Sample the widths of all snapshots together, by independent ensembles.
+
+    Parameters
+    ----------
+    round_the_turn
+        Whether snapshots of one file each are of different positions. Nothing then tells the
+        scatter round the turn but its prior.
+    """
+    target = _Scatter(snapshots, round_the_turn=round_the_turn)
     widths_seed, *ensemble_seeds = seed.spawn(1 + settings.ensembles)
     low, high = target.box
     covariance = np.diag((0.1 * (high - low)) ** 2)

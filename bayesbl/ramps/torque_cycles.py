@@ -92,12 +92,17 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class Ramps:
-    """One file: averaged torque and position, shape (n,), and the ramps in them."""
+    """One file: averaged torque and position, shape (n,), and the ramps in them.
+
+    ``turned``: the torque is counted the other way than in the file, where the position goes
+    against it. Friction takes work and never gives it, which tells the way.
+    """
 
     torque_nm: FloatArray
     position_rad: FloatArray
     excursions: tuple[Excursion, ...]
     cycles: tuple[Cycle, ...]
+    turned: bool = False
 
 
 def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
@@ -109,6 +114,10 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
         At the output, in the order of time, shape (n,).
     """
     window = max(1, round(SMOOTHED_SHARE * torque_nm.size))
+    means = _averaged(torque_nm, window), _averaged(position_rad, window)
+    turned = float(np.sum(means[0][1:] * np.diff(means[1]))) < 0.0
+    if turned:
+        torque_nm = -torque_nm
     while True:
         torque, position = _averaged(torque_nm, window), _averaged(position_rad, window)
         noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
@@ -125,9 +134,8 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
         if a.side != b.side
         and max(a.torque_nm, b.torque_nm) <= LARGEST_ASYMMETRY * min(a.torque_nm, b.torque_nm)
     ]
-    return Ramps(
-        torque, position, excursions, tuple(_cycle(torque, position, *pair) for pair in pairs)
-    )
+    cycles = tuple(_cycle(torque, position, *pair) for pair in pairs)
+    return Ramps(torque, position, excursions, cycles, turned)
 
 
 def crossing(torque_nm: FloatArray, level_nm: float, begin: int, stop: int, side: int) -> int:

@@ -16,6 +16,7 @@ SUMMARY_FILE = "summary.json"
 CONFIG_FILE = "config.toml"
 FIGURES = "figures"
 AUGMENTED_BENCH = "augmented_bench.toml"
+IDENTIFIED_BENCH = "bench.toml"
 
 OWN_NAMES = frozenset(
     {RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, FIGURES, AUGMENTED_BENCH, "report.html"}

@@ -19,6 +19,7 @@ _MODULES = {
     "sweep": "bayesbl.runs.sweep_groups",
     "plan": "bayesbl.runs.plan",
     "diagnose": "bayesbl.diagnosis.groups",
+    "identify": "bayesbl.identification.groups",
     "study": "bayesbl.runs.study",
 }
 """Kind to the module whose ``declared_groups`` lists its groups."""
@@ -30,6 +31,7 @@ _ATTRIBUTES = {
     "sweep": ("outcome", "degree"),
     "plan": ("outcome", "gap_rad"),
     "diagnose": ("outcome", "diagnosis"),
+    "identify": ("outcome", "identification", "identified_bench"),
     "study": ("outcome", "study"),
 }
 """Kind to what its root says of it."""

@@ -30,6 +30,7 @@ WORKFLOWS: Mapping[str, str] = MappingProxyType(
         "sweep": "sweep",
         "plan": "plan",
         "diagnose": "diagnose",
+        "identify": "identify",
         "study": "study",
         "fleet": "fleet",
         "simulate": "simulate",

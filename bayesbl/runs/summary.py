@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.diagnosis.summary import DiagnosisSummary
+    from bayesbl.identification.summary import IdentificationSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
     from bayesbl.runs.fleet import FleetSummary
     from bayesbl.runs.plan import PlanSummary
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
         | SweepSummary
         | PlanSummary
         | DiagnosisSummary
+        | IdentificationSummary
         | StudySummary
         | FleetSummary
     )
@@ -30,6 +32,7 @@ _SUMMARISE = {
     "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
     "plan": ("bayesbl.runs.plan", "summarise_plan"),
+    "identify": ("bayesbl.identification.summary", "summarise_identification"),
     "diagnose": ("bayesbl.diagnosis.summary", "summarise_diagnosis"),
     "study": ("bayesbl.runs.study", "summarise_study"),
 }

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import dump_bench, load_bench
+from bayesbl.config.bench import dump_bench
 from bayesbl.config.sweep import SweepConfig
 from bayesbl.curve.sweep import SweepSettings
 from bayesbl.curve.swept_curve import swept_curve
@@ -18,6 +18,7 @@ from bayesbl.errors import ConfigError
 from bayesbl.measurement.bench_sweep import SweepProblem
 from bayesbl.measurement.stored_curve import GAP_CURVE, curve_to_dataset, one_curve_group
 from bayesbl.recording.types import Recording
+from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
@@ -60,7 +61,7 @@ def run(config: SweepConfig, options: Options) -> Summary:
 def describe(config: SweepConfig, plan: Plan) -> None:
     """Which bench would be swept, and over which gaps."""
     plan.add("output", partial(require_output, config.run.output))
-    bench = load_bench(config.bench)
+    bench = bench_from(config.bench)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
     plan.add("gaps", partial(_gaps, config, bench))
 
@@ -89,7 +90,7 @@ def run_sweep(
     UserError
         If the bench file cannot be used, a simulation fails, or the curve is not monotone.
     """
-    bench = load_bench(config.bench)
+    bench = bench_from(config.bench)
     require_drawable(config, bench)
     work = WorkStore(config.run.output.parent / CACHE, fresh)
     problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, work)

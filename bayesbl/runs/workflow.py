@@ -17,6 +17,7 @@ from bayesbl.results.folder import (
     AUGMENTED_BENCH,
     CONFIG_FILE,
     FIGURES,
+    IDENTIFIED_BENCH,
     SUMMARY_FILE,
     is_finished,
     new_result,
@@ -104,7 +105,10 @@ class Workflow(Protocol):
 
 
 def run_into_folder(
-    config: RunConfig, options: Options, make: Callable[[WorkStore], xr.DataTree]
+    config: RunConfig,
+    options: Options,
+    make: Callable[[WorkStore], xr.DataTree],
+    also: Collection[str] = (),
 ) -> Summary:
     """Make a result, going on where an unfinished run of the same problem was left, and write it.
 
@@ -112,6 +116,8 @@ def run_into_folder(
     ----------
     make
         Makes the result; what takes long goes through the store that it is given.
+    also
+        Files that this kind of result has beside those that every result has.
 
     Raises
     ------
@@ -123,7 +129,7 @@ def run_into_folder(
     if is_finished(output):
         with suppress(ResultError), WorkStore.beside(output, fresh=True):
             pass  # forgets the work of a run that was killed after its result was there
-    require_free(output, force=options.force)
+    require_free(output, force=options.force, also=also)
     problem = problem_of(settings_of(config))
     with WorkStore.beside(output, problem, fresh=options.force) as work:
         if work.resumes:
@@ -138,9 +144,11 @@ def run_into_folder(
         # Imported after the questions that can be answered at once: xarray takes a second.
         from bayesbl.runs.summary import summarise
 
-        texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench")}
+        texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench", "")}
+        if "identified_bench" in tree.attrs:
+            texts[IDENTIFIED_BENCH] = tree.attrs["identified_bench"]
         summary = summarise(tree)
-        write_result(tree, summary, config, options, {k: v for k, v in texts.items() if v}, work)
+        write_result(tree, summary, config, options, texts, work)
     return summary
 
 
@@ -229,7 +237,7 @@ def write_result(
     Parameters
     ----------
     texts
-        Further files by name.
+        Further files by name; empty ones are not written.
     """
     from bayesbl.results.store import write_json, write_text, write_tree
 
@@ -238,7 +246,8 @@ def write_result(
         write_tree(tree, folder / RESULT_FILE)
         write_json(summary, folder / SUMMARY_FILE)
         for name, text in {CONFIG_FILE: dump_config(config), **texts}.items():
-            write_text(text, folder / name)
+            if text:
+                write_text(text, folder / name)
         try:
             options.draw(tree, folder / FIGURES)
         except Exception as error:

@@ -13,6 +13,10 @@ FEWEST_WALKERS = 32
 START_SPREAD = 1.5
 """Scatter of the walkers at the start, in standard deviations of the local covariance."""
 
+START_ROUNDS = 200
+"""Walkers outside the ranges are drawn again so often, and only then moved to their ends: one that
+is moved along one coordinate leaves the valley of several, and may not find back."""
+
 
 class Ensemble:
     """An emcee ensemble with a random state of its own.
@@ -25,6 +29,8 @@ class Ensemble:
         Where the walkers start and how far they scatter there, shapes (d,) and (d, d).
     box
         Low and high end of every range, shapes (d,); infinite where there is none.
+    redrawn
+        Walkers that would start outside are drawn again; otherwise they start at the ends.
     """
 
     def __init__(
@@ -34,6 +40,8 @@ class Ensemble:
         local_covariance: FloatArray,
         box: tuple[FloatArray, FloatArray],
         seed: np.random.SeedSequence,
+        *,
+        redrawn: bool = False,
     ) -> None:
         import emcee
 
@@ -42,10 +50,18 @@ class Ensemble:
         walkers = max(FEWEST_WALKERS, 4 * d)
         generator = np.random.default_rng(start_seed)
         root = np.linalg.cholesky(local_covariance)
-        start = centre + START_SPREAD * generator.standard_normal((walkers, d)) @ root.T
         low, high = box
         margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
-        start = np.clip(start, low + margin, high - margin)
+        low, high = low + margin, high - margin
+        start = np.empty((walkers, d))
+        outside = np.ones(walkers, dtype=bool)
+        for _ in range(START_ROUNDS if redrawn else 1):
+            steps = START_SPREAD * generator.standard_normal((int(outside.sum()), d))
+            start[outside] = centre + steps @ root.T
+            outside = np.any((start < low) | (start > high), axis=1)
+            if not outside.any():
+                break
+        start = np.clip(start, low, high)
         self._sampler = emcee.EnsembleSampler(
             walkers,
             d,

@@ -407,15 +407,35 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "before": date(2027, 1, 1),
     }
     of_a_study = {"scheduler": "tcp://host:8786"}
-    assert set(values | of_a_study) == set(OPTIONS)
+    of_a_plan = {
+        "range_rad": (-0.2, 0.3),
+        "speed_rpm": 900.0,
+        "acceleration_rpm_per_s": 4000.0,
+        "duration_s": 12.0,
+        "gap_rad": 1e-3,
+    }
+    of_an_identification = {"effects": "catalogue"}
+    of_others = of_a_study | of_a_plan | of_an_identification
+    assert set(values | of_others) == set(OPTIONS)
     files, dates = [folder / "before.csv", folder / "after.csv"], [date(2026, 3, 1)] * 2
     config = config_from_options("compare", files, None, dates, **values)
     assert config.dates == tuple(dates)
     study = config_from_options("study", (), CONFIGS / "search_study.toml", **of_a_study)
+    plan = config_from_options("plan", bench=folder / "bench.toml", **of_a_plan)
+    assert plan.bench == folder / "bench.toml"
+    bench = folder / "bench.toml"
+    identification = config_from_options(
+        "identify", files, None, (), bench=bench, **of_an_identification
+    )
+    assert identification.bench == bench
     for option, location in OPTIONS.items():
         field = attrgetter(".".join(map(str, location)))
-        if option in of_a_study:
+        if option in of_a_plan:
+            assert field(plan) == of_a_plan[option]
+        elif option in of_a_study:
             assert field(study) == of_a_study[option]
+        elif option in of_an_identification:
+            assert field(identification) == of_an_identification[option]
         else:
             assert field(config) == values[option]
 

@@ -4,60 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import truncnorm
+from pooled_coverage import case, fleet
 
 from bayesbl.fleet.pooled_rates import alarms, pooled
 
-LEVELS = (0.05, 0.95)
 
-
-def posterior(measured: float, sd: float, generator: np.random.Generator) -> np.ndarray:
-    """Draws of a rate that cannot be negative, of a flat prior."""
-    low = -measured / sd
-    return truncnorm.rvs(low, np.inf, measured, sd, 1000, random_state=generator)
-
-
-def fleet(
-    generator: np.random.Generator, joints: int, median: float, spread: float, error: float
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    truth = median * np.exp(spread * generator.standard_normal(joints))
-    sd = error * median * generator.uniform(0.5, 2.0, joints)
-    measured = truth + sd * generator.standard_normal(joints)
-    return truth, [posterior(m, s, generator) for m, s in zip(measured, sd, strict=True)]
-
-
-def held(truth: np.ndarray, draws: list[np.ndarray]) -> np.ndarray:
-    bounds = np.array([np.quantile(one, LEVELS) for one in draws])
-    return (bounds[:, 0] <= truth) & (truth <= bounds[:, 1])
-
-
-def width(draws: list[np.ndarray]) -> float:
-    bounds = np.array([np.quantile(one, LEVELS) for one in draws])
-    return float(np.median(bounds[:, 1] - bounds[:, 0]))
-
-
-@pytest.mark.parametrize(("spread", "error"), [(0.2, 0.6), (0.6, 0.6), (0.4, 0.15)])
+@pytest.mark.parametrize(("spread", "error"), [(0.2, 0.6), (0.4, 0.15)])
 def test_intervals_hold_the_truth_as_often_as_said(spread, error):
-    """15 fleets of 20 joints: 90 % of 300 has a standard deviation of 1.7 %, more by fleets."""
-    generator = np.random.default_rng(round(100 * spread + error))
-    inside, of_type, pooled_width, own_width = [], [], [], []
-    for _ in range(15):
-        truth, rates = fleet(generator, 20, 4e-4, spread, error)
-        found = pooled(rates, generator)
-        assert found is not None
-        draws = [
-            own if which is None else own[which]
-            for own, which in zip(rates, found.chosen, strict=True)
-        ]
-        inside.append(held(truth, draws).mean())
-        low, high = np.quantile(found.rates.median_rad_per_year, LEVELS)
-        of_type.append(low <= 4e-4 <= high)
-        pooled_width.append(width(draws))
-        own_width.append(width(rates))
-    assert 0.85 <= np.mean(inside) <= 0.95
-    assert np.sum(of_type) >= 10  # of 15 at 90 %: fewer have a probability of 0.2 %
+    """12 fleets of 20 joints; by fleets 90 % scatters by 2.3 % (``pooled_coverage.csv``)."""
+    cases = [case(seed, spread, error) for seed in range(12)]
+    means = {key: np.mean([one[key] for one in cases]) for key in cases[0]}
+    assert 0.84 <= means["held"] <= 0.97
+    assert means["median_held"] >= 7 / 12  # fewer of 12 have a probability of 0.1 %
     if error > spread:
-        assert np.mean(pooled_width) < 0.7 * np.mean(own_width)
+        assert means["width_over_alone"] < 0.7
 
 
 def test_what_is_measured_well_stays_as_it_is():
@@ -73,7 +33,7 @@ def test_what_is_measured_well_stays_as_it_is():
 
 def test_two_joints_are_no_type():
     generator = np.random.default_rng(8)
-    _, rates = fleet(generator, 2, 4e-4, 0.3, 0.5)
+    _, rates = fleet(generator, 2, 0.3, 0.5)
     assert pooled(rates, generator) is None
 
 

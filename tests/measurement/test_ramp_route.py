@@ -184,6 +184,22 @@ def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path
     assert "to at least 45 N m" in summary["reason"]
 
 
+def test_growth_is_not_told_from_two_positions_of_the_turn(tmp_path: Path) -> None:
+    """A gap of 6 mrad here and 7 mrad elsewhere may be the same joint twice."""
+    first, here = write(tmp_path / "a.csv"), write(tmp_path / "b.csv", gap=7e-3, seed=1)
+    lines = [line.split(",") for line in here.read_text().splitlines()]
+    moved = [f"{t},{float(x) + 0.3!r},{n}" for t, x, n in lines[1:]]
+    there = tmp_path / "c.csv"
+    there.write_text("\n".join([",".join(lines[0]), *moved]) + "\n")
+    found = []
+    for second in (here, there):
+        code, summary = run(tmp_path, "compare", str(first), str(second), "--route", "torque_ramp")
+        assert code == 0
+        found.append(summary)
+    assert found[0]["probability_increase"] > 0.99
+    assert 0.5 < found[1]["probability_increase"] < 0.95
+
+
 def test_one_position_does_not_count_twice(tmp_path: Path, capsys) -> None:
     content = write(tmp_path / "a.csv", amplitudes=(3.0, 3.0)).read_bytes()
     (tmp_path / "b.csv").write_bytes(content)

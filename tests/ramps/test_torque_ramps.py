@@ -84,14 +84,24 @@ def test_the_answer_goes_with_units_and_not_with_direction_or_origin(sign, scale
     assert other.level.friction_nm == pytest.approx(scale * plain.level.friction_nm, rel=1e-6)
 
 
+def test_a_torque_that_counts_against_the_position_is_turned_round():
+    torque = triangles(*CYCLES)
+    position = operator(torque)
+    plain, against = find_ramps(torque, position), find_ramps(-torque, position)
+    assert against.turned
+    assert not plain.turned
+    for one, other in zip(plain.cycles, against.cycles, strict=True):
+        assert other.width_rad == one.width_rad > 0.0
+
+
 @pytest.mark.parametrize("cycles", [1, 4, 300])
 def test_few_ramps_and_many_are_read_alike(cycles):
     torque = triangles(*[SMALL] * cycles)
     ramps = find_ramps(*noisy(torque, operator(torque)))
-    assert len(ramps.torque_cycles) >= 2 * cycles - 2
-    width = np.mean([c.width_rad for c in ramps.torque_cycles])
+    assert len(ramps.cycles) >= 2 * cycles - 2
+    width = np.mean([c.width_rad for c in ramps.cycles])
     assert width == pytest.approx(2.0 * (GAP + COMPLIANCE * FRICTION), rel=0.01)
-    assert ramps.torque_cycles[-1].amplitude_nm == pytest.approx(SMALL, rel=0.04)
+    assert ramps.cycles[-1].amplitude_nm == pytest.approx(SMALL, rel=0.04)
 
 
 def test_a_steady_drift_moves_no_width():

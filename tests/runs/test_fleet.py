@@ -188,6 +188,20 @@ def test_the_command_says_what_is_urgent(plant, capsys):
     assert "1 without a bench or a curve" in told
 
 
+def test_recordings_matched_with_the_bench_one_by_one_give_the_change(plant, tmp_path):
+    for name in ("bench.toml", "data/J1"):
+        (shutil.copytree if "/" in name else shutil.copy)(plant / name, tmp_path / name)
+    (tmp_path / "joints.csv").write_text("joint,bench,limit_rad\nJ1,bench.toml,1.2e-3\n")
+    config = configure(tmp_path)
+    config.write_text(config.read_text().replace('"amplitude"', '"direct"'))
+    start(config)
+    (joint,) = table(tmp_path / "plant", "joints")
+    assert (joint["route"], joint["used"], joint["reason"]) == ("direct", 2, None)
+    low, high = joint["rate_rad_per_year_low"], joint["rate_rad_per_year_high"]
+    assert low < 4.003e-4 < high  # 0.4 mrad in 365 of 365.25 days
+    assert high - low < 0.1 * 4e-4
+
+
 def test_one_process_two_and_a_cluster_write_the_same_tables(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")

@@ -1,0 +1,191 @@
+"""Groups of ``result.nc`` by which an identification is stored.
+
+``identified``: prior and posterior of the bench's parameters with their joint normal prior for
+what comes later; ``posterior``: draws of everything unknown; ``disagreement``: as of a diagnosis,
+the data sheet's own values before, what was found after. The answer in the words of
+``summary.json`` is JSON in the attribute ``identification`` of the root, the bench a bench file in
+``identified_bench``.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.config.bench import dump_bench
+from bayesbl.diagnosis.closed_loop.diagnosis import estimates
+from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pairs
+from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
+from bayesbl.diagnosis.groups import POSTERIOR, disagreement_group, of_rows, posterior_dataset
+from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
+from bayesbl.errors import BenchError
+from bayesbl.identification.identify import (
+    Identification,
+    Problem,
+    identified_bench,
+    parameter_draws,
+)
+from bayesbl.identification.next_recording import NextRecording, next_recording
+from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
+from bayesbl.identification.told_apart import not_told_apart
+from bayesbl.identification.verdict import reason_of
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.signals import GAP
+from bayesbl.naming.explanation import Explanation, nominal_explanation
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.folder import IDENTIFIED_BENCH
+from bayesbl.results.identified import IDENTIFIED
+from bayesbl.results.intervals import IntervalKind, interval
+from bayesbl.results.variables import Group, dataset
+
+
+def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of an identification."""
+    return IDENTIFIED, POSTERIOR, disagreement_group("")
+
+
+def identification_tree(
+    found: Identification, problem: Problem, level: float, kind: IntervalKind
+) -> xr.DataTree:
+    """The whole result, without its origin.
+
+    Parameters
+    ----------
+    level, kind
+        Of the credible intervals.
+    """
+    table = _disagreement(found, problem)
+    bench = identified_bench(found, problem)
+    reason = reason_of(found, problem)
+    answer = _answer(found, problem, table, level, kind, withheld=reason is not None)
+    tree = xr.DataTree.from_dict(
+        {
+            "identified": _identified(found, problem, bench),
+            "posterior": posterior_dataset(found.posterior),
+            "disagreement": of_rows(disagreement_group("as the channel"), table.pieces),
+        }
+    )
+    doubts = found.posterior.diagnostics.reasons
+    outcome = "withheld" if reason else ("usable" if doubts else "converged")
+    tree.attrs = {
+        "kind": "identify",
+        "outcome": outcome,
+        "reason": reason or "",
+        "warnings": [] if reason else list(doubts),
+        "interval_level": level,
+        "interval_kind": kind,
+        "identification": json.dumps(answer, ensure_ascii=False),
+        "identified_bench": "" if reason else dump_bench(bench),
+    }
+    return tree
+
+
+def _identified(found: Identification, problem: Problem, bench: Bench) -> xr.Dataset:
+    names, joint = list(problem.parameters), bench.identified
+    covariance = np.full((len(names), len(names)), np.nan)
+    if joint is not None:
+        own = [names.index(name) for name in joint.names]
+        covariance[np.ix_(own, own)] = joint.covariance
+    prior = np.array([problem.bench.value(name) for name in names])
+    half = np.array([problem.bench.tolerances[name] for name in names])
+    values = {
+        "prior_low": prior - half,
+        "prior_high": prior + half,
+        "value": [bench.value(name) for name in names],
+        "log_covariance": covariance,
+    }
+    return dataset(IDENTIFIED, values, {"parameter": names, "parameter_": names})
+
+
+def _disagreement(found: Identification, problem: Problem) -> DisagreementTable:
+    """Before: the data sheet's values with gap and start angles fitted."""
+    own = set(problem.parameters)
+    unknowns = [u for u in problem.unknowns if u.name not in own]
+    sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
+    pairs = simulated_pairs(nominal_explanation(sheet), found.final, problem.held_out)
+    pieces = [piece for pair in pairs for piece in residuals_of(pair)]
+    return disagreement_table(pieces, in_units_of_noise=True)
+
+
+def _answer(
+    found: Identification,
+    problem: Problem,
+    table: DisagreementTable,
+    level: float,
+    kind: IntervalKind,
+    *,
+    withheld: bool,
+) -> IdentificationAnswer:
+    draws = parameter_draws(found, problem.parameters)
+    positive = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
+    together = not_told_apart([problem.parameters[i] for i in positive], draws[:, positive])
+    answer: IdentificationAnswer = {
+        "verdict": found.verdict,
+        "parameters": {
+            name: _parameter(problem.bench, name, own, level, kind)
+            for name, own in zip(problem.parameters, draws.T, strict=True)
+        },
+        "gaps": {
+            name: None if withheld else interval(own, level, kind)
+            for name, own in _gaps(found, problem).items()
+        },
+        "gap_shared": problem.shares_gap,
+        "effects": [
+            {
+                "name": candidate.name,
+                "parameters": {
+                    parameter: interval_of(estimate, level, kind)
+                    for parameter, estimate in estimates(
+                        found.final, candidate.name, found.posterior
+                    ).items()
+                },
+                "indistinguishable_from": _alike(found, candidate.name),
+            }
+            for candidate in found.final.candidates
+            if candidate.kind == "effect"
+        ],
+        "missing": [list(members) for members in found.missing],
+        "data_sheet_error": plain(found.beyond),
+        "not_told_apart": plain(together),
+        "disagreement": disagreement_summary(table),
+        "suggested_recording": plain(_suggested(found.final)),
+        "diagnostics": sampling_summary(found.posterior),
+    }
+    if not withheld:
+        answer["bench"] = IDENTIFIED_BENCH
+    return answer
+
+
+def _suggested(final: Explanation) -> NextRecording | None:
+    try:
+        return next_recording(final.fit)
+    except (BenchError, np.linalg.LinAlgError):
+        return None  # a suggestion is not worth a result
+
+
+def _alike(found: Identification, name: str) -> list[str]:
+    return [other for members in found.missing if members[0] == name for other in members[1:]]
+
+
+def _gaps(found: Identification, problem: Problem) -> dict[str, FloatArray]:
+    """Draws of δ by recording, in rad; of all recordings the same where they share it."""
+    return {
+        seen.name: found.posterior.values(GAP, None if problem.shares_gap else seen.name)
+        for seen in problem.used
+    }
+
+
+def _parameter(
+    bench: Bench, name: str, draws: FloatArray, level: float, kind: IntervalKind
+) -> ParameterSummary:
+    value, half = bench.value(name), bench.tolerances[name]
+    return {
+        "unit": PARAMETER_INFO[name].unit,
+        "prior": {"value": value, "low": value - half, "high": value + half},
+        "posterior": interval(draws, level, kind),
+        "learned": 1.0 - float(draws.std()) / (half / np.sqrt(3.0)),
+    }

@@ -1,0 +1,92 @@
+"""What recordings tell of parameters only together: ratios and products."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+SHARPER = 0.5
+"""Spread of a combination, as a share of that of its sharper member, below which it is reported.
+It chooses words and no number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """Parameters that are known together far better than alone.
+
+    Attributes
+    ----------
+    told
+        ``ratios``: of all of them to each other; ``product``: of two.
+    alone_sd, together_sd
+        Largest relative standard deviation of one of them, and of what is told.
+    """
+
+    parameters: tuple[str, ...]
+    told: Literal["ratios", "product"]
+    alone_sd: float
+    together_sd: float
+
+
+def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[Together]:
+    """Groups known by their ratios, and pairs by their product.
+
+    Parameters
+    ----------
+    draws
+        Of all parameters, above zero, shape (n, k).
+    """
+    logarithms = np.log(draws)
+    groups = list(_groups(logarithms))
+    found = [
+        _together(names, logarithms, group, "ratios", _largest(logarithms, group))
+        for group in groups
+    ]
+    for i, j in combinations(range(len(names)), 2):
+        if any(i in group and j in group for group in groups):
+            continue
+        product = float((logarithms[:, i] + logarithms[:, j]).std())
+        if product < SHARPER * min(logarithms[:, i].std(), logarithms[:, j].std()):
+            found.append(_together(names, logarithms, (i, j), "product", product))
+    return found
+
+
+def _together(
+    names: Sequence[str],
+    logarithms: FloatArray,
+    group: Sequence[int],
+    told: Literal["ratios", "product"],
+    sd: float,
+) -> Together:
+    alone = max(float(logarithms[:, i].std()) for i in group)
+    return Together(tuple(names[i] for i in group), told, alone, sd)
+
+
+def _groups(logarithms: FloatArray) -> Iterator[tuple[int, ...]]:
+    """Each parameter with those that its ratio to is sharp, nearest first; each in one group."""
+    spread = logarithms.std(axis=0)
+    left = list(np.argsort(spread))
+    while left:
+        first = int(left.pop(0))
+        members = [
+            int(k)
+            for k in left
+            if (logarithms[:, k] - logarithms[:, first]).std()
+            < SHARPER * min(spread[k], spread[first])
+        ]
+        if members:
+            left = [k for k in left if k not in members]
+            yield tuple(sorted((first, *members)))
+
+
+def _largest(logarithms: FloatArray, group: Sequence[int]) -> float:
+    """Standard deviation of the least known ratio within a group."""
+    return max(
+        float((logarithms[:, i] - logarithms[:, j]).std()) for i, j in combinations(group, 2)
+    )

@@ -1,0 +1,172 @@
+"""An identified bench in words: what was found, what was learned, what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from bayesbl.presentation import words
+from bayesbl.presentation.advice import Advice
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+from bayesbl.presentation.cards import Card
+from bayesbl.presentation.diagnosis import disagreement_table, sized
+from bayesbl.units import in_words, number
+
+if TYPE_CHECKING:
+    from bayesbl.identification.summary import (
+        IdentificationSummary,
+        NextRecordingSummary,
+        ParameterSummary,
+        PriorSummary,
+        TogetherSummary,
+    )
+
+LITTLE = 0.1
+"""Share learned below which a parameter counts as no better known than its data sheet."""
+
+
+def headline(summary: IdentificationSummary) -> str:
+    """Whether the bench was found."""
+    if summary["outcome"] == "withheld":
+        return "The bench is withheld: " + (summary["reason"] or "it was not found.")
+    if summary["verdict"] == "missing_effect":
+        names = " and ".join(in_words(members[0]) for members in summary["missing"])
+        return f"The bench is found, with what the data sheet lacks: {names}."
+    return "The bench is found: it explains every recording to within noise."
+
+
+def blocks(summary: IdentificationSummary) -> Iterator[Block]:
+    """Gaps, parameters, what is known together only, what disagrees, what to record next."""
+    for sentence in gaps(summary):
+        yield Sentence(sentence)
+    yield _parameters(summary)
+    for effect in summary["effects"]:
+        found = ", ".join(sized(name, value) for name, value in effect["parameters"].items())
+        alike = effect["indistinguishable_from"]
+        told = f" Cannot be told apart from {', '.join(map(in_words, alike))}." if alike else ""
+        yield Sentence(_sentence(f"{in_words(effect['name'])}: {found}.{told}"))
+    for together in summary["not_told_apart"]:
+        yield Sentence(_together(together))
+    unlearned = [n for n, p in summary["parameters"].items() if p["learned"] < LITTLE]
+    if unlearned:
+        names = ", ".join(map(in_words, unlearned))
+        yield Sentence(f"These recordings tell no more than the data sheet about: {names}.")
+    yield disagreement_table(summary["disagreement"])
+    yield Sentence("Before: the data sheet's values. After: the bench found.", "aside")
+    if summary["suggested_recording"] is not None:
+        yield Sentence(suggestion(summary["suggested_recording"]))
+
+
+def gaps(summary: IdentificationSummary) -> Iterator[str]:
+    """The gap that all share, or each."""
+    found = {name: gap for name, gap in summary["gaps"].items() if gap is not None}
+    if summary["gap_shared"]:
+        for gap in list(found.values())[:1]:
+            count = len(summary["gaps"])
+            shared = f", one for all {count} recordings" if count > 1 else ""
+            yield f"The gap is {words.in_mrad(gap)}{shared}."
+        return
+    for name, gap in found.items():
+        yield f"The gap in {name} is {words.in_mrad(gap)}."
+
+
+def suggestion(found: NextRecordingSummary) -> str:
+    """What to record next, and what it would tell."""
+    direction = "in reverse" if found["reference_speed_rpm"] < 0.0 else "forward"
+    name = "the gap" if found["sharpens"] == "gap_rad" else in_words(found["sharpens"])
+    return (
+        f"Of the recordings to take next, one at {abs(found['reference_speed_rpm']):g} rpm "
+        f"{direction} tells most (five rotations: {found['information_bits']:.1f} bits); it would "
+        f"sharpen {name} most, from {_percent(found['sd_before'])} to "
+        f"{_percent(found['sd_after'])} %."
+    )
+
+
+def advice(summary: IdentificationSummary) -> Advice:
+    """How to go on with the bench."""
+    if summary["outcome"] == "withheld":
+        return Advice("watch", "Do not use this bench.", (summary["reason"] or "",))
+    sentences = (
+        "Measure later recordings with it: bayesbl compare FIRST SECOND --bench with the folder "
+        "of this result, which keeps what is known of the parameters together.",
+        "bench.toml, beside this page, is the same bench as a file, with a tolerance for each "
+        "parameter alone: the gap is then known less sharply.",
+    )
+    return Advice("fine", "Measure with this bench.", sentences)
+
+
+def assumptions(summary: IdentificationSummary) -> Iterator[str]:
+    """What has to hold."""
+    yield "Before the recordings, all values within a tolerance are equally likely."
+    if summary["gap_shared"]:
+        yield "All recordings have one gap; give their dates if they are from different days."
+    else:
+        yield "Each recording has a gap of its own, as their dates differ."
+    yield "Nothing but the gap differs between the recordings: same controller and load."
+    yield "Noise is what does not repeat from one rotation to the next, and is steady."
+
+
+def cards(summary: IdentificationSummary) -> Iterator[Card]:
+    """Each gap."""
+    found = summary["gaps"]
+    shown = list(found.items())[:1] if summary["gap_shared"] else list(found.items())
+    places = words.common_decimals(gap for _, gap in shown)
+    for name, gap in shown:
+        label = "Gap δ" if summary["gap_shared"] else f"Gap δ, {name}"
+        if gap is None:
+            yield Card(label, "withheld", "", "")
+        else:
+            note = f"{100.0 * gap['level']:g} %: {words.bounds(gap, 1e3, places)}"
+            yield Card(label, number(1e3 * gap["median"], places), "mrad", note)
+
+
+def _parameters(summary: IdentificationSummary) -> Table:
+    rows = [_row(name, found) for name, found in summary["parameters"].items()]
+    level = next(iter(summary["parameters"].values()))["posterior"]["level"]
+    titles = ("Data sheet", f"Found ({100.0 * level:g} % interval)")
+    columns = (text("Parameter"), *map(numbers, titles), text("Unit"), numbers("Learned"))
+    return table(columns, rows)
+
+
+def _row(name: str, found: ParameterSummary) -> tuple[str, ...]:
+    prior, posterior = found["prior"], found["posterior"]
+    low, middle, high = (words.significant(posterior[key], 3) for key in ("low", "median", "high"))
+    return (
+        in_words(name),
+        f"{words.significant(prior['value'], 3)} {_tolerance(prior)}",
+        f"{middle} ({low} to {high})",
+        found["unit"],
+        f"{max(0.0, 100.0 * found['learned']):.0f} %",
+    )
+
+
+def _tolerance(prior: PriorSummary) -> str:
+    half = prior["high"] - prior["value"]
+    if not prior["value"]:
+        return f"± {words.significant(half, 2)}"
+    return f"±{100.0 * half / abs(prior['value']):.0f} %"
+
+
+def _together(found: TogetherSummary) -> str:
+    names = [in_words(name) for name in found["parameters"]]
+    alone, together = _percent(found["alone_sd"]), _percent(found["together_sd"])
+    if found["told"] == "product":
+        return (
+            f"Of {names[0]} and {names[1]} only the product is known well: to {together} %, each "
+            f"alone to {alone} %."
+        )
+    listed = " / ".join(names) if len(names) == 2 else ", ".join(names)
+    ratio = "only the ratio" if len(names) == 2 else "only the ratios"
+    return _sentence(
+        f"{ratio} of {listed} {'is' if len(names) == 2 else 'are'} known well: to {together} % or "
+        f"better, each value alone to {alone} %. A factor common to all of them changes little in "
+        "these recordings."
+    )
+
+
+def _percent(sd: float) -> str:
+    return f"{100.0 * sd:.2g}"
+
+
+def _sentence(words_: str) -> str:
+    return words_[0].upper() + words_[1:]

@@ -1,0 +1,180 @@
+"""Recordings and a data sheet in; the bench that both describe out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.bench.bench import Bench
+from bayesbl.config.bench import load_bench
+from bayesbl.config.identify import IdentifiedRecording, IdentifyConfig
+from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.identification.groups import identification_tree
+from bayesbl.identification.identify import Identification, Problem, identify
+from bayesbl.matching.observed import LARGEST_SPEED_ERROR, Observed, observed
+from bayesbl.measurement.task import StageProgress
+from bayesbl.recording.checks import ready_for_fit, require_alive
+from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import MOTOR_CURRENT, Recording
+from bayesbl.results.folder import IDENTIFIED_BENCH
+from bayesbl.results.provenance import provenance_of
+from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
+from bayesbl.sampling.chains import SamplerSettings
+
+if TYPE_CHECKING:
+    from bayesbl.runs.summary import Summary
+
+WHOLE_SPEED_RPM = 0.1
+"""How far a mean speed may be from a whole number of rpm that is taken for the reference: the
+integral of the controller keeps the mean there but for noise."""
+
+
+def run(config: IdentifyConfig, options: Options) -> Summary:
+    """Identify, and write the output folder with the bench."""
+    return run_into_folder(
+        config,
+        options,
+        lambda work: run_identify(config, options.progress, work),
+        also=(IDENTIFIED_BENCH,),
+    )
+
+
+def run_identify(
+    config: IdentifyConfig, progress: StageProgress | None = None, work: WorkStore = NOTHING_KEPT
+) -> xr.DataTree:
+    """Identify as configured; nothing is written but finished work.
+
+    Raises
+    ------
+    UserError
+        If data sheet or recordings cannot be used.
+    """
+    problem, notes = problem_of(config)
+    level, seed = config.interval.level, np.random.SeedSequence(config.run.seed)
+    report = None if progress is None else partial(progress, "identify")
+    found = work.get(
+        "identification",
+        (settings_of(config), problem),
+        lambda: identify(problem, SamplerSettings(level=level), seed, report),
+        Identification,
+    )
+    tree = identification_tree(found, problem, level, config.interval.kind)
+    tree.attrs["warnings"] = [*tree.attrs["warnings"], *notes]
+    tree.attrs |= provenance_of(config)
+    return tree
+
+
+def describe(config: IdentifyConfig, plan: Plan) -> None:
+    """What would be identified, and from what."""
+    plan.add("output", partial(require_output, config.run.output, (IDENTIFIED_BENCH,)))
+
+    def problem() -> str:
+        found, notes = problem_of(config)
+        plan.warnings += notes
+        gap = "one gap" if found.shares_gap else "a gap for each recording, as their dates differ"
+        return (
+            f"{', '.join(found.parameters)} from {len(found.used)} recordings, {gap}; "
+            f"{len(found.held_out)} held out"
+        )
+
+    plan.add("identify", problem)
+
+
+def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
+    """Bench and recordings, read and fit to be compared, with what is assumed of them.
+
+    Raises
+    ------
+    UserError
+        If they cannot be used.
+    """
+    bench = load_bench(config.bench)
+    parameters = _parameters(config, bench)
+    notes: list[str] = []
+    seen: dict[str, list[Observed]] = {"fit": [], "hold_out": []}
+    for entry in config.recordings:
+        recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
+        recording = ready_for_fit(recording, bench.value("gear_ratio"))
+        require_alive(recording, (MOTOR_CURRENT,))
+        speed = entry.reference_speed_rpm or _speed(recording, bench, entry, notes)
+        known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
+        seen[entry.use].append(replace(observed(recording, bench, speed), known=known))
+        notes += [f"{entry.name}: {note}" for note in recording.notes]
+    used = tuple(seen["fit"])
+    if len({one.reference_speed_rpm for one in used}) < 2:
+        notes.append(
+            "All recordings are at one speed in one direction: another speed, and the other "
+            "direction, tell much more."
+        )
+    if any(len(one.signals) < 2 for one in used):
+        notes.append(
+            "There is no motor current in every recording: torques are known only up to what the "
+            "data sheet says."
+        )
+    problem = Problem(
+        bench,
+        used,
+        tuple(seen["hold_out"]),
+        parameters,
+        config.identify.effects,
+        config.identify.gap_rad,
+        config.shares_gap,
+        config.run.workers,
+    )
+    return problem, notes
+
+
+def _parameters(config: IdentifyConfig, bench: Bench) -> tuple[str, ...]:
+    if bench.drive == "rigid":
+        raise ConfigError(
+            "A rigid bench has no gap to identify.",
+            file=config.bench,
+            found='drive = "rigid"',
+            expected='drive = "two_mass"',
+        )
+    tolerances = bench.tolerances
+    if not tolerances:
+        raise ConfigError(
+            "There is nothing to identify: no parameter of the bench has a tolerance.",
+            file=config.bench,
+            where="[parameters]",
+            expected="relative_tolerance = 0.25 (± 25 %) for each value that is not known exactly; "
+            "`bayesbl init --bench` writes a file with all of them explained",
+        )
+    asked = config.identify.parameters
+    if asked == "toleranced":
+        return tuple(tolerances)
+    for name in asked:
+        if name not in tolerances:
+            raise ConfigError(
+                "A parameter is identified within its tolerance, and this one has none.",
+                file=config.bench,
+                where=f"[parameters] {name}",
+                expected=f"a tolerance or relative_tolerance for {name}, or not to ask for it",
+            )
+    return tuple(asked)
+
+
+def _speed(
+    recording: Recording, bench: Bench, entry: IdentifiedRecording, notes: list[str]
+) -> float | None:
+    """The reference speed of a recording that states none; ``None`` for the bench's own."""
+    mean = float(recording.motor_speed_rpm.mean())
+    own = bench.value("reference_speed_rpm")
+    if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
+        return None
+    if abs(mean - round(mean)) > WHOLE_SPEED_RPM:
+        raise RecordingError(
+            "The recording was made at another speed than the bench's.",
+            file=entry.file,
+            where="reference_speed_rpm",
+            found=f"{mean:.6g} rpm on average, no whole number",
+            expected="reference_speed_rpm under [[recordings]]: what the controller was given",
+        )
+    notes.append(f"{entry.name}: its mean speed, {round(mean)} rpm, is taken for its reference.")
+    return float(round(mean))

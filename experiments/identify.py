@@ -1,0 +1,271 @@
+"""Does an identified bench measure later gaps as a known one does?
+
+    bayesbl run configs/identify.toml
+
+A case is a joint of ``independent_bench.py``: its gear ratio, and eight parameters log-uniform
+within a factor of two of the reference bench, redrawn where the loop is not stable or the drive too
+weak; its data sheet is off by up to ``SHEET_TOLERANCE`` in each, uniformly. Forward, reverse and a
+slower recording identify the bench; two later recordings, forward and reverse, with a gap that has
+grown in between, are then matched with it, and with the true bench for comparison. ``wrong`` is the
+factor by which one value of the data sheet, drawn for each case, is wrong besides: it has to be
+named, and nothing is measured later.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveInt
+
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+from independent_bench import plant, simulate
+
+from bayesbl.bench.bench import Bench, BenchParameter
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
+from bayesbl.bench.steady import contact_matrices
+from bayesbl.config.bench import reference_bench
+from bayesbl.identification.identify import Problem, identified_bench, identify, parameter_draws
+from bayesbl.identification.verdict import reason_of
+from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.signals import GAP
+from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
+from bayesbl.measurement.model_check import undecided_change
+from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
+from bayesbl.sampling.chains import SamplerSettings
+
+LEVEL = 0.9
+GEAR_RATIO = (50.0, 200.0)
+FACTOR = 2.0
+SHEET_TOLERANCE = 0.25
+GAP_RAD = (2e-4, 3e-3)
+GAP_RANGE_RAD = (1e-4, 1e-2)
+GREW = 1.15
+SPEEDS_RPM = (2000.0, -2000.0, 1200.0)
+LATER_RPM = (2000.0, -2000.0)
+ROTATIONS = 3.0
+SLOWEST_DECAY_PER_S = 1.0
+"""Of the linear loop in contact: slower ones do not settle between two impacts."""
+LARGEST_CURRENT_SHARE = 0.6
+"""Of the drive's limit, that gravity takes at most: impacts need the rest."""
+FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
+
+
+class Row(BaseModel):
+    """``wrong``: 0 for a data sheet within its tolerance; ``current``: whether it is recorded."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    joints: PositiveInt
+    current: bool = True
+    wrong: NonNegativeFloat = 0.0
+
+
+COLUMNS = {
+    "withheld": ("1", "1 where the identification is withheld"),
+    "agrees": ("1", "1 where its verdict is agrees"),
+    "named": ("1", "1 where the wrong value of the data sheet is named, alone or among others"),
+    "named_alone": ("1", "1 where it is named, and no other with it"),
+    "identify_seconds": ("s", "time of the identification"),
+    "gap_z": ("1", "identified ln δ less the true one, in its standard deviations"),
+    **{
+        f"{name}_{what}": ("1", f"{meaning}, {name}")
+        for name in CORRECTABLE_PARAMETERS
+        for what, meaning in (
+            ("covered", "1 where the interval holds the truth"),
+            ("learned", "1 − posterior sd / prior sd"),
+        )
+    },
+    "pair_withheld": ("1", "1 where a later gap or the change is withheld"),
+    "known_withheld": ("1", "the same with the true bench"),
+    **{
+        f"{name}_{what}": (unit, f"{meaning}, {name}")
+        for name in ("gap", "change")
+        for what, unit, meaning in (
+            ("covered", "1", "1 where the interval holds the truth"),
+            ("width_rad", "rad", "width of the interval"),
+            ("known_covered", "1", "the same with the true bench"),
+            ("known_width_rad", "rad", "width with the true bench"),
+        )
+    },
+}
+
+
+def count(row: Row) -> int:
+    """Number of joints."""
+    return row.joints
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One joint: identified, and measured later."""
+    truth_seed, identify_seed, pair_seed = seed.spawn(3)
+    rng = np.random.default_rng(truth_seed)
+    joint = random_joint(rng)
+    sheet, wrong = data_sheet(joint, row.wrong, rng)
+    gap = math.exp(rng.uniform(*np.log(GAP_RAD)))
+    seen = [recorded(row, joint, gap, speed, f"{i}", rng) for i, speed in enumerate(SPEEDS_RPM)]
+    problem = Problem(
+        sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD, shares_gap=True
+    )
+    begin = perf_counter()
+    found = identify(problem, FAST_DIRECT, identify_seed)
+    values = {name: math.nan for name in COLUMNS}
+    values |= {
+        "identify_seconds": perf_counter() - begin,
+        "withheld": float(reason_of(found, problem) is not None),
+        "agrees": float(found.verdict == "agrees" and found.beyond is None),
+    }
+    if wrong is not None:
+        names = () if found.beyond is None else (found.beyond.name, *found.beyond.could_be)
+        return values | {
+            "named": float(wrong in names),
+            "named_alone": float(names == (wrong,)),
+        }
+    draws = parameter_draws(found, problem.parameters)
+    for name, own in zip(problem.parameters, draws.T, strict=True):
+        values[f"{name}_covered"] = held(own, joint.value(name))
+        half = sheet.tolerances[name]
+        values[f"{name}_learned"] = 1.0 - float(own.std()) / (half / math.sqrt(3.0))
+    logarithm = np.log(found.posterior.values(GAP))
+    values["gap_z"] = float((logarithm.mean() - math.log(gap)) / logarithm.std())
+    grown = (gap, GREW * gap)
+    pair = [
+        recorded(row, joint, own, speed, f"later {i}", rng)
+        for i, (own, speed) in enumerate(zip(grown, LATER_RPM, strict=True))
+    ]
+    bench = identified_bench(found, problem)
+    values |= measured(bench, pair, grown, pair_seed, "")
+    return values | measured(joint, pair, grown, pair_seed, "known_")
+
+
+def measured(
+    bench: Bench,
+    pair: list[Observed],
+    gaps_rad: tuple[float, float],
+    seed: np.random.SeedSequence,
+    prefix: str,
+) -> dict[str, float]:
+    """The second gap and the change, by this bench."""
+    match = fit_directly(bench, pair, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+    gap, change = match.posterior.values(GAP, pair[1].name), match.change_rad
+    return {
+        f"{prefix or 'pair_'}withheld": float(is_withheld(match)),
+        f"gap_{prefix}covered": held(gap, gaps_rad[1]),
+        f"gap_{prefix}width_rad": width(gap),
+        f"change_{prefix}covered": held(change, gaps_rad[1] - gaps_rad[0]),
+        f"change_{prefix}width_rad": width(change),
+    }
+
+
+def is_withheld(match: DirectMatch) -> bool:
+    """Whether a gap or the change is."""
+    verdicts = [direct_verdict(match, index, level=LEVEL) for index in (0, 1)]
+    undecided = undecided_change(match.joint, match.change_rad, LEVEL)
+    return undecided is not None or any(v.outcome == "withheld" for v in verdicts)
+
+
+def random_joint(rng: np.random.Generator) -> Bench:
+    """A bench known exactly, with a stable loop and a drive that lifts its load."""
+    reference = reference_bench()
+    while True:
+        values = {name: reference.value(name) for name in reference.parameters}
+        values["gear_ratio"] = math.exp(rng.uniform(*np.log(GEAR_RATIO)))
+        for name in CORRECTABLE_PARAMETERS:
+            values[name] *= FACTOR ** rng.uniform(-1.0, 1.0)
+        bench = Bench({name: BenchParameter(value) for name, value in values.items()})
+        poles = np.linalg.eigvals(contact_matrices(bench.vector())[0])
+        slowest = float(poles.real[np.abs(poles) > 1e-9].max())
+        torque = values["torque_constant_nm_per_a"] * values["current_limit_a"]
+        share = values["gravity_torque_nm"] / values["gear_ratio"] / torque
+        if slowest < -SLOWEST_DECAY_PER_S and share < LARGEST_CURRENT_SHARE:
+            return bench
+
+
+def data_sheet(joint: Bench, wrong: float, rng: np.random.Generator) -> tuple[Bench, str | None]:
+    """Values from which the true ones are off uniformly within the tolerance; one wrong besides."""
+    parameters = dict(joint.parameters)
+    for name in CORRECTABLE_PARAMETERS:
+        value = joint.value(name) / (1.0 + SHEET_TOLERANCE * rng.uniform(-1.0, 1.0))
+        parameters[name] = BenchParameter(value, SHEET_TOLERANCE * value)
+    if not wrong:
+        return replace(joint, parameters=parameters), None
+    name = str(rng.choice(CORRECTABLE_PARAMETERS))
+    value = joint.value(name) * wrong
+    parameters[name] = BenchParameter(value, SHEET_TOLERANCE * value)
+    return replace(joint, parameters=parameters), name
+
+
+def recorded(
+    row: Row, joint: Bench, gap_rad: float, speed_rpm: float, name: str, rng: np.random.Generator
+) -> Observed:
+    """A recording from a random start."""
+    start, motor = rng.uniform(-math.pi, math.pi, 2)
+    values = {parameter: item.value for parameter, item in joint.parameters.items()}
+    truth = plant(
+        values
+        | {
+            "gap_rad": gap_rad,
+            "reference_speed_rpm": speed_rpm,
+            "start_angle_rad": start,
+            "motor_start_angle_rad": motor,
+        }
+    )
+    recording = simulate(truth, rng, name=name, rotations=ROTATIONS).recording
+    if not row.current:
+        channels = {k: v for k, v in recording.channels.items() if k != MOTOR_CURRENT}
+        recording = replace(recording, channels=channels)
+    return observed(recording, joint, speed_rpm)
+
+
+def held(draws: FloatArray, truth: float) -> float:
+    """1 where the interval of these draws holds the truth."""
+    low, high = np.quantile(draws, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    return float(low <= truth <= high)
+
+
+def width(draws: FloatArray) -> float:
+    """Of the interval."""
+    low, high = np.quantile(draws, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    return float(high - low)
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Shares covered and withheld, and widths against those with the bench known."""
+    size = cases.sizes["case"]
+    line: dict[str, float | str] = {"joints": float(size)}
+    line["withheld"] = _mean(cases["withheld"].values)
+    line["agrees"] = _mean(cases["agrees"].values)
+    line["seconds"] = float(np.median(cases["identify_seconds"].values))
+    if row.wrong:
+        line["named"] = _mean(cases["named"].values)
+        line["named_alone"] = _mean(cases["named_alone"].values)
+        return line
+    line["band_low"], line["band_high"] = coverage_band(size, LEVEL)
+    parameters = [cases[f"{name}_covered"].values for name in CORRECTABLE_PARAMETERS]
+    line["parameters_covered"] = float(np.nanmean(parameters))
+    for name, own in zip(CORRECTABLE_PARAMETERS, parameters, strict=True):
+        line[f"{name}_covered"] = _mean(own)
+        line[f"{name}_learned"] = float(np.nanmedian(cases[f"{name}_learned"].values))
+    answered = cases["withheld"].values + cases["pair_withheld"].values == 0.0
+    line["pair_withheld"] = 1.0 - float(np.mean(answered))
+    line["known_withheld"] = _mean(cases["known_withheld"].values)
+    for name in ("gap", "change"):
+        line[f"{name}_covered"] = _mean(cases[f"{name}_covered"].values[answered])
+        line[f"{name}_known_covered"] = _mean(cases[f"{name}_known_covered"].values)
+        ratio = cases[f"{name}_width_rad"].values / cases[f"{name}_known_width_rad"].values
+        line[f"{name}_width_over_known"] = float(np.median(ratio[answered]))
+    return line
+
+
+def _mean(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else math.nan

@@ -1,0 +1,86 @@
+"""Do rates pooled over a type hold the truth as often as said, and how much sharper are they?
+
+    python experiments/pooled_coverage.py [FLEETS]
+
+Fleets of 20 joints whose rates are log-normal; each joint is measured with an error of its own,
+and its posterior is that of a prior flat above zero. Writes
+``experiments/results/pooled_coverage.csv``.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import truncnorm
+
+from bayesbl.fleet.pooled_rates import pooled
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.provenance import git_commit
+
+LEVELS = (0.05, 0.95)
+MEDIAN = 4e-4
+"""Of the rates, rad/year."""
+JOINTS = 20
+SETTINGS = ((0.1, 1.0), (0.2, 0.6), (0.6, 0.6), (0.4, 0.15))
+"""Spread τ of ln rate, and error of measuring over the median rate (halved to doubled by joint)."""
+
+RESULT = Path(__file__).parent / "results" / "pooled_coverage.csv"
+
+
+def fleet(
+    generator: np.random.Generator, joints: int, spread: float, error: float
+) -> tuple[FloatArray, list[FloatArray]]:
+    """True rates and draws of each joint's posterior."""
+    truth = MEDIAN * np.exp(spread * generator.standard_normal(joints))
+    sd = error * MEDIAN * generator.uniform(0.5, 2.0, joints)
+    measured = truth + sd * generator.standard_normal(joints)
+    draws = [
+        truncnorm.rvs(-m / s, np.inf, m, s, 1000, random_state=generator)
+        for m, s in zip(measured, sd, strict=True)
+    ]
+    return truth, draws
+
+
+def bounds(draws: list[FloatArray]) -> FloatArray:
+    """Of the interval of each joint, shape (joint, 2)."""
+    return np.array([np.quantile(one, LEVELS) for one in draws])
+
+
+def case(seed: int, spread: float, error: float) -> dict[str, float]:
+    """One fleet: shares held, and the width of pooled intervals over those alone."""
+    generator = np.random.default_rng(seed)
+    truth, rates = fleet(generator, JOINTS, spread, error)
+    found = pooled(rates, generator)
+    assert found is not None
+    chosen = zip(rates, found.chosen, strict=True)
+    together = bounds([own if which is None else own[which] for own, which in chosen])
+    alone = bounds(rates)
+    of_type = np.quantile(found.rates.median_rad_per_year, LEVELS)
+    return {
+        "held": float(np.mean((together[:, 0] <= truth) & (truth <= together[:, 1]))),
+        "held_alone": float(np.mean((alone[:, 0] <= truth) & (truth <= alone[:, 1]))),
+        "median_held": float(of_type[0] <= MEDIAN <= of_type[1]),
+        "width_over_alone": float(np.median(np.diff(together)) / np.median(np.diff(alone))),
+        "stay_alone": float(np.mean([which is None for which in found.chosen])),
+    }
+
+
+def main(fleets: int = 60) -> None:
+    """A row for each setting."""
+    rows = []
+    for spread, error in SETTINGS:
+        cases = [case(seed, spread, error) for seed in range(fleets)]
+        means = {key: f"{np.mean([one[key] for one in cases]):.3f}" for key in cases[0]}
+        rows.append({"spread": spread, "error": error, "fleets": fleets, **means})
+        print(rows[-1], flush=True)
+    with RESULT.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [*rows[0], "commit"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({**row, "commit": git_commit()} for row in rows)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:2]))

@@ -1,0 +1,223 @@
+"""A bench from its data sheet and recordings: recovery, what is known together, what is wrong.
+
+Recordings hold three rotations at 250 Hz. Statistical tests have fixed seeds; each says how often
+it would fail by chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bayesbl.bench.bench import (
+    Bench,
+    BenchEffect,
+    BenchParameter,
+    EffectParameterValue,
+    Measurement,
+)
+from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
+from bayesbl.config.bench import reference_bench
+from bayesbl.identification.identify import (
+    Identification,
+    Problem,
+    identified_bench,
+    identify,
+    parameter_draws,
+)
+from bayesbl.identification.next_recording import next_recording
+from bayesbl.identification.told_apart import not_told_apart
+from bayesbl.identification.verdict import reason_of
+from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.signals import (
+    GAP,
+    Observed,
+    SimulatedSignals,
+    gap_unknown,
+    observed,
+    start_angle_unknown,
+    tolerance_unknowns,
+)
+from bayesbl.noise.channel_noise import estimate_channel_noise
+from bayesbl.noise.process import NoiseModel
+from bayesbl.sampling.chains import SamplerSettings
+
+GAP_RAD = 8e-4
+SETTINGS = SamplerSettings(ensembles=2)
+SHARE = 0.25
+OFF = (0.12, -0.17, 0.08, 0.2, -0.1, 0.15, -0.05, 0.1)
+"""By how much the data sheet is off in each parameter."""
+
+
+def joint() -> Bench:
+    """The true joint: the reference bench with noise."""
+    noise = Measurement(speed_noise=NoiseModel(1.5, (0.6,)), current_noise=NoiseModel(0.05))
+    return replace(reference_bench(), measurement=noise)
+
+
+def data_sheet(**wrong: float) -> Bench:
+    """Values off by ``OFF``; some wrong by a factor besides."""
+    parameters = dict(joint().parameters)
+    for name, off in zip(CORRECTABLE_PARAMETERS, OFF, strict=True):
+        value = joint().value(name) * wrong.get(name, 1.0 + off)
+        parameters[name] = BenchParameter(value, SHARE * value)
+    return replace(joint(), parameters=parameters)
+
+
+@cache
+def recordings() -> tuple[Observed, ...]:
+    return recordings_of(joint())
+
+
+def recordings_of(bench: Bench) -> tuple[Observed, ...]:
+    """Forward, reverse, and at another speed."""
+    found = []
+    for seed, speed in enumerate((2000.0, -2000.0, 1200.0)):
+        recording = bench.simulate(
+            GAP_RAD,
+            rotations=3.0,
+            sampling_hz=250.0,
+            start_angle_rad=0.4 + seed,
+            reference_speed_rpm=speed,
+            seed=np.random.default_rng([7, seed]),
+            name=f"recording {seed}",
+        )
+        found.append(observed(recording, joint(), speed))
+    return tuple(found)
+
+
+def problem(sheet: Bench) -> Problem:
+    return Problem(sheet, recordings(), (), tuple(sheet.tolerances), (), (1e-4, 1e-2), True)
+
+
+@cache
+def identified() -> Identification:
+    return identify(problem(data_sheet()), SETTINGS, np.random.SeedSequence(1))
+
+
+def test_the_true_gap_and_parameters_are_found_although_the_data_sheet_is_off() -> None:
+    """Each within 3.5 posterior standard deviations: fails by chance once in 200 seeds."""
+    found, sheet = identified(), problem(data_sheet())
+    assert found.verdict == "agrees"
+    assert reason_of(found, sheet) is None
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    draws = np.log(parameter_draws(found, sheet.parameters))
+    truth = np.log([joint().value(name) for name in sheet.parameters])
+    assert np.all(np.abs(draws.mean(axis=0) - truth) < 3.5 * draws.std(axis=0))
+    prior = np.log(1.0 + SHARE) - np.log(1.0 - SHARE)
+    assert np.all(draws.std(axis=0) < prior / math.sqrt(12.0))
+
+
+def test_the_surrogate_has_the_shape_of_the_posterior_along_what_no_recording_shows() -> None:
+    """All torques and K_t times one factor: a straight line of logarithms, 10 % long here."""
+    found = identified()
+    assert found.posterior.diagnostics.outcome != "withheld"
+    assert found.posterior.effective > 0.5 * found.posterior.simulated
+
+
+def test_what_cannot_be_told_apart_is_said() -> None:
+    found, sheet = identified(), problem(data_sheet())
+    groups = not_told_apart(sheet.parameters, parameter_draws(found, sheet.parameters))
+    ratios = max((g for g in groups if g.told == "ratios"), key=lambda g: len(g.parameters))
+    assert {"gravity_torque_nm", "torque_constant_nm_per_a"} <= set(ratios.parameters)
+    assert ratios.together_sd < ratios.alone_sd
+
+
+def test_a_further_recording_is_expected_to_tell_something() -> None:
+    suggested = next_recording(identified().final.fit)
+    assert suggested is not None
+    assert suggested.information_bits > 0.0
+    assert suggested.sd_after < suggested.sd_before
+
+
+def test_the_bench_found_keeps_the_joint_posterior() -> None:
+    found, sheet = identified(), problem(data_sheet())
+    bench = identified_bench(found, sheet)
+    assert bench.identified is not None
+    draws = np.log(parameter_draws(found, bench.identified.names))
+    np.testing.assert_allclose(bench.identified.covariance, np.cov(draws.T))
+    rng = np.random.default_rng(3)
+    drawn = np.array([np.log(bench.draw(rng).value(bench.identified.names[0])) for _ in range(400)])
+    assert drawn.std() == pytest.approx(bench.identified.sd(bench.identified.names[0]), rel=0.15)
+
+
+def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
+    name = "speed_gain_nm_s_per_rad"
+    sheet = data_sheet(**{name: 2.0})
+    found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
+    assert found.beyond is not None
+    assert name in (found.beyond.name, *found.beyond.could_be)
+    assert found.beyond.deviations > 3.0
+    reason = reason_of(found, problem(sheet))
+    assert reason is not None
+    assert "outside its data sheet" in reason
+
+
+def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None:
+    """The gap within 3.5 standard deviations: fails by chance once in 2000 seeds."""
+    torque = {"torque_nm": EffectParameterValue(0.15)}
+    rubbing = joint().with_effects(BenchEffect("motor_coulomb_friction", torque))
+    seen, sheet = recordings_of(rubbing), data_sheet()
+    asked = Problem(sheet, seen, (), tuple(sheet.tolerances), "catalogue", (1e-4, 1e-2), True)
+    found = identify(asked, SETTINGS, np.random.SeedSequence(4))
+    assert found.verdict == "missing_effect"
+    assert "motor_coulomb_friction" in found.missing[0]
+    assert reason_of(found, asked) is None
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+
+
+def matched(bench: Bench) -> SimulatedSignals:
+    (seen, *_) = recordings()
+    unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name), *tolerance_unknowns(bench)]
+    return SimulatedSignals(
+        bench, [seen], unknowns, [estimate_channel_noise(seen.signals, seen.lag)]
+    )
+
+
+def together(correlation: float) -> Bench:
+    """Two parameters known together to 10 and 5 %."""
+    names = ("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad")
+    parameters = dict(joint().parameters)
+    for name in names:
+        value = joint().value(name)
+        parameters[name] = BenchParameter(value, 0.1 * value)
+    covariance = np.array([[0.01, correlation * 0.005], [correlation * 0.005, 0.0025]])
+    return replace(joint(), parameters=parameters, identified=JointNormal(names, covariance))
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9])
+def test_a_joint_prior_is_the_normal_density_of_logarithms(correlation: float) -> None:
+    bench = together(correlation)
+    model = matched(bench)
+    assert bench.identified is not None
+    points = np.tile(model.normal_prior.centre, (5, 1))
+    points[:, 0] = math.log(GAP_RAD)
+    points[:, 2:] += np.random.default_rng(5).normal(0.0, 0.05, (5, 2))
+    centre = np.log([bench.value(name) for name in bench.identified.names])
+    expected = multivariate_normal(centre, bench.identified.covariance).logpdf(points[:, 2:])
+    found = model.log_prior(points)
+    np.testing.assert_allclose(found - found[0], expected - expected[0], rtol=1e-9)
+    np.testing.assert_allclose(
+        model.prior_precision()[2:, 2:], np.linalg.inv(bench.identified.covariance), rtol=1e-9
+    )
+
+
+def test_a_fit_weighs_recordings_and_joint_prior_by_their_precisions() -> None:
+    """At the optimum the prior's pull balances that of the recording.
+
+    A fit ends where a round lowers χ² by less than 0.01: a tenth of a standard deviation away.
+    """
+    model = matched(together(0.9))
+    start = np.array([math.log(GAP_RAD), 0.4, *model.normal_prior.centre[2:]])
+    fit = fit_simulated(model, start)
+    prior = model.normal_prior
+    pull = fit.jacobian.T @ fit.residual - prior.precision @ (fit.point - prior.centre)
+    assert np.all(np.abs(pull) * np.sqrt(np.diag(fit.covariance)) < 0.15)
