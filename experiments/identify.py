@@ -244,7 +244,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     line: dict[str, float | str] = {"joints": float(size)}
     line["withheld"] = _mean(cases["withheld"].values)
     line["agrees"] = _mean(cases["agrees"].values)
-    line["seconds"] = float(np.median(cases["identify_seconds"].values))
+    line["median_identify_seconds"] = float(np.median(cases["identify_seconds"].values))
     if row.wrong:
         line["named"] = _mean(cases["named"].values)
         line["named_alone"] = _mean(cases["named_alone"].values)

@@ -6,18 +6,27 @@ Speeds are drawn over nearly three decades, and every torque is drawn relative t
 friction, whose own unit is drawn too: nothing here has a size that a naming could know beforehand.
 
     bayesbl run configs/positioning_axis.toml
-    python -m experiments.positioning_axis 20      # this many axes, each answer printed
 """
 
 from __future__ import annotations
 
 import math
+import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.compiled import compiled
+from bayesbl.config.bench import dump_bench, load_bench
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.diagnosis.rigid.method import METHOD
+from bayesbl.diagnosis.task import Task
+from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
 
 STEPS = 10
@@ -158,3 +167,98 @@ def believed(axis: Axis) -> Bench:
     idle = frozenset(known) - {"gear_ratio", "load_inertia_kg_m2"}
     values = {name: BenchParameter(value) for name, value in known.items()}
     return Bench({**values, "motor_inertia_kg_m2": inertia}, drive="rigid", assumed=idle)
+
+
+class Row(BaseModel):
+    """A row: axes drawn anew, one recording to fit on and one held out."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    cases: PositiveInt
+    lasting_s: float = Field(default=20.0, gt=0.0)
+    sampling_hz: float = Field(default=1000.0, gt=0.0)
+
+
+COLUMNS = {
+    "coulomb": ("1", "named Coulomb friction over the true one; 0 if it is not named"),
+    "viscous": ("1", "the same of viscous friction"),
+    "offset": ("1", "the same of the offset"),
+    "stribeck": ("1", "1 where Stribeck friction is named too"),
+    "others": ("1", "names of what is not there"),
+    "held_out": ("1", "RMS of the held-out recording after naming, in Coulomb frictions"),
+}
+
+_LAWS = {
+    "coulomb": "motor_coulomb_friction",
+    "viscous": "motor_viscous_friction",
+    "offset": "motor_torque_offset",
+}
+WITHIN = 0.05
+
+
+def count(row: Row) -> int:
+    """Number of axes."""
+    return row.cases
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One axis, through the files that a user has."""
+    rng = np.random.default_rng(seed)
+    axis = drawn_axis(rng)
+    made = [
+        recorded(axis, name, rng, lasting_s=row.lasting_s, hz=row.sampling_hz)
+        for name in ("fit", "hold_out")
+    ]
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        bench = folder / "bench.toml"
+        bench.write_text(dump_bench(believed(axis)))
+        entries = []
+        for recording in made:
+            file = folder / f"{recording.name}.csv"
+            columns = (MOTOR_POSITION, MOTOR_TORQUE)
+            table = np.column_stack([recording.time_s, *(recording.channels[c] for c in columns)])
+            header = ",".join(("time_s", *columns))
+            np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.12g")
+            entries.append({"name": recording.name, "file": str(file), "use": recording.name})
+        config = DiagnoseConfig.model_validate(
+            {
+                "schema": 1,
+                "kind": "diagnose",
+                "run": {"output": str(folder / "result")},
+                "bench": str(bench),
+                "comparison": {"method": "inverse"},
+                "unknowns": {"bench_parameters": ["motor_inertia_kg_m2"]},
+                "recordings": entries,
+            }
+        )
+        recordings = tuple(read_recording(entry["file"]) for entry in entries)
+        found = METHOD.diagnose(Task(config, load_bench(bench), recordings))
+    named = {e.name: next(iter(e.parameters.values())).value for e in found.effects}
+    truth = (axis.coulomb_nm, axis.viscous_nm_s_per_rad, axis.offset_nm)
+    shares = {
+        short: named.get(name, 0.0) / value
+        for (short, name), value in zip(_LAWS.items(), truth, strict=True)
+    }
+    known = {*_LAWS.values(), "motor_stribeck_friction"}
+    return {
+        **shares,
+        "stribeck": float("motor_stribeck_friction" in named),
+        "others": float(len(named.keys() - known)),
+        "held_out": found.disagreement.overall["held_out"].after / axis.coulomb_nm,
+    }
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """How many have all three within 5 %, the largest error, and how many false names there are."""
+    shares = np.stack([cases[short].values for short in _LAWS])
+    errors = np.abs(shares - 1.0).max(axis=0)
+    return {
+        "axes": float(errors.size),
+        "all_three_within_5_%": float(np.count_nonzero(errors < WITHIN)),
+        "median_error_%": 100.0 * float(np.median(errors)),
+        "largest_error_%": 100.0 * float(errors.max()),
+        "with_stribeck": float(cases["stribeck"].values.sum()),
+        "false_names": float(cases["others"].values.sum()),
+    }

@@ -49,6 +49,7 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.folds import Folds
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.task import Task
@@ -57,9 +58,6 @@ from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
 MOST_EFFECTS = 6
-
-BETTER = 2.0
-"""Standard errors by which pieces must be predicted better."""
 
 SURE_PARAMETER = 3.0
 
@@ -131,7 +129,7 @@ def diagnose(
     comparison = problem.comparison
     before = comparison.fit((), None)
     after = _select(comparison, before, settings, progress)
-    effects = tuple(_named(comparison, name, after) for name in after.effects)
+    effects = tuple(_named(comparison, name, after) for name in _by_weight(comparison, after))
     estimates = _bench_estimates(comparison, after)
     errors = _parameter_errors(bench, estimates)
     remaining = problem.remaining(after)
@@ -146,6 +144,20 @@ def diagnose(
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
     )
+
+
+def _by_weight(comparison: Comparison, after: EffectsFit) -> list[str]:
+    """Named effects, the one without which the shown disagreement would be largest first."""
+
+    def left(name: str) -> float:
+        fit = comparison.fit(tuple(e for e in after.effects if e != name), after)
+        return sum(
+            float(np.sum(piece.kept(piece.measured - prediction) ** 2))
+            for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
+            if piece.use == "used" and piece.shown
+        )
+
+    return sorted(after.effects, key=left, reverse=True)
 
 
 def _signals(
@@ -165,7 +177,7 @@ def _select(
 ) -> EffectsFit:
     """The fit with every effect that is believed."""
     threshold = settings.false_alarm / max(1, len(comparison.candidates))
-    folds = _Folds(comparison)
+    folds = Folds(comparison)
     dropped = set[str]()
     current = _with_set(comparison, folds, before, settings.most, threshold)
     while len(current.effects) < settings.most:
@@ -192,7 +204,7 @@ def _select(
 
 def _with_set(
     comparison: Comparison,
-    folds: _Folds,
+    folds: Folds,
     current: EffectsFit,
     most: int,
     threshold: float,
@@ -404,41 +416,6 @@ def _wald(
     sizes = [part.size for part in residuals(comparison, fit, "used")]
     n = sum(noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True))
     return z, log_p, 0.5 * z**2 - 0.5 * freedom * math.log(max(n, math.e)) - trials
-
-
-class _Folds:
-    """Prediction of used pieces from fits on the others; each fit's made once."""
-
-    def __init__(self, comparison: Comparison) -> None:
-        self._folds = comparison.folds()
-        self._left: dict[int, tuple[EffectsFit, list[list[FloatArray]]]] = {}
-
-    def predicts(self, old: EffectsFit, new: EffectsFit, candidate: TestedEffect) -> bool:
-        """Whether they are predicted surely better with the new effects.
-
-        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise. Pieces that
-        the answer does not show count only for what acts there.
-        """
-        gain = spread = 0.0
-        for fold, first, last in zip(
-            self._folds, self._residuals(old), self._residuals(new), strict=True
-        ):
-            predicted = [piece for piece in fold.pieces if piece.use == "held_out"]
-            for piece, a, b in zip(predicted, first, last, strict=True):
-                if piece.shown or candidate.acts_above:
-                    d = a - b
-                    gain += float(a @ a - b @ b)
-                    spread += float(d @ ResidualNoise.of(b).covariance_times(d))
-        return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
-
-    def _residuals(self, fit: EffectsFit) -> list[list[FloatArray]]:
-        if id(fit) not in self._left:
-            made = [
-                residuals(fold, fold.fit(tuple(fit.effects), fit), "held_out")
-                for fold in self._folds
-            ]
-            self._left[id(fit)] = fit, made
-        return self._left[id(fit)][1]
 
 
 def _named(comparison: Comparison, name: str, after: EffectsFit) -> NamedEffect:

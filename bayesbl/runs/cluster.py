@@ -118,6 +118,7 @@ def run_on_cluster(
     with _connected(scheduler) as client:
         from distributed import KilledWorker, as_completed
         from distributed.client import FutureCancelledError
+        from distributed.comm import CommClosedError
 
         common = Common.of(files)
         count = _require_common(client, common, scheduler)
@@ -140,7 +141,7 @@ def run_on_cluster(
                     found=f"last {error.last_worker.address}" if error.last_worker else None,
                     expected="workers with memory enough for a case",
                 ) from None
-            except FutureCancelledError:
+            except (FutureCancelledError, CommClosedError):
                 raise ClusterError(
                     "The scheduler was lost. What is finished is kept; the same command goes on.",
                     file=scheduler,

@@ -35,12 +35,11 @@ from bayesbl.identification.next_recording import next_recording
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import (
     GAP,
-    Observed,
     SimulatedSignals,
     gap_unknown,
-    observed,
     start_angle_unknown,
     tolerance_unknowns,
 )

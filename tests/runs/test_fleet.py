@@ -13,6 +13,8 @@ from places import AFTER, BEFORE, CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.loading import load_config
+from bayesbl.fleet.joint_job import JointJob
+from bayesbl.fleet.measured_joint import measure_joint
 from bayesbl.library import draw
 from bayesbl.runs import fleet
 from bayesbl.runs.run import run
@@ -186,6 +188,26 @@ def test_the_command_says_what_is_urgent(plant, capsys):
     told = " ".join(capsys.readouterr().out.split())
     assert "2 joints, 1 with a rate of wear, from 2 of 4 recordings." in told
     assert "1 without a bench or a curve" in told
+
+
+def test_a_run_that_was_killed_goes_on_with_the_joints_that_it_lacks(tmp_path):
+    for name in ("J1", "J2"):
+        (tmp_path / "data" / name).mkdir(parents=True)
+        (tmp_path / "data" / name / "2025-01-01.csv").write_text(f"{name} is no recording.")
+    (tmp_path / "joints.csv").write_text("joint,gearbox\nJ1,\nJ2,\n")
+
+    def killed(job: JointJob) -> object:
+        if job.joint.name == "J2":
+            raise KeyboardInterrupt
+        return measure_joint(job)
+
+    with patch.object(fleet, "measure_joint", killed), pytest.raises(KeyboardInterrupt):
+        start(configure(tmp_path))
+    assert not (tmp_path / "plant").exists()
+    assert start(configure(tmp_path)) == ["1 recordings to measure, 1 of 2 joints to look at."]
+    outcomes = [row["outcome"] for row in table(tmp_path / "plant", "recordings")]
+    assert outcomes == ["refused", "refused"]
+    assert "withheld" in (tmp_path / "plant/summary.json").read_text()
 
 
 def test_recordings_matched_with_the_bench_one_by_one_give_the_change(plant, tmp_path):

@@ -25,7 +25,7 @@ from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
-ACCURACY = 1e-4
+ACCURACY = 1e-5
 """Largest error of the simulated speed, as a share of the largest speed."""
 
 WIDTH = "friction_width"

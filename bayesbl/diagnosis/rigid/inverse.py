@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
-from bayesbl.diagnosis.rigid.columns import WIDTH, ComparedColumns, Values
+from bayesbl.diagnosis.rigid.compared_columns import WIDTH, ComparedColumns, Values
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
 from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray

@@ -28,10 +28,11 @@ _LEVEL_CYCLES = 20.0
 class OrderScan:
     """Score of sin and cos of every order: χ² if nothing is there.
 
-    |Σ r exp(i n θ)|² over half of what the noise around that order makes of it, by the median of
-    the neighbouring orders, which a line among them does not move; summed over recordings before
-    the square where they share one phase, after it where not. What a filter passes and what it
-    holds back are scored apart: a ripple may show at high speed alone.
+    |Σ r exp(i n θ)|² over half of what noise makes of it: the larger of what the neighbouring
+    orders hold, by their median, which a line among them does not move, and of what the residual
+    would if it were white, so that what leaks from a line into a quiet place is none. It is summed
+    over recordings before the square where they share one phase, after it where not. What a filter
+    passes and what it holds back are scored apart: a ripple may show at high speed alone.
 
     Attributes
     ----------
@@ -141,11 +142,11 @@ def scan_orders(rests: list[OrderedRest], shared: bool, low: float, high: float)
     powers = {owner: np.zeros(count) for owner in sums}
     size, samples = np.zeros(count), np.zeros(count)
     for owner, item in zip(owners, rests, strict=True):
-        found, seen = _transform(item, orders)
+        found, seen, white = _transform(item, orders)
         level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * _STEPS_PER_CYCLE))
         enough = seen >= FEWEST_SAMPLES
         waves[owner] += np.where(enough, found, 0.0)
-        powers[owner] += np.where(enough, level / chi2.median(2), 0.0)
+        powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), white), 0.0)
         samples += seen
     scores = np.zeros(count)
     for owner, wave in waves.items():
@@ -155,10 +156,12 @@ def scan_orders(rests: list[OrderedRest], shared: bool, low: float, high: float)
     return OrderScan(orders, scores, amplitudes, max(1.0, (high - low) * turns), 2 * len(sums))
 
 
-def _transform(item: OrderedRest, orders: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Σ r exp(i n θ) over the samples that show the order, and their number; orders evenly spaced.
+def _transform(
+    item: OrderedRest, orders: FloatArray
+) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Σ r exp(i n θ) over the samples that show the order, their number, and ½ Σ r² of them.
 
-    One wave is turned on from order to order.
+    Orders are evenly spaced: one wave is turned on from order to order.
     """
     below, limit = not item.above, item.passing
     chosen = np.arange(limit.size)
@@ -178,4 +181,5 @@ def _transform(item: OrderedRest, orders: FloatArray) -> tuple[ComplexArray, Flo
         end = ends[k]
         out[k] = wave[:end].sum()
         wave = wave[:end] * turn[:end]
-    return out, ends.astype(float)
+    squares = np.concatenate(([0.0], np.cumsum(rest[first] ** 2)))
+    return out, ends.astype(float), 0.5 * squares[ends]

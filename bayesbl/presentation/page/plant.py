@@ -160,13 +160,13 @@ def _headline(row: Row, summary: Row) -> str:
 
 
 def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
-    for label, name, unit in (
-        ("Rate of wear", "rate_rad_per_year", "mrad a year"),
-        ("Rate by its own recordings", "rate_alone_rad_per_year", "mrad a year"),
-    ):
+    rates = [("Rate of wear", "rate_rad_per_year")]
+    if row["pooled"]:
+        rates.append(("Rate by its own recordings", "rate_alone_rad_per_year"))
+    for label, name in rates:
         found = _interval(row, name, summary)
         if found is not None:
-            yield label, f"{median_in_mrad(found)} ({words.bounds(found, 1e3)}) {unit}"
+            yield label, f"{median_in_mrad(found)} ({words.bounds(found, 1e3)}) mrad a year"
     if row["rate_rad_per_year_median"] is not None:
         yield "Joints of its type count", "yes" if row["pooled"] else "no"
         yield "Likeliest law", LAWS[row["law"]]
