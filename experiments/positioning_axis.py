@@ -16,12 +16,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench, BenchParameter
-from bayesbl.compiled import compiled
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.rigid.method import METHOD
@@ -32,7 +32,7 @@ from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
 STEPS = 10
 """Time steps in a sample."""
 
-_jit = compiled(nogil=True)
+_jit = numba.njit(nogil=True)  # not cached: a study loads this file under a name of its own
 
 
 @dataclass(frozen=True, slots=True)

@@ -164,7 +164,12 @@ def _signals(
     comparison: Comparison, before: EffectsFit, after: EffectsFit
 ) -> tuple[PieceSignals, ...]:
     return tuple(
-        PieceSignals(piece.name, piece.channel, piece.use, piece.time_s, piece.measured, *made)
+        PieceSignals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            *map(piece.kept, (piece.time_s, piece.measured, *made)),
+        )
         for piece, *made in zip(
             comparison.pieces, before.predictions, after.predictions, strict=True
         )

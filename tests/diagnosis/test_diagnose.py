@@ -133,6 +133,9 @@ def test_a_recording_with_more_lost_than_kept_is_refused(
 ) -> None:
     table = np.loadtxt(folder / "b.csv", delimiter=",", skiprows=1)
     spoiled(folder, np.delete(table, np.arange(40, 2000, 40), axis=0))
+    config = folder / "config.toml"
+    slow = config.read_text().replace("[comparison]\n", "[comparison]\ncutoff_hz = 5.0\n")
+    config.write_text(slow)
     assert status(["run", str(folder / "config.toml")]) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "Too little remains" in told
