@@ -55,7 +55,6 @@ SAME_IDEA = {
     "bench": "a bench: as it is, as a file, its commands",
     "bench_draws": "draws of the bench over a sweep: the numbers, their figure",
     "change": "the change of the gap: the numbers, their figure",
-    "columns": "columns: of a recording's file, of the matrix of a rigid comparison",
     "convergence": "whether the chains agree: the numbers, their figure",
     "diagnose": "the kind diagnose: its configuration, its run",
     "diagnosis": "a diagnosis: the numbers, their words, their figure",

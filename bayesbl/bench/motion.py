@@ -183,11 +183,12 @@ def recorded_motion(
     if speed_rpm is not None:
         at, speed = time, speed_rpm / RPM
     elif position_rad is not None:
-        # Between two samples the mean speed is known exactly; before the first and after the last
-        # it goes on.
+        # Between two samples the mean speed is known exactly; at the first and the last it goes on
+        # in a straight line.
         mean = np.diff(position_rad) / np.diff(time)
         at = np.r_[time[0], 0.5 * (time[1:] + time[:-1]), time[-1]]
-        speed = np.r_[mean[0], mean, mean[-1]]
+        ends = 0.5 * (mean[[0, -1]] - mean[[1, -2]])
+        speed = np.r_[mean[0] + ends[0], mean, mean[-1] + ends[1]]
         position_rad = None
     else:
         raise BenchError("A motion needs a reference speed or position.")

@@ -143,6 +143,7 @@ def torque_of(effect: Effect, speed: float) -> np.ndarray:
         speed=np.full(50, speed),
         acceleration=np.zeros(50),
         sway=np.exp(10j * time),
+        friction_width=0.0,
     )
     law = effect.load_torque or (effect.torque and effect.torque.signal)
     return law(motion, BENCH, {item.name: item.typical for item in effect.parameters})

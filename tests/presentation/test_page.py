@@ -365,6 +365,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
         "snapshots": snapshots,
         "change_rad": change,
         "probability_increase": 0.999,
+        "same_joint": {"blind_spots": []},
         "wear": wear,
         "curve": "sweep",
     }
