@@ -20,7 +20,7 @@ CORE = {
     "unfinished work, damaged": 3,
     "configurations": 30,
     "commands": 15,
-    "files": 12,
+    "files": 6,
 }
 """Cases of each group; what needs a process of its own has named tests."""
 
