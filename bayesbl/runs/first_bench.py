@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.errors import ConfigError
-from bayesbl.recording.formats import formats
 from bayesbl.results.store import write_text
+from bayesbl.runs.first_configuration import require_new
 
 WIDTH = 98
 
@@ -146,18 +145,7 @@ def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> 
         If the file is there and ``force`` is not given, or cannot be written.
     """
     path = Path(out) if out is not None else Path("joint.toml")
-    if path.suffix.lower() in formats():
-        raise ConfigError(
-            "A bench file under this name would be taken for a recording.",
-            file=path,
-            expected="a name ending in .toml",
-        )
-    if path.exists() and not force:
-        raise ConfigError(
-            "The file is there already, and is not written over.",
-            file=path,
-            expected="another file (--out), or --force to replace it",
-        )
+    require_new(path, "bench file", force)
     write_text(first_bench(path.name), path)
     return path
 

@@ -19,6 +19,28 @@ from bayesbl.results.inputs import require_apart
 from bayesbl.results.store import write_text
 
 
+def require_new(path: Path, what: str, force: bool) -> None:
+    """A file to be written has a name of its own, and is not there yet or may be replaced.
+
+    Raises
+    ------
+    ConfigError
+        If not; ``what`` says what was to be written.
+    """
+    if suffix_of(path) in formats():
+        raise ConfigError(
+            f"A {what} under this name would be taken for a recording.",
+            file=path,
+            expected="a name ending in .toml",
+        )
+    if path.exists() and not force:
+        raise ConfigError(
+            f"The {what} is there already, and is not written over.",
+            file=path,
+            expected="another file (--out), or --force to replace it",
+        )
+
+
 def start_config(
     recordings: Sequence[str | Path], out: str | Path | None = None, *, force: bool = False
 ) -> tuple[Path, Guess]:
@@ -43,18 +65,7 @@ def start_config(
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
     require_text_names([Path(file) for file in recordings])
     require_apart([path], [Path(file) for file in recordings])
-    if suffix_of(path) in formats():
-        raise ConfigError(
-            "A configuration under this name would be taken for a recording.",
-            file=path,
-            expected="a name ending in .toml",
-        )
-    if path.exists() and not force:
-        raise ConfigError(
-            "The configuration is there already, and is not written over.",
-            file=path,
-            expected="another file (--out), or --force to replace it",
-        )
+    require_new(path, "configuration", force)
     table, *_ = [read_table(file) for file in recordings]
     guess = guess_columns(first, table)
     write_text(config_text([Path(file) for file in recordings], path, guess), path)
