@@ -106,8 +106,9 @@ class RecordingTable:
             strange = self._rows.take(others).to_pylist()
             new = [_of_neither(row, strange[0]), *(_of_neither(one, row) for one in strange)]
         gone = {*old, *others}
-        kept = [number for number in range(len(self)) if number not in gone] if gone else None
-        self._rows = _joined(self._rows if kept is None else self._rows.take(kept), new)
+        if gone:
+            self._rows = self._rows.filter([number not in gone for number in range(len(self))])
+        self._rows = _joined(self._rows, new)
         self._changed = True
         return new
 
