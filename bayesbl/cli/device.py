@@ -59,6 +59,7 @@ def watch_command(
     """Measure recordings as they appear, on a device at the robot."""
     from bayesbl.config.fleet import FleetConfig
     from bayesbl.fleet.broker import read_address, read_credentials
+    from bayesbl.fleet.plant_tables import RECORDINGS_FILE
     from bayesbl.runs.run import load_run
     from bayesbl.runs.watch import Watched, watch
 
@@ -80,6 +81,8 @@ def watch_command(
         keep_latest,
     )
     _log(None if address is None else address.open_to_others)
+    table = asked.output / RECORDINGS_FILE
+    _log(f"Watching {folder}; each recording becomes a row of {table}.")
     with _ended_by_signals():
         watch(found, asked, _log, _tell)
 

@@ -109,7 +109,7 @@ class _Collecting:
             except OSError as error:
                 told = unreachable(self.address, error)
                 if self.once:
-                    raise BrokerError(told, where=self.address.in_words) from None
+                    raise BrokerError(told) from None
                 self.say(f"{told} It is tried again.")
             else:
                 self.last = time.monotonic()

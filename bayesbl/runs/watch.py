@@ -113,7 +113,9 @@ def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
             expected='a pattern such as "data/{joint}/{date}.csv"',
         )
     if not folder.is_dir():
-        raise ConfigError("There is no such folder.", where="FOLDER", found=folder)
+        raise ConfigError(
+            "There is no such folder.", where="FOLDER", found=folder, expected="an existing folder"
+        )
     parts = Path(config.fleet.recordings).parts
     first = next(n for n, part in enumerate(parts) if re.search(r"\{(joint|date)\}", part))
     pattern = Path(os.path.abspath(folder), *parts[first:])

@@ -188,6 +188,7 @@ def test_a_service_that_is_stopped_ends_well(plant, capfd):
     arguments = ["watch", str(plant / "data"), "--config", str(plant / "plant.toml")]
     command = [sys.executable, "-c", code, *arguments, "--settled-s", "0.01"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert "Watching" in process.stderr.readline()
         assert "J1, 2025-01-01" in process.stderr.readline()
         process.terminate()
         assert process.wait(20) == 0
