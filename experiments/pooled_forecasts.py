@@ -2,7 +2,7 @@
 
     python experiments/pooled_forecasts.py [FLEETS]
 
-Fleets of seven types of gearbox, twenty joints each, whose rates are log-normal within a type. Three
+Fleets of seven types of gearbox, twenty joints each, whose rates are log-normal in a type. Three
 types wear by laws that the package has: evenly, running in, speeding up. Three wear by laws that it
 has not, or hardly. Of the last, one joint in five wears by another law than its type. A joint is
 seen 2, 3, 4 or 8 times, the last time at 0.3 to 0.8 of its life, or, one in four, at up to 1.3:
