@@ -1,4 +1,4 @@
-"""Files that hold arrays (NetCDF, MATLAB, Parquet) as a table of columns."""
+"""Files that hold arrays (NetCDF, MATLAB, Parquet, …) as a table of columns."""
 
 from __future__ import annotations
 
@@ -31,11 +31,14 @@ class ArrayTable:
         Name to values, shape (n,) each; n may differ between arrays that nobody asks for.
     units
         Units that the file itself states, by name.
+    clocks
+        Of columns that are sampled in groups, the column that holds their time in s, by name.
     """
 
     file: str
     arrays: Mapping[str, AnyArray]
     units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    clocks: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -45,6 +48,11 @@ class ArrayTable:
     def unit(self, column: int) -> str | None:
         """What the file says of a column's unit."""
         return self.units.get(self.columns[column])
+
+    def clock(self, column: int) -> int | None:
+        """The column that holds a column's time, where the file ties them together."""
+        name = self.clocks.get(self.columns[column])
+        return None if name is None else self.columns.index(name)
 
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
@@ -149,13 +157,15 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
         ) from None
 
 
-def missing_library(file: Path, kind: str, library: str) -> RecordingError:
+def missing_library(
+    file: Path, kind: str, library: str, otherwise: str = ""
+) -> RecordingError:
     """The optional library that a format needs is not installed."""
     return RecordingError(
         f"Reading {kind} needs {library}, which is not installed.",
         file=file,
         found=f"no module {library}",
-        expected='pip install "bayesbl[formats]"',
+        expected='pip install "bayesbl[formats]"' + (f", or {otherwise}" if otherwise else ""),
     )
 
 
