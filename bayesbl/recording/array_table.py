@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -144,7 +147,8 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
     zlib.error, struct.error, …), so there is no narrower list that would hold.
     """
     try:
-        yield
+        with _without_words():
+            yield
     except UserError:
         raise
     except Exception as error:
@@ -157,9 +161,21 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
         ) from None
 
 
-def missing_library(
-    file: Path, kind: str, library: str, otherwise: str = ""
-) -> RecordingError:
+@contextmanager
+def _without_words() -> Iterator[None]:
+    """Keep back what parsers print, log and complain of when a damaged file ends them."""
+    hook, level = sys.unraisablehook, logging.root.manager.disable
+    sys.unraisablehook = lambda _: None
+    logging.disable(logging.CRITICAL)
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        sys.unraisablehook = hook
+        logging.disable(level)
+
+
+def missing_library(file: Path, kind: str, library: str, otherwise: str = "") -> RecordingError:
     """The optional library that a format needs is not installed."""
     return RecordingError(
         f"Reading {kind} needs {library}, which is not installed.",

@@ -42,7 +42,11 @@ def require_new(path: Path, what: str, force: bool) -> None:
 
 
 def start_config(
-    recordings: Sequence[str | Path], out: str | Path | None = None, *, force: bool = False
+    recordings: Sequence[str | Path],
+    out: str | Path | None = None,
+    *,
+    joint: str | None = None,
+    force: bool = False,
 ) -> tuple[Path, Guess]:
     """Write a commented configuration: ``fit`` of one recording, ``compare`` of several.
 
@@ -52,6 +56,8 @@ def start_config(
         Files with the same columns; the first one is looked at.
     out
         The file to write; named after the first recording, in the working directory, by default.
+    joint
+        Which one, where a file holds several.
     force
         Write over an existing file.
 
@@ -67,7 +73,7 @@ def start_config(
     require_apart([path], [Path(file) for file in recordings])
     require_new(path, "configuration", force)
     table, *_ = [read_table(file) for file in recordings]
-    guess = guess_columns(first, table)
+    guess = guess_columns(first, table, joint)
     write_text(config_text([Path(file) for file in recordings], path, guess), path)
     return path, guess
 

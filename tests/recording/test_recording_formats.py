@@ -31,6 +31,7 @@ from recording_files import (
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.recording import formats
 from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -220,6 +221,30 @@ def test_one_joint_of_several_in_a_file_is_chosen_by_name_with_its_unit_and_its_
         read_recording(path, columns=mixed)
 
 
+def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    path = write_bag(tmp_path / "bag.mcap", JOINTS, TIME)
+    with pytest.raises(RecordingError, match="several joints.*joint_1, joint_2.*--joint joint_1"):
+        guess_columns(path, read_table(path))
+    with pytest.raises(RecordingError, match="no such joint.*joint_3.*joint_1, joint_2"):
+        guess_columns(path, read_table(path), "joint_3")
+    guess = guess_columns(path, read_table(path), "joint_2")
+    assert {column.channel: (column.name, column.unit) for column in guess.columns} == {
+        "time_s": ("joint_2/time_s", "s"),
+        "motor_speed_rpm": ("joint_2/velocity", "rad/s"),
+        "motor_position_rad": ("joint_2/position", "rad"),
+        "motor_torque_nm": ("joint_2/effort", "N m"),
+    }
+    slow = {"axis": {"position": TIME, "velocity": SPEED / 1e4, "effort": TIME}}
+    path = write_bag(tmp_path / "slow.mcap", slow, TIME)
+    speed = guess_columns(path, read_table(path)).columns[1]
+    assert "behind the gearbox" in speed.reason
+    assert not speed.sure
+    plain = write_csv(tmp_path / "log.csv", {"t": TIME, "axis 1/speed [rad/s]": SPEED})
+    assert guess_columns(plain, read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
+
+
 def test_a_bag_without_stamps_is_read_by_the_time_of_recording_only_if_that_is_asked_for(
     tmp_path: Path,
 ) -> None:
@@ -241,7 +266,9 @@ def test_units_of_mdf_are_used_and_a_packed_file_is_the_same(tmp_path: Path) -> 
 
 
 def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) -> None:
-    header = "Name\tA\nStarttime of export\t1\n\nName\tn\tName\tslow\nUnit\trad/s (Speed)\tUnit\tA\n"
+    header = (
+        "Name\tA\nStarttime of export\t1\n\nName\tn\tName\tslow\nUnit\trad/s (Speed)\tUnit\tA\n"
+    )
     kept = "".join(f"{i}\t{i % 7}\t{2 * i}\t{i}\n" for i in range(20)) + "20\t6\n" * 1
     path = tmp_path / "scope.csv"
     path.write_text(header + "\n" + kept)

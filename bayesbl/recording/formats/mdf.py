@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import io
 from pathlib import Path
+from traceback import clear_frames
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
@@ -28,9 +30,19 @@ def read_mdf(file: Path, data: bytes) -> ArrayTable:
         import asammdf
     except ImportError:
         raise missing_library(file, "MDF", "asammdf") from None
-    with readable(file, "MDF"), asammdf.MDF(io.BytesIO(data)) as stored:
+    with readable(file, "MDF"), _opened(asammdf.MDF, data) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups)
+
+
+def _opened(mdf: Any, data: bytes) -> Any:
+    try:
+        return mdf(io.BytesIO(data))
+    except Exception as error:
+        # What is left half made complains when it ends: here, where nobody hears it.
+        clear_frames(error.__traceback__)
+        gc.collect()
+        raise
 
 
 def _group(stored: Any, number: int) -> Group:

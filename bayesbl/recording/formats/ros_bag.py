@@ -1,4 +1,4 @@
-"""ROS bags (MCAP, SQLite, ROS 1) as a table: joints of JointState by name, other topics by field."""
+"""ROS bags (MCAP, SQLite, ROS 1) as a table: joints by name, other topics by field."""
 
 from __future__ import annotations
 
