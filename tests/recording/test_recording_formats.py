@@ -225,9 +225,9 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
     tmp_path: Path,
 ) -> None:
     path = write_bag(tmp_path / "bag.mcap", JOINTS, TIME)
-    with pytest.raises(RecordingError, match="several joints.*joint_1, joint_2.*--joint joint_1"):
+    with pytest.raises(RecordingError, match=r"several joints.*joint_1, joint_2.*--joint joint_1"):
         guess_columns(path, read_table(path))
-    with pytest.raises(RecordingError, match="no such joint.*joint_3.*joint_1, joint_2"):
+    with pytest.raises(RecordingError, match=r"no such joint.*joint_3.*joint_1, joint_2"):
         guess_columns(path, read_table(path), "joint_3")
     guess = guess_columns(path, read_table(path), "joint_2")
     assert {column.channel: (column.name, column.unit) for column in guess.columns} == {

@@ -111,7 +111,7 @@ def write_excel(path: Path, columns: Columns) -> Path:
 
 
 def write_bag(path: Path, joints: Mapping[str, Columns], time_s: Any, stamped: bool = True) -> Path:
-    """JointState of all joints at these times, as ROS 1 (.bag) or ROS 2 (.db3, .mcap) records it."""
+    """JointState of all joints, as ROS 1 (.bag) or ROS 2 (.db3, .mcap) records it."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 

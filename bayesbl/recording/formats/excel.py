@@ -54,8 +54,6 @@ def _check_size(file: Path, data: bytes) -> None:
 
 
 def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
-    import numpy as np
-
     rows = _rows(file, sheet)
     header = next(rows, ())
     places = {str(cell).strip(): i for i, cell in enumerate(header) if cell is not None}
@@ -71,7 +69,7 @@ def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
     for row in rows:
         for held, place in zip(values, places.values(), strict=True):
             held.append(row[place] if place < len(row) else None)
-    return {name: _array(held, np) for name, held in zip(places, values, strict=True)}
+    return {name: _array(held) for name, held in zip(places, values, strict=True)}
 
 
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
@@ -90,9 +88,11 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
             yield row
 
 
-def _array(cells: Sequence[object], np: Any) -> AnyArray:
+def _array(cells: Sequence[Any]) -> AnyArray:
     """Numbers with empty cells as NaN, dates as dates; anything else as it is."""
     from datetime import datetime
+
+    import numpy as np
 
     if all(cell is None or type(cell) in (int, float) for cell in cells):
         return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
