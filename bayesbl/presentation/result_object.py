@@ -187,10 +187,10 @@ class IdentificationResult(Result):
 
 
 class SweepResult(Result):
-    """The gap curve of a bench: a row a gap."""
+    """The gap curve of a bench."""
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The sweep's points."""
+        """What was simulated: a row a gap and start angle."""
         rows: pd.DataFrame = self._tree["sweep"].to_dataset().to_dataframe()
         return rows
 

@@ -94,7 +94,7 @@ def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
 def fragment(headline: str, blocks: Sequence[Block]) -> str:
     """The answer as a piece of HTML without a style of its own, for a notebook."""
     macros: Any = _environment().get_template("blocks.html").module
-    return f"<p><strong>{escape(headline)}</strong></p>{macros.blocks(blocks)}"
+    return f"<p><strong>{escape(words.glued(headline))}</strong></p>{macros.blocks(blocks)}"
 
 
 def _environment() -> Environment:
