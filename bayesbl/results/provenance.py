@@ -22,7 +22,6 @@ DEPENDENCIES = (
     "numpy",
     "scipy",
     "cma",
-    "emcee",
     "arviz-stats",
     "xarray",
     "netCDF4",
@@ -90,9 +89,14 @@ def code_sha256() -> str:
     return digest.hexdigest()
 
 
+@cache
+def _versions() -> Mapping[str, str]:
+    return {name: _version(name) for name in DEPENDENCIES}
+
+
 def dependency_versions() -> dict[str, str]:
     """Version of each of :data:`DEPENDENCIES`."""
-    return {name: _version(name) for name in DEPENDENCIES}
+    return dict(_versions())
 
 
 @cache
