@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         DiagnosisSummary,
         DisagreementSummary,
         DisagreementTableSummary,
+        EffectSummary,
         HeldValue,
     )
     from bayesbl.results.intervals import Interval
@@ -50,18 +51,48 @@ def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
 
 
 def headline(summary: DiagnosisSummary) -> str:
-    """The verdict as a sentence."""
-    names = [in_words(effect["name"]) for effect in summary["effects"]]
+    """The verdict as a sentence, with the size of what is missing."""
     match summary["verdict"]:
         case "named":
+            names = [_size_in_short(effect) for effect in summary["effects"]]
             listed = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-            return f"Missing in the bench: {listed}."
+            missing = "is missing from the bench" if len(names) == 1 else "are missing from the bench"
+            return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
         case "parameter_error":
-            return "No effect is missing, but parameters of the bench are wrong."
+            return "No effect is missing, but the bench is wrong: " + next(
+                parameter_errors(summary)
+            )
         case "unexplained":
-            return "Something repeats that no effect of the catalogue explains."
+            what = next(remaining(summary), ": .").partition(": ")[2]
+            return f"Something repeats that no effect of the catalogue explains: {what}"
         case _:
             return "Nothing is missing: the residuals do not repeat, or no finding generalises."
+
+
+def _size_in_short(effect: EffectSummary) -> str:
+    """``load Coulomb friction 6.1 N m (5.8 to 6.4)``, its order and its rivals."""
+    parameters = dict(effect["parameters"])
+    order = parameters.pop("order", None)
+    name, size = next(iter(parameters.items()))
+    words_of_name = in_words(effect["name"])
+    if order is not None:
+        words_of_name += f" of order {words.significant(order['median'], 3)}"
+    alike = [in_words(other) for other in effect["indistinguishable_from"]]
+    if len(alike) > 1:
+        alike = [f"one of {len(alike)} effects that look the same"]
+    return " or ".join(
+        [f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}".rstrip(), *alike]
+    )
+
+
+def _effect_of_naming(summary: DiagnosisSummary) -> str:
+    """``: with it, 99.8 % of the disagreement on held-out data is gone``."""
+    found = summary["disagreement"]["over_all"].get("held_out")
+    if found is None or found["closed_fraction"] is None:
+        return ""
+    them = "it" if len(summary["effects"]) == 1 else "them"
+    share = removed(found["closed_fraction"])
+    return f": with {them}, {share} of the disagreement on held-out data is gone"
 
 
 def has_augmented_bench(summary: DiagnosisSummary) -> bool:

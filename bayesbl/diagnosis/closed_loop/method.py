@@ -30,6 +30,7 @@ from bayesbl.matching.signals import (
     Unknown,
     gap_unknown,
     start_angle_unknown,
+    tolerance_unknowns,
 )
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import require_alive, require_channels
@@ -208,15 +209,14 @@ def _unknowns(
             unknowns.append(known)
         else:
             unknowns.append(start_angle_unknown(seen.name))
-    tolerances = bench.tolerances
+    toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
-        if name not in tolerances:
+        if name not in toleranced:
             raise refused(
                 "A parameter is free within its tolerance, and this one has none.",
                 "[unknowns] bench_parameters",
                 name,
                 f"a tolerance for {name} in {config.bench.name}",
             )
-        value, half = bench.value(name), tolerances[name]
-        unknowns.append(Unknown(name, value - half, value + half))
+        unknowns.append(toleranced[name])
     return unknowns
