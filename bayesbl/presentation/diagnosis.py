@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 FAR_BEYOND_NOISE = 10.0
 """Standard deviations from zero above which their number is of no use to a reader."""
 
+MOST_RIVALS = 2
+"""That a headline lists by name."""
+
 UNTOLD_SHARE = (
     "–: before naming, the disagreement is too small beside the noise to give a share of it."
 )
@@ -55,7 +58,10 @@ def headline(summary: DiagnosisSummary) -> str:
     match summary["verdict"]:
         case "named":
             names = [_size_in_short(effect) for effect in summary["effects"]]
-            listed = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+            if any(effect["indistinguishable_from"] for effect in summary["effects"]):
+                listed = "; ".join(names)
+            else:
+                listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
             missing = "is missing from the bench" if len(names) == 1 else "are missing from the bench"
             return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
         case "parameter_error":
@@ -66,6 +72,13 @@ def headline(summary: DiagnosisSummary) -> str:
             what = next(remaining(summary), ": .").partition(": ")[2]
             return f"Something repeats that no effect of the catalogue explains: {what}"
         case _:
+            left = summary["disagreement"]["over_all"].get("used")
+            if left is not None and left["closed_fraction"] is not None:
+                after, noise = (_sized_rms(left, key) for key in ("after", "noise_floor"))
+                return (
+                    f"No effect could be named, and the bench leaves {after} where the noise is "
+                    f"{noise}."
+                )
             return "Nothing is missing: the residuals do not repeat, or no finding generalises."
 
 
@@ -77,12 +90,12 @@ def _size_in_short(effect: EffectSummary) -> str:
     words_of_name = in_words(effect["name"])
     if order is not None:
         words_of_name += f" of order {words.significant(order['median'], 3)}"
-    alike = [in_words(other) for other in effect["indistinguishable_from"]]
-    if len(alike) > 1:
-        alike = [f"one of {len(alike)} effects that look the same"]
-    return " or ".join(
-        [f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}".rstrip(), *alike]
-    )
+    sized_name = f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}"
+    rivals = effect["indistinguishable_from"]
+    alike = " or ".join(map(in_words, rivals))
+    if len(rivals) > MOST_RIVALS:
+        alike = f"one of {len(rivals)} others that look the same"
+    return f"{sized_name}, or {alike}" if alike else sized_name
 
 
 def _effect_of_naming(summary: DiagnosisSummary) -> str:
