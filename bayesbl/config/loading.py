@@ -122,7 +122,6 @@ def config_from_options(
     recordings: Sequence[str | Path] = (),
     config: str | Path | None = None,
     dates: Sequence[Date] = (),
-    entry: Mapping[str, object] | None = None,
     **options: object,
 ) -> RunConfig:
     """The configuration of a command: options override the file, which overrides the defaults.
@@ -137,8 +136,6 @@ def config_from_options(
         A configuration to start from, of any kind that shares the sections.
     dates
         When each of ``recordings`` was taken; none by default.
-    entry
-        Further fields for each of ``recordings``.
     options
         Keys of :data:`OPTIONS`; ``None`` means not given. Paths are relative to the working
         directory.
@@ -164,7 +161,9 @@ def config_from_options(
             expected="one for each recording, in the same order, or none",
         )
     if recordings:
-        tables["recordings"] = [each | dict(entry or {}) for each in _entries(recordings, dates)]
+        tables["recordings"] = _entries(recordings, dates)
+        if kind == "diagnose":  # one half of each to fit on, as long as nobody says better
+            tables["recordings"] = [{**entry, "use": "split"} for entry in tables["recordings"]]
         origins[("recordings",)] = "recordings"
     for option, value in options.items():
         if value is not None:

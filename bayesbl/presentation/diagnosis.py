@@ -62,7 +62,9 @@ def headline(summary: DiagnosisSummary) -> str:
                 listed = "; ".join(names)
             else:
                 listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-            missing = "is missing from the bench" if len(names) == 1 else "are missing from the bench"
+            missing = (
+                "is missing from the bench" if len(names) == 1 else "are missing from the bench"
+            )
             return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
         case "parameter_error":
             return "No effect is missing, but the bench is wrong: " + next(
@@ -89,7 +91,7 @@ def _size_in_short(effect: EffectSummary) -> str:
     name, size = next(iter(parameters.items()))
     words_of_name = in_words(effect["name"])
     if order is not None:
-        words_of_name += f" of order {words.significant(order['median'], 3)}"
+        words_of_name += f" (order {_digits(order['median'])})"
     sized_name = f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}"
     rivals = effect["indistinguishable_from"]
     alike = " or ".join(map(in_words, rivals))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import textwrap
 from collections.abc import Sequence
-from datetime import date
 from pathlib import Path
 from typing import cast
 
@@ -26,10 +25,7 @@ DEFAULT_FILE = "diagnose.toml"
 
 
 def diagnosis_of(
-    recordings: Sequence[Path],
-    config: Path | None = None,
-    dates: Sequence[date] = (),
-    **options: object,
+    recordings: Sequence[str | Path], config: str | Path | None = None, **options: object
 ) -> tuple[DiagnoseConfig, list[Choice]]:
     """The configuration that recordings and options make, and what of it was guessed.
 
@@ -45,10 +41,7 @@ def diagnosis_of(
     UserError
         If anything given cannot be used, or no method suits recordings and bench.
     """
-    # Split, as long as nobody knows better: a configuration without anything held out is refused.
-    entry = {"use": "split"}
-    made = config_from_options("diagnose", recordings, config, dates, entry=entry, **options)
-    made = cast(DiagnoseConfig, made)
+    made = cast(DiagnoseConfig, config_from_options("diagnose", recordings, config, (), **options))
     read = [
         read_recording(entry.file, name=entry.name, columns=made.column_specs)
         for entry in made.recordings

@@ -79,11 +79,11 @@ def start_config(
     require_writable(path, [Path(file) for file in recordings], force)
     table, *_ = [read_table(file) for file in recordings]
     guess = guess_columns(first, table)
-    writequoted(configquoted([Path(file) for file in recordings], path, guess), path)
+    write_text(config_text([Path(file) for file in recordings], path, guess), path)
     return path, guess
 
 
-def configquoted(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
+def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
     kind = "fit" if len(recordings) == 1 else "compare"
     ramps = guess.torque_ramps

@@ -20,7 +20,7 @@ from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.predictive_check import ROUNDING
 from bayesbl.recording.checks import is_constant
-from bayesbl.recording.moving import VARIES, moves
+from bayesbl.recording.moving import is_one_speed, moves
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -39,9 +39,6 @@ take three."""
 
 SAME_SPEED = 0.01
 """Relative: recordings nearer than this are of one speed."""
-
-PARTS = 8
-"""Of a recording whose means are compared to see whether it turns at one speed."""
 
 FITTED = "effects are fitted on it"
 
@@ -126,14 +123,8 @@ def toml(value: object) -> str:
 
 
 def _turns_evenly(recording: Recording) -> bool:
-    """Whether the motor turns at one speed: no reference that varies, and no part that is slower.
-
-    Torque that repeats averages out over each part.
-    """
-    if moves(recording):
-        return False
-    parts = np.array([part.mean() for part in np.array_split(_speeds(recording), PARTS)])
-    return bool(np.ptp(parts) <= VARIES * abs(float(parts.mean())))
+    """Whether the motor turns at one speed: the reference does not vary, nor do parts differ."""
+    return not moves(recording) and is_one_speed(_speeds(recording), recording.sampling_period_s)
 
 
 def _speeds(recording: Recording) -> FloatArray:
@@ -196,8 +187,8 @@ def _method(
         return "inverse", "the bench is rigid, and two encoders show the motor and the load"
     if all(steady):
         return "forward", (
-            "the bench is rigid, neither torque nor current is recorded, and each speed is constant: "
-            "the controller's gains say what torque the speed's ripple takes"
+            "the bench is rigid, neither torque nor current is recorded, and each speed is "
+            "constant: the controller's gains say what torque the speed's ripple takes"
         )
     return "free_motion", (
         "the bench is rigid, and nothing drives the motor that is recorded: taken for let go with "
@@ -226,7 +217,7 @@ def _unknowns(bench: Bench, method: Method, channels: Sequence[str]) -> Iterator
         why = "half the play that joints have; wider for a worn one"
         yield Choice(("unknowns", "gap_rad"), DEFAULT_GAP_RAD, why)
     elif method == "forward":
-        from bayesbl.diagnosis.rigid.loop import LOOP_PARAMETERS
+        from bayesbl.diagnosis.rigid.speed_loop import LOOP_PARAMETERS
 
         toleranced = tuple(name for name in toleranced if name in LOOP_PARAMETERS)
     else:
@@ -257,7 +248,7 @@ def _uses(
         last = ("hold_out", "predicted, by what the other motions show")
         return [("fit", FITTED)] * (count - 1) + [last]
     held = _spare(speeds)
-    why = "predicted: the others show as much of friction without it"
+    why = "predicted, by what the others show of both directions and other speeds"
     if held is None and method == "forward" and bench.drive == "two_mass":
         short = [
             abs(speed) / 60.0 / bench.value("gear_ratio") * r.samples * r.sampling_period_s

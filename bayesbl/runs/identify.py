@@ -30,6 +30,7 @@ from bayesbl.sampling.chains import SamplerSettings
 if TYPE_CHECKING:
     from bayesbl.runs.summary import Summary
 
+
 def run(config: IdentifyConfig, options: Options) -> Summary:
     """Identify, and write the output folder with the bench."""
     return run_into_folder(

@@ -100,4 +100,5 @@ def recorded(
     waves = [np.array(w or ((1.0, 0.0, 0.0),)) for w in (drive.torques, drive.angles)]
     speed = RPM * _run(start, noise, 1.0 / hz / STEPS, STEPS, settling, p, *waves)
     time = np.arange(speed.size) / hz
-    return Recording(f"{rpm:g} rpm", time, {MOTOR_SPEED: speed})
+    name = f"{abs(rpm):g} rpm{' reverse' if rpm < 0.0 else ''}"
+    return Recording(name, time, {MOTOR_SPEED: speed})

@@ -22,12 +22,6 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
-from bayesbl.diagnosis.rigid.loop import (
-    LOOP_EFFECTS,
-    LOOP_PARAMETERS,
-    loop_values,
-    speed_of_torque,
-)
 from bayesbl.diagnosis.rigid.order_laws import (
     Free,
     Law,
@@ -47,12 +41,18 @@ from bayesbl.diagnosis.rigid.order_lines import (
     turned,
 )
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
+from bayesbl.diagnosis.rigid.speed_loop import (
+    LOOP_EFFECTS,
+    LOOP_PARAMETERS,
+    loop_values,
+    speed_of_torque,
+)
 from bayesbl.diagnosis.selection import MOST_EFFECTS, SURE_PARAMETER
 from bayesbl.diagnosis.task import Task, notes_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
-from bayesbl.recording.moving import VARIES
+from bayesbl.recording.moving import VARIES, is_one_speed
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray
 
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
@@ -68,8 +68,6 @@ CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_fri
 LAWS: Mapping[Law, str] = {"torque": RIPPLE, "angle": ECCENTRICITY}
 
 MOST_LINES = 12
-PARTS = 8
-"""Of a recording whose means show whether it turns at one speed; torque that repeats averages."""
 
 HIDDEN = (
     "From the speed alone the controller's integral hides what friction is on average: only what "
@@ -135,7 +133,8 @@ def loop_setting(task: Task) -> Setting:
             "A rigid drive in its closed loop is compared by its speed.",
             "[comparison] channels",
             ", ".join(config.comparison.channels),
-            f'["{MOTOR_SPEED}"]; or method = "inverse", which compares torque or current',
+            f'["{MOTOR_SPEED}"]; or method = "inverse", which compares torque or current; or '
+            'drive = "two_mass" in the bench, with its shaft and gap',
         )
     missing = [name for name in GAINS if name in bench.assumed]
     if missing:
@@ -163,13 +162,13 @@ def loop_setting(task: Task) -> Setting:
     response = partial(speed_of_torque, values)
     load_order = 1.0 / bench.value("gear_ratio") if bench.value("gravity_torque_nm") else None
     for entry, recording in zip(config.recordings, recordings, strict=True):
-        parts = np.array([p.mean() for p in np.array_split(recording.motor_speed_rpm, PARTS)])
-        if not np.ptp(parts) <= VARIES * abs(float(parts.mean())):
+        if not is_one_speed(recording.motor_speed_rpm, recording.sampling_period_s):
             raise RecordingError(
                 "The speed alone is compared in recordings of one speed each.",
                 file=recording.place,
                 where=MOTOR_SPEED,
-                found=f"parts of {parts.min():.4g} to {parts.max():.4g} rpm on average",
+                found=f"a mean of {recording.motor_speed_rpm.mean():.4g} rpm, and parts that "
+                "depart from it by more than noise and ripple do",
                 expected="one speed; or torque or current beside the motion (inverse)",
             )
         whole = piece_of(recording, MOTOR_SPEED, "used")
@@ -315,7 +314,7 @@ class _Answer:
                 continue
             first = line.order == 1.0
             rivals = self._rivals(lines, fit, place)
-            if law == "angle" and not first:
+            if law == "angle" and not (first or rivals):
                 angle = fit.sizes[place][1]
                 notes.append(
                     f"The line at order {line.order:.5g} grows with the speed as an error of the "
@@ -397,9 +396,9 @@ class _Answer:
                 )
         for name, estimate in _fitted(fit, self.setting.free.priors).items():
             believed = self.task.bench.parameters[name]
-            value = math.exp(estimate.value)
-            beyond = abs(value - believed.value) - believed.tolerance
-            if beyond > SURE_PARAMETER * value * estimate.sd:
+            fitted = math.exp(estimate.value)
+            beyond = abs(fitted - believed.value) - believed.tolerance
+            if beyond > SURE_PARAMETER * fitted * estimate.sd:
                 errors.append(ParameterError(name, believed.value, believed.tolerance, estimate))
         return tuple(effects), tuple(errors)
 
@@ -452,9 +451,7 @@ def _periodic_in_time(
             hertz = first.lowest_order * by_name[first.recordings[0]].turns_per_s
             size = max(line.amplitude for line in alike)
             names = tuple(line.recordings[0] for line in alike)
-            first = Unexplained(
-                MOTOR_SPEED, "time", size, "rpm", math.nan, math.nan, hertz, names
-            )
+            first = Unexplained(MOTOR_SPEED, "time", size, "rpm", math.nan, math.nan, hertz, names)
         found.append(first)
     return found
 
@@ -482,4 +479,3 @@ def _fitted(fit: LawFit, names: Iterable[str]) -> dict[str, Estimate]:
         name: Estimate(math.log(fit.values[name]), fit.deviations[name], logarithmic=True)
         for name in names
     }
-

@@ -1,8 +1,8 @@
 """Which law the lines of a rigid drive's speed follow over its speeds: a torque's, or an angle's.
 
 The size of each order's line at each speed is compared with what one torque, or one error of the
-encoder, would give through the loop (:mod:`bayesbl.diagnosis.rigid.loop`), all orders together and
-with the loop's own unknowns. Phases are free: where the motor starts is not known.
+encoder, would give through the loop (:mod:`bayesbl.diagnosis.rigid.speed_loop`), all orders
+together and with the loop's own unknowns. Phases are free: where the motor starts is not known.
 """
 
 from __future__ import annotations
@@ -16,13 +16,17 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from bayesbl.diagnosis.rigid.loop import speed_of_torque, torque_of_angle
+from bayesbl.diagnosis.rigid.speed_loop import speed_of_torque, torque_of_angle
 from bayesbl.recording.types import FloatArray
 
 Law = Literal["torque", "angle", "both"]
 
 FEWEST_FOR_BOTH = 4
 """Speeds at which two sizes and the angle between them still leave something to be wrong."""
+
+STARTS = (0.1, 1.0, 10.0)
+"""Of what is added to the loop, in sizes that would count: a small lag may raise what a larger one
+lowers."""
 
 EXPLAINED = 0.5
 """Largest share of a line's power that its law may leave at speeds that it was not fitted to."""
@@ -127,10 +131,14 @@ def fit_laws(
             else:
                 values[name] *= math.exp(float(value))
         parts = {key: float(v) * first[key] for key, v in zip(keys, x[len(loops) :], strict=True)}
+
+        def size(place: int, part: str) -> float:
+            return parts.get((place, part), 0.0)
+
         return values, {
-            place: tuple(parts.get((place, part), 0.0) for part in ("torque", "angle", "phase"))
+            place: (size(place, "torque"), size(place, "angle"), size(place, "phase"))
             for place in laws
-        }  # type: ignore[return-value]
+        }
 
     shown = {place: np.isfinite(lines.size[:, place]) for place in laws}
     priors = np.array([free.priors.get(name, math.inf) for name in loops])
@@ -143,11 +151,20 @@ def fit_laws(
             parts.append((lines.size[seen, place] - made) / lines.sd[seen, place])
         return np.concatenate(parts)
 
-    start = np.array([*np.zeros(len(loops)), *np.ones(len(keys))])
     low = np.array([*(0.0 if name in free.added else -3.0 for name in loops), *[-8.0] * len(keys)])
     high = np.array([*(50.0 if name in free.added else 3.0 for name in loops), *[1e4] * len(keys)])
-    start = np.maximum(start, low + 1e-3)
-    found = least_squares(misfit, start, bounds=(low, high), x_scale="jac")
+    found = min(
+        (
+            least_squares(
+                misfit,
+                np.array([*(size * (n in free.added) for n in loops), *np.ones(len(keys))]),
+                bounds=(low, high),
+                x_scale="jac",
+            )
+            for size in (STARTS if free.added else STARTS[:1])
+        ),
+        key=lambda trial: float(trial.cost),
+    )
     values, sizes = unpacked(found.x)
     rows = sum(int(seen.sum()) for seen in shown.values())
     chi_squared = float(np.sum(found.fun[len(loops) :] ** 2))

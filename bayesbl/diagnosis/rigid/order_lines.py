@@ -91,11 +91,13 @@ class Turning:
             step = self.speed_rad_per_s * self.piece.period_s
             before = self.angle[0] - step * np.arange(lead, 0, -1)
             torque = np.exp(1j * order * np.concatenate((before, self.angle)))
-            frequency = 2.0 * math.pi * np.fft.fftfreq(torque.size, self.piece.period_s)
+            turning = np.fft.fftfreq(torque.size, self.piece.period_s)
+            frequency: FloatArray = np.asarray(2.0 * math.pi * turning, dtype=float)
             frequency[0] = frequency[1]
             answer = self.response(frequency)
             answer[0] = 0.0  # the mean is fitted apart
-            one = abs(complex(self.response(np.array([order * self.speed_rad_per_s]))[0]))
+            mean: FloatArray = np.array([order * self.speed_rad_per_s])
+            one = abs(complex(self.response(mean)[0]))
             both = np.fft.fft(np.stack([torque.real, torque.imag]), axis=1) * answer / one
             self.made[order] = np.fft.ifft(both, axis=1).real[:, lead:].T
         return self.made[order]
@@ -208,7 +210,7 @@ def _refined(
     ]
 
     def misfit(value: float) -> float:
-        return -sum(abs(np.vdot(np.exp(1j * value * a), x)) ** 2 / v for a, x, v in parts)
+        return -sum(float(abs(np.vdot(np.exp(1j * value * a), x))) ** 2 / v for a, x, v in parts)
 
     best = float(
         minimize_scalar(
