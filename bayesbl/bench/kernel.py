@@ -23,7 +23,6 @@ import numpy as np
 
 from bayesbl.compiled import compiled
 
-
 LEARNED_HARMONICS = 12
 
 
@@ -34,7 +33,7 @@ class Slot(IntEnum):
     A vector of zeros in the effects' places is a bench without effects.
     """
 
-    _ignore_ = ["number", "wave"]
+    _ignore_ = "number wave"
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[Any]) -> int:

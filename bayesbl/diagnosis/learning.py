@@ -32,6 +32,10 @@ ORDERS = (1, 2, 3, 4, 6, 8, LEARNED_HARMONICS)
 CHANCE_LOSS = 6.6
 """χ² that a group may lose by chance: once in a hundred, with one degree of freedom."""
 
+LEAST_OF_ITS_OWN = 1e-3
+"""Share of a column's power that nothing else fitted makes, below which it is not fitted: its
+coefficient would be thirty times as uncertain as alone."""
+
 _ROUNDS = 4
 _FINER = 16
 _RIDGE = 1e-9
@@ -39,13 +43,15 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What the torque could depend on; ``constant``: it may have a mean."""
+    """What the torque could depend on.
+
+    ``own_zero``: the variable's zero is another one in every recording.
+    """
 
     side: Side
     variable: Variable
     period: float
     reverses: bool = False
-    constant: bool = True
     own_zero: bool = False
 
     def torque(self, coefficients: FloatArray) -> LearnedTorque:
@@ -81,17 +87,21 @@ class Trial:
 
     Attributes
     ----------
+    free
+        Coefficients that are fitted, by their place among constant, cosines and sines; all others
+        say nothing that is not fitted anyway.
     coefficients
-        Shape (2 orders + 1,), fitted on all groups.
+        Shape (2 orders + 1,), fitted on all groups; 0 where not free.
     shifts
         Of the variable in every group, relative to the first.
     gains
         χ² by which every group is predicted better than without, from the others.
-    before
-        χ² of every group without, beyond its ``samples``.
+    trials
+        How many were tried.
     """
 
     hypothesis: Hypothesis
+    free: tuple[int, ...]
     coefficients: FloatArray
     shifts: FloatArray
     gains: FloatArray
@@ -145,35 +155,53 @@ def _trials(
     hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
 ) -> Iterator[Trial]:
     for orders in ORDERS:
-        kept = _kept(groups, hypothesis, orders)
-        problem = _Problem(kept, precision, hypothesis, orders)
-        everyone = range(len(kept))
+        free = _free(groups, hypothesis, orders)
+        if not free:
+            continue
+        size = len(groups[0].products)
+        kept = np.array([*free, *range(1 + 2 * LEARNED_HARMONICS, size)])
+        chosen = [replace(g, products=g.products[np.ix_(kept, kept)]) for g in groups]
+        problem = _Problem(chosen, precision, hypothesis, orders, len(free))
+        everyone = range(len(chosen))
         z, _, shifts = problem.fitted(everyone)
         gains = np.array([problem.gain(k) for k in everyone])
         # Where a shift is sought on the group itself, as many places are tried as there are waves.
         trials = tried * (2.0 * orders if hypothesis.own_zero else 1.0)
+        places = tuple(p if p <= orders else p - LEARNED_HARMONICS + orders for p in free)
         complete = np.zeros(2 * orders + 1)
-        complete[0 if hypothesis.constant else 1 :] = z
-        yield Trial(hypothesis, complete, shifts, gains, trials)
+        complete[list(places)] = z
+        yield Trial(hypothesis, places, complete, shifts, gains, trials)
 
 
-def _kept(groups: Sequence[Group], hypothesis: Hypothesis, orders: int) -> list[Group]:
-    """The groups with the columns of these orders."""
-    first, most = int(not hypothesis.constant), LEARNED_HARMONICS
-    waves = [0, *range(1, 1 + orders), *range(1 + most, 1 + most + orders)][first:]
-    rest = range(1 + 2 * most, len(groups[0].products))
-    chosen = np.array([*waves, *rest])
-    return [replace(g, products=g.products[np.ix_(chosen, chosen)]) for g in groups]
+def _free(groups: Sequence[Group], hypothesis: Hypothesis, orders: int) -> list[int]:
+    """Columns of C up to these orders that are no combination of what is fitted anyway.
+
+    The first cosine of the load angle is a start angle, a constant may be an offset.
+    """
+    most = LEARNED_HARMONICS
+    waves = [*range(1, 1 + orders), *range(1 + most, 1 + most + orders)]
+    if hypothesis.own_zero:
+        return waves
+    total = np.sum([group.products for group in groups], axis=0)[:-1, :-1]
+    anyway = np.s_[1 + 2 * most :]
+    through = total[:, anyway] @ np.linalg.pinv(total[anyway, anyway], 1e-10, True)
+    left = np.diag(total) - np.einsum("ij,ij->i", through, total[:, anyway])
+    return [i for i in [0, *waves] if left[i] > LEAST_OF_ITS_OWN * total[i, i]]
 
 
 class _Problem:
     """One hypothesis with so many orders."""
 
     def __init__(
-        self, groups: Sequence[Group], precision: FloatArray, hypothesis: Hypothesis, orders: int
+        self,
+        groups: Sequence[Group],
+        precision: FloatArray,
+        hypothesis: Hypothesis,
+        orders: int,
+        waves: int,
     ) -> None:
         self._groups, self._hypothesis, self._orders = groups, hypothesis, orders
-        self._waves = 2 * orders + int(hypothesis.constant)
+        self._waves = waves
         self._prior = precision
 
     def fitted(self, members: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -207,7 +235,8 @@ class _Problem:
     def _solved(
         self, members: Sequence[int], shifts: FloatArray, waves: bool = True
     ) -> tuple[FloatArray, FloatArray]:
-        total = sum(self._shifted(self._groups[k].products, float(shifts[k])) for k in members)
+        parts = [self._shifted(self._groups[k].products, float(shifts[k])) for k in members]
+        total = np.sum(parts, axis=0)
         w = self._waves
         matrix = np.array(total[:-1, :-1])
         matrix[w:, w:] += self._prior
@@ -251,9 +280,9 @@ class _Problem:
         """Products with the columns of C as they are with the variable shifted."""
         if shift == 0.0:
             return products
-        n, first = self._orders, int(self._hypothesis.constant)
+        n = self._orders
         turn = 2.0 * math.pi * shift / self._hypothesis.period * np.arange(1, n + 1)
-        cosines, sines = np.arange(first, first + n), np.arange(first + n, first + 2 * n)
+        cosines, sines = np.arange(n), np.arange(n, 2 * n)
         change = np.eye(len(products))
         change[cosines, cosines] = change[sines, sines] = np.cos(turn)
         change[cosines, sines], change[sines, cosines] = np.sin(turn), -np.sin(turn)

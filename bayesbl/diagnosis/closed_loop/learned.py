@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,13 +16,18 @@ from bayesbl.bench.learned_torque import (
     LearnedTorque,
     coefficient_names,
 )
+from bayesbl.bench.steady import ringing_hz
+from bayesbl.diagnosis.closed_loop.augment import torque_of
+from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
 from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.naming.explanation import ROUGHLY_CONVERGED, Explanation, with_noise
+from bayesbl.naming.candidates import Candidate, amplitude_places
+from bayesbl.naming.criteria import ENOUGH_CLOSED
+from bayesbl.naming.explanation import ROUGHLY_CONVERGED, Explanation, gain_threshold, with_noise
 from bayesbl.recording.types import FloatArray
 
 LONGEST_PERIOD = 5.0
@@ -29,15 +35,13 @@ LONGEST_PERIOD = 5.0
 
 MOST_BASES = 3
 
+CURVE_POINTS = 181
+
 WHOLE = 0.02
 """Of an order: lines this close to a whole multiple of another belong to it."""
 
 RANGE = 10.0
 """Of every coefficient's flat prior, in the largest coefficient of the linear solution."""
-
-SEPARABLE = 0.5
-"""Least share of what the recordings know of δ that a learned torque must leave: below it, more of
-what the gap does to the signals than not could be the torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,9 @@ class Learned:
         χ² by which it predicts recordings that it was not fitted on.
     gap_share
         Share of the information on ln δ that it leaves; 1 where the gap is known.
+    reaches_ringing
+        Its orders repeat with the load, as impacts do, up to the ringing: it could be taken for
+        impacts, and these for it.
     """
 
     explanation: Explanation
@@ -63,6 +70,7 @@ class Learned:
     alike: tuple[LearnedTorque, ...]
     predicted_gain: float
     gap_share: float
+    reaches_ringing: bool
 
 
 def learned_torque(
@@ -88,19 +96,60 @@ def learned_torque(
             found.append((hypothesis, groups))
     trials = alike(learn(found, fit.model.prior_precision(), false_alarm), false_alarm)
     for trial in trials:
-        try:
-            explanation = _fitted(base, trial)
-        except BenchError:
-            continue
-        others = tuple(t.hypothesis.torque(t.coefficients) for t in trials if t is not trial)
-        torque = torque_of(explanation.fit)
-        return Learned(explanation, torque, others, trial.gain, gap_share(explanation.fit))
+        with suppress(BenchError):
+            explanation = _without_idle(_fitted(base, trial), false_alarm)
+            fit = explanation.fit
+            others = tuple(t.hypothesis.torque(t.coefficients) for t in trials if t is not trial)
+            torque = torque_of(fit)
+            return Learned(
+                explanation, torque, others, trial.gain, gap_share(fit), _reaches(fit.model, torque)
+            )
     return None
 
 
-def _hypotheses(
-    remaining: Sequence[Unexplained], motor_angle_known: bool
-) -> Iterator[Hypothesis]:
+def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
+    """Leave out named candidates, the faintest first, that beside the torque no longer stand out.
+
+    They stood in for it.
+    """
+    fit = explanation.fit
+    faintest: tuple[float, Candidate, list[int]] | None = None
+    for candidate in explanation.candidates:
+        names = {(u.name, u.recording) for u in candidate.unknowns}
+        at = [i for i, u in enumerate(fit.model.unknowns) if (u.name, u.recording) in names]
+        away = fit.point[at] - candidate.neutral
+        amplitudes = amplitude_places(candidate)
+        some = np.ix_([at[k] for k in amplitudes], [at[k] for k in amplitudes])
+        size = away[amplitudes]
+        gain = float(size @ np.linalg.solve(fit.covariance[some], size))
+        enough = gain_threshold(len(at), len(explanation.candidates), false_alarm)
+        if gain < enough and (faintest is None or gain < faintest[0]):
+            faintest = gain, candidate, at
+    if faintest is None:
+        return explanation
+    _, idle, at = faintest
+    kept = [i for i in range(fit.point.size) if i not in at]
+    bench = fit.model.bench
+    model = replace(
+        fit.model,
+        bench=bench.with_effects(*(e for e in bench.effects if e.name != idle.name)),
+        unknowns=tuple(fit.model.unknowns[i] for i in kept),
+    )
+    left = tuple(c for c in explanation.candidates if c is not idle)
+    fitted = Explanation(left, fit_simulated(model, fit.point[kept], fit.steps[kept]))
+    return _without_idle(fitted, false_alarm)
+
+
+def _reaches(model: SimulatedSignals, torque: LearnedTorque) -> bool:
+    """Whether the torque repeats with the load at orders that reach the ringing of an impact."""
+    if torque.variable != "load_angle":
+        return False
+    ringing = ringing_hz(model.bench.vector())
+    fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
+    return len(torque.cosine_nm) * fastest >= ringing
+
+
+def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Hypothesis]:
     turn = 2.0 * math.pi
     for side in ("load", "motor"):
         for reverses in (False, True):
@@ -108,9 +157,9 @@ def _hypotheses(
     own = not motor_angle_known
     for order in _bases(remaining, "motor angle", lambda entry: entry.lowest_order):
         if order * LONGEST_PERIOD >= 1.0:
-            yield Hypothesis("motor", "motor_angle", turn / order, False, False, own)
+            yield Hypothesis("motor", "motor_angle", turn / order, False, own)
     for frequency in _bases(remaining, "time", lambda entry: entry.frequency_hz):
-        yield Hypothesis("motor", "time", 1.0 / frequency, False, False, True)
+        yield Hypothesis("motor", "time", 1.0 / frequency, False, True)
 
 
 def _bases(
@@ -206,17 +255,15 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation:
     hypothesis, model = trial.hypothesis, base.fit.model
     reach = RANGE * float(np.abs(trial.coefficients).max())
     names = coefficient_names(trial.orders)
-    first = int(not hypothesis.constant)
-    unknowns = [Unknown(name, -reach, reach) for name in names[first:]]
-    start = [*trial.coefficients[first:]]
+    unknowns = [Unknown(names[k], -reach, reach) for k in trial.free]
+    start = [float(trial.coefficients[k]) for k in trial.free]
     if hypothesis.own_zero:
+        period = hypothesis.period
         whole = abs(2.0 * math.pi / hypothesis.period % 1.0) < 1e-6
         if not (hypothesis.variable == "motor_angle" and whole):
             half = 0.5 * WHOLE * hypothesis.period
-            period = f"{LEARNED_TORQUE}__period"
-            unknowns.append(Unknown(period, hypothesis.period - half, hypothesis.period + half))
-            start.append(hypothesis.period)
-        period = hypothesis.period
+            unknowns.append(Unknown(f"{LEARNED_TORQUE}__period", period - half, period + half))
+            start.append(period)
         for seen, shift in zip(model.recordings[1:], trial.shifts[1:], strict=False):
             unknowns.append(Unknown(SHIFT, -1.5 * period, 1.5 * period, recording=seen.name))
             start.append((shift + 0.5 * period) % period - 0.5 * period)
@@ -225,29 +272,6 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation:
     fit = fit_simulated(extended, begin, base.fit.steps, ROUGHLY_CONVERGED)
     explanation = replace(base, fit=fit)
     return with_noise(explanation, remaining_noise(fit))
-
-
-def torque_of(fit: SimulatedFit) -> LearnedTorque:
-    """The learned torque at the optimum, with standard deviations."""
-    learned = fit.model.bench.learned_torque
-    assert learned is not None
-    places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
-    spread = np.sqrt(np.diag(fit.covariance))
-    values = [
-        float(fit.point[places[name]]) if name in places else known
-        for name, known in zip(learned.names, learned.coefficients, strict=True)
-    ]
-    sds = [float(spread[places[name]]) if name in places else 0.0 for name in learned.names]
-    period = places.get(f"{LEARNED_TORQUE}__period")
-    orders = len(learned.cosine_nm)
-    return replace(
-        learned,
-        period=learned.period if period is None else float(fit.point[period]),
-        constant_nm=values[0],
-        cosine_nm=tuple(values[1 : 1 + orders]),
-        sine_nm=tuple(values[1 + orders :]),
-        sd_nm=tuple(sds),
-    )
 
 
 def gap_share(fit: SimulatedFit) -> float:
@@ -275,3 +299,31 @@ def band_of(fit: SimulatedFit, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     covariance = fit.covariance[np.ix_(at, at)]
     variance = np.einsum("xi,ij,xj->x", basis[:, free], covariance, basis[:, free])
     return torque.over(x), np.sqrt(variance)
+
+
+def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
+    """What is told of it; ``closed``: share of what repeated that is gone."""
+    torque = learned.torque
+    lowest = 0.0 if torque.belongs_to_recordings else -0.5 * torque.period
+    x = lowest + torque.period * np.linspace(0.0, 1.0, CURVE_POINTS)
+    values, sd = band_of(learned.explanation.fit, x)
+    withheld = ""
+    if learned.reaches_ringing:
+        withheld = (
+            "The learned torque repeats with the load at orders that reach the ringing of an "
+            "impact: it could be taken for impacts, so no gap is given."
+        )
+    elif closed < ENOUGH_CLOSED:
+        withheld = (
+            f"The learned torque removes {100.0 * closed:.0f} % of what repeats; from "
+            f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
+        )
+    size = values if torque.reverses else values - values.mean()
+    return LearnedAnswer(
+        torque,
+        float(np.abs(size).max()),
+        learned.alike,
+        LearnedCurve(x, values, sd),
+        learned.gap_share,
+        withheld,
+    )
