@@ -127,7 +127,7 @@ class Trial:
 def learn(
     found: Sequence[tuple[Hypothesis, Sequence[Group]]], precision: FloatArray, false_alarm: float
 ) -> list[Trial]:
-    """Hypotheses that predict, the best first, each with the number of orders that predicts best.
+    """Hypotheses that predict, the best first, each with the fewest orders that predict as well.
 
     Parameters
     ----------
@@ -137,10 +137,10 @@ def learn(
         Of learning anything where there is nothing.
     """
     tried = len(found) * len(ORDERS)
-    every = [
-        max(_trials(hypothesis, groups, precision, tried), key=lambda trial: trial.gain)
-        for hypothesis, groups in found
-    ]
+    every = []
+    for hypothesis, groups in found:
+        trials = sorted(_trials(hypothesis, groups, precision, tried), key=lambda t: -t.gain)
+        every += [min(alike(trials, false_alarm), key=lambda t: t.orders)] if trials else []
     sure = [trial for trial in every if trial.is_sure(false_alarm)]
     return sorted(sure, key=lambda trial: -trial.gain)
 

@@ -191,7 +191,7 @@ def diagnosis_of(
         verdict_of(
             effects="effect" in kinds,
             parameters="parameter" in kinds,
-            remains=naming.repeats or bool(found.remaining),
+            remains=naming.repeats or bool(found.remaining) or found.learned is not None,
         ),
         tuple(
             NamedEffect(
