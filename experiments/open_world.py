@@ -4,8 +4,8 @@
 
 A case hides one to three laws in the simulator of ``independent_bench.py`` that differ from the
 catalogue's, with strengths log-uniform over a decade: recordings at 2000, −2000 and 1200 rpm and
-one at 1600 rpm that is held out, a random gap, random start angles, coloured noise. A name is right if
-it is of the hidden law's family. Of what is left a learned torque should close most.
+one at 1600 rpm that is held out, a random gap, random start angles, coloured noise. A name is
+right if it is of the hidden law's family. Of what is left a learned torque should close most.
 """
 
 from __future__ import annotations
