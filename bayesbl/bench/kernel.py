@@ -457,7 +457,7 @@ def learned_torque(t, angle, speed, load_angle, p, c):  # type: ignore[no-untype
     elif variable == OVER_SPEED:
         x = speed
     else:
-        x = t - c.drift_start if math.isfinite(c.drift_start) else t
+        x = t - c.drift_start
     phase = 2.0 * math.pi * (x + p[Slot.learned_torque__shift]) / p[Slot.learned_torque__period]
     first_cosine = math.cos(phase)
     first_sine = math.sin(phase)
@@ -936,7 +936,9 @@ def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
     load = load_torque(load_angle, speed * c.per_ratio, p, c)
     if not c.effects or p[Slot.learned_torque__side] == 0.0:
         return load, 0.0
-    learned = learned_torque(0.0, load_angle * c.ratio, speed, load_angle, p, c)
+    learned = 0.0
+    if p[Slot.learned_torque__variable] != OVER_TIME:
+        learned = learned_torque(0.0, load_angle * c.ratio, speed, load_angle, p, c)
     if p[Slot.learned_torque__side] == AT_MOTOR:
         return load, learned
     return load + learned, 0.0
@@ -989,9 +991,12 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     carried = quasi_static_state(p, begin + math.pi, y)
     if not (quasi_static_state(p, begin, y) and carried):
         return SATURATED, 0
-    c = constants(p, y[MOTOR_ANGLE], math.inf)
+    # What goes with time begins about when the load will be there, and then exactly there.
+    expected = (start_angle - begin) / load_speed
+    in_time = p[Slot.learned_torque__side] != 0.0 and p[Slot.learned_torque__variable] == OVER_TIME
+    c = constants(p, y[MOTOR_ANGLE], expected if in_time else math.inf)
     none = np.empty((1, 0))
-    longest = 4.0 * (start_angle - begin) / load_speed + 1.0
+    longest = 4.0 * expected + 1.0
     first = y.copy()
     steady = np.empty((0, PIECE_COLUMNS))
     status, t, cost = integrate(
@@ -1007,8 +1012,7 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     lag = max(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     stop = t + (out.shape[1] - 1) * dt + max(0.0, -lead) + 1e-9
-    in_time = p[Slot.learned_torque__side] != 0.0 and p[Slot.learned_torque__variable] == OVER_TIME
-    if lag > 0.0 or in_time:
+    if lag > 0.0:
         # A channel that lags shows what was before the start: once more, now with the time known.
         status, _, more = integrate(
             0.0, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
