@@ -71,7 +71,7 @@ TRUTH = {
     SEPARATION: 1.7,
     ROTATION: 3.6,
 }
-PARTS = ("numpy", "scipy", "numba", "cma", "bayesbl")
+PARTS = ("numpy", "scipy", "numba", "cma", "emcee", "bayesbl")
 
 
 def main() -> None:

@@ -14,7 +14,6 @@ import typer
 
 from bayesbl import __version__
 from bayesbl.cli.bench import (
-    diagnose_command,
     effects_command,
     plan_command,
     simulate_command,
@@ -22,7 +21,7 @@ from bayesbl.cli.bench import (
 )
 from bayesbl.cli.configurations import check_command, fleet_command, init_command, run_command
 from bayesbl.cli.device import collect_command, watch_command
-from bayesbl.cli.identifying import identify_command
+from bayesbl.cli.identifying import diagnose_command, identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command

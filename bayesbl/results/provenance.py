@@ -22,6 +22,7 @@ DEPENDENCIES = (
     "numpy",
     "scipy",
     "cma",
+    "emcee",
     "arviz-stats",
     "xarray",
     "netCDF4",
@@ -89,14 +90,9 @@ def code_sha256() -> str:
     return digest.hexdigest()
 
 
-@cache
-def _versions() -> Mapping[str, str]:
-    return {name: _version(name) for name in DEPENDENCIES}
-
-
 def dependency_versions() -> dict[str, str]:
     """Version of each of :data:`DEPENDENCIES`."""
-    return dict(_versions())
+    return {name: _version(name) for name in DEPENDENCIES}
 
 
 @cache

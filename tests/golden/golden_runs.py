@@ -39,7 +39,7 @@ import xarray as xr
 HERE = Path(__file__).resolve().parent
 REPOSITORY = HERE.parents[1]
 GOLDEN_FILE = HERE / "golden.json"
-NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "cma")
+NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "emcee", "cma")
 SECTIONS = ("values", "intervals", "draws", "names", "chain")
 
 Numbers = dict[str, dict[str, Any]]

@@ -212,8 +212,8 @@ def test_a_changed_problem_is_refused_in_words(config):
         finish(config, limit_rad=1e-3)
     file = unfinished(config) / "problem.json"
     problem = json.loads(file.read_text())
-    file.write_text(json.dumps(problem | {"version of cma": "3.0.0"}))
-    with pytest.raises(ResultError, match=r"version of cma was 3\.0\.0, is"):
+    file.write_text(json.dumps(problem | {"version of emcee": "3.0.0"}))
+    with pytest.raises(ResultError, match=r"version of emcee was 3\.0\.0, is"):
         finish(config)
     file.write_text(json.dumps(problem))
     recording = config.parent / "after.csv"
