@@ -87,8 +87,7 @@ def walk(
     last: FloatArray | None = None
     while steps < settings.max_steps:
         count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
-        for ensemble in ensembles:
-            ensemble.run(count)
+        Ensemble.walk(ensembles, count)
         steps += count
         chains = [ensemble.chain[steps // 4 :] for ensemble in ensembles]
         tau = max(integrated_time(chain) for chain in chains)

@@ -42,9 +42,52 @@ def test_a_normal_cut_off_by_its_range_is_drawn_from_though_the_start_knows_noth
     low, high = np.array([cut, -np.inf]), np.array([np.inf, np.inf])
     centre = np.array([max(cut, 0.0) + 0.1, 0.0])
     ensemble = Ensemble(target, centre, covariance, (low, high), np.random.SeedSequence(5))
-    ensemble.run(1500)
+    Ensemble.walk([ensemble], 1500)
     draws = ensemble.chain[300:].reshape(-1, 2)
     known = truncnorm(cut, np.inf)
     assert draws[:, 0].mean() == pytest.approx(known.mean(), abs=5.0 * known.std() / 4000**0.5)
     assert draws[:, 0].std() == pytest.approx(known.std(), rel=0.06)
     assert draws[:, 1].mean() == pytest.approx(0.95 * known.mean(), abs=0.06)
+
+
+def test_ensembles_side_by_side_walk_as_emcee_walks_each_alone():
+    """A bent valley that ends at a wall, behind which some walkers start."""
+    emcee = pytest.importorskip("emcee")
+
+    def bent(points: np.ndarray) -> np.ndarray:
+        x, y, z = points.T
+        density = -0.5 * ((x - 1.0) ** 2 / 0.04 + (y - x**2) ** 2 / 0.1 + z**2)
+        return np.where(x > 1.2, -np.inf, density)
+
+    centre, covariance = np.array([1.0, 1.0, 0.0]), np.diag([0.04, 0.1, 1.0])
+    box = np.full(3, -5.0), np.full(3, 5.0)
+    seeds = np.random.SeedSequence(5).spawn(3)
+    ours = [Ensemble(bent, centre, covariance, box, seed) for seed in seeds]
+    starts = [one._points.copy() for one in ours]
+    for steps in (40, 110):
+        Ensemble.walk(ours, steps)
+    for one, seed, start in zip(ours, np.random.SeedSequence(5).spawn(3), starts, strict=True):
+        _, walk_seed = seed.spawn(2)
+        moves = [
+            (emcee.moves.DEMove(), 0.5),
+            (emcee.moves.MHMove(anew(centre, np.linalg.cholesky(covariance))), 0.5),
+        ]
+        sampler = emcee.EnsembleSampler(*start.shape, bent, moves=moves, vectorize=True)
+        random = np.random.RandomState(np.random.MT19937(walk_seed)).get_state()
+        with np.errstate(invalid="ignore"):
+            state = emcee.State(start, random_state=random)
+            sampler.run_mcmc(state, 150, skip_initial_state_check=True)
+        np.testing.assert_array_equal(one.chain, sampler.get_chain())
+        assert one.acceptance == pytest.approx(float(sampler.acceptance_fraction.mean()))
+
+
+def test_a_density_that_is_no_number_ends_the_walk():
+    box = np.full(1, -1.0), np.full(1, 1.0)
+    with pytest.raises(ValueError, match="not a number"):
+        Ensemble(
+            lambda points: np.full(len(points), np.nan),
+            np.zeros(1),
+            np.eye(1),
+            box,
+            np.random.SeedSequence(1),
+        )
