@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayesbl.cli.statuses import WITHHELD
+from bayesbl.cli.volume import VOLUME
 from bayesbl.errors import ConfigError, ResultError
 
 if TYPE_CHECKING:
@@ -29,18 +30,25 @@ def run_file(
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
-    from bayesbl.presentation.console import print_result
+    from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.progress import progress
     from bayesbl.presentation.terminal import make_console, say
+    from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.run import run
 
-    console = make_console(stderr=True)
+    console, volume = make_console(stderr=True), VOLUME.get()
+    if volume == "quiet":
+        console.quiet = True
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
     if json:
         print_json(config.run.output)
+    elif volume == "quiet":
+        print_headline(summary, make_console())
     else:
         print_result(summary, config.run.output, make_console())
+        if volume == "verbose" and config.kind != "fleet":
+            print_details(read_result(config.run.output), summary, make_console())
     if summary["outcome"] == "withheld":
         if json:
             say(f"Withheld: {summary['reason']}", err=True)
