@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import io
+import re
 from pathlib import Path
 from traceback import clear_frames
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,9 @@ from bayesbl.recording.formats import Format
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
     from bayesbl.recording.clocked_columns import Group
+
+_IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
+"""What asammdf calls a file by that it was given in memory."""
 
 
 def read_mdf(file: Path, data: bytes) -> ArrayTable:
@@ -42,7 +46,7 @@ def _opened(mdf: Any, data: bytes) -> Any:
         # What is left half made complains when it ends: here, where nobody hears it.
         clear_frames(error.__traceback__)
         gc.collect()
-        raise
+        raise ValueError(_IN_MEMORY.sub("it", str(error))) from None
 
 
 def _group(stored: Any, number: int) -> Group:
