@@ -60,13 +60,17 @@ _AGREEMENT = 0.02
 
 @dataclass(frozen=True, slots=True)
 class GuessedColumn:
-    """A column, the channel it may be, and why; ``sure`` if the file itself says all of it."""
+    """A column, the channel it may be, and why; ``sure`` if the file itself states the unit.
+
+    ``doubted``: the reason is a question about the channel.
+    """
 
     channel: str
     name: str
     unit: str
     reason: str
     sure: bool
+    doubted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +210,7 @@ def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
     if not column.sure or rpm >= _USUAL_SPEEDS_RPM[0]:
         return column
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    return replace(column, reason=reason, sure=False)
+    return replace(column, reason=reason, doubted=True)
 
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:

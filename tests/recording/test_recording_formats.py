@@ -240,7 +240,7 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
     path = write_bag(tmp_path / "slow.mcap", slow, TIME)
     speed = guess_columns(path, read_table(path)).columns[1]
     assert "behind the gearbox" in speed.reason
-    assert not speed.sure
+    assert speed.doubted
     plain = write_csv(tmp_path / "log.csv", {"t": TIME, "axis 1/speed [rad/s]": SPEED})
     assert guess_columns(plain, read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
 
