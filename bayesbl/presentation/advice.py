@@ -122,6 +122,8 @@ def of_diagnosis(summary: DiagnosisSummary) -> Advice:
                 title = f"Go on with {AUGMENTED_BENCH}."
                 return Advice("note", title, (*wrong, *_go_on(summary)))
             return Advice("note", "Correct the bench before you rely on it.", wrong)
+        case "unexplained" if "learned_torque" in summary:
+            return Advice("watch", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "unexplained":
             return Advice(
                 "watch",

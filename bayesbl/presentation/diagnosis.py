@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
@@ -17,12 +18,18 @@ if TYPE_CHECKING:
         DiagnosisSummary,
         DisagreementSummary,
         DisagreementTableSummary,
+        EffectSummary,
         HeldValue,
+        LearnedDependence,
+        LearnedSummary,
     )
     from bayesbl.results.intervals import Interval
 
 FAR_BEYOND_NOISE = 10.0
 """Standard deviations from zero above which their number is of no use to a reader."""
+
+MOST_RIVALS = 2
+"""That a headline lists by name."""
 
 UNTOLD_SHARE = (
     "–: before naming, the disagreement is too small beside the noise to give a share of it."
@@ -33,7 +40,7 @@ _USES = {"used": "fitted on", "held_out": "held out"}
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """One sentence per effect and parameter, the disagreement, what still repeats."""
-    for sentence in (*effects(summary), *parameter_errors(summary)):
+    for sentence in (*effects(summary), *parameter_errors(summary), *learned(summary)):
         yield Sentence(sentence)
     yield disagreement_table(summary["disagreement"])
     if any(row["closed_fraction"] is None for *_, row in _rows(summary["disagreement"])):
@@ -50,18 +57,64 @@ def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
 
 
 def headline(summary: DiagnosisSummary) -> str:
-    """The verdict as a sentence."""
-    names = [in_words(effect["name"]) for effect in summary["effects"]]
+    """The verdict as a sentence, with the size of what is missing."""
     match summary["verdict"]:
         case "named":
-            listed = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-            return f"Missing in the bench: {listed}."
+            names = [_size_in_short(effect) for effect in summary["effects"]]
+            if any(effect["indistinguishable_from"] for effect in summary["effects"]):
+                listed = "; ".join(names)
+            else:
+                listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+            missing = (
+                "is missing from the bench" if len(names) == 1 else "are missing from the bench"
+            )
+            return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
         case "parameter_error":
-            return "No effect is missing, but parameters of the bench are wrong."
+            return "No effect is missing, but the bench is wrong: " + next(
+                parameter_errors(summary)
+            )
+        case "unexplained" if "learned_torque" in summary:
+            return (
+                f"No effect of the catalogue explains it: {dependence(summary['learned_torque'])}."
+            )
         case "unexplained":
-            return "Something repeats that no effect of the catalogue explains."
+            what = next(remaining(summary), ": .").partition(": ")[2]
+            return f"Something repeats that no effect of the catalogue explains: {what}"
         case _:
+            left = summary["disagreement"]["over_all"].get("used")
+            if left is not None and left["closed_fraction"] is not None:
+                after, noise = (_sized_rms(left, key) for key in ("after", "noise_floor"))
+                return (
+                    f"No effect could be named, and the bench leaves {after} where the noise is "
+                    f"{noise}."
+                )
             return "Nothing is missing: the residuals do not repeat, or no finding generalises."
+
+
+def _size_in_short(effect: EffectSummary) -> str:
+    """``load Coulomb friction 6.1 N m (5.8 to 6.4)``, its order and its rivals."""
+    parameters = dict(effect["parameters"])
+    order = parameters.pop("order", None)
+    name, size = next(iter(parameters.items()))
+    words_of_name = in_words(effect["name"])
+    if order is not None:
+        words_of_name += f" (order {_digits(order['median'])})"
+    sized_name = f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}"
+    rivals = effect["indistinguishable_from"]
+    alike = " or ".join(map(in_words, rivals))
+    if len(rivals) > MOST_RIVALS:
+        alike = f"one of {len(rivals)} others that look the same"
+    return f"{sized_name}, or {alike}" if alike else sized_name
+
+
+def _effect_of_naming(summary: DiagnosisSummary) -> str:
+    """``: with it, 99.8 % of the disagreement on held-out data is gone``."""
+    found = summary["disagreement"]["over_all"].get("held_out")
+    if found is None or found["closed_fraction"] is None:
+        return ""
+    them = "it" if len(summary["effects"]) == 1 else "them"
+    share = removed(found["closed_fraction"])
+    return f": with {them}, {share} of the disagreement on held-out data is gone"
 
 
 def has_augmented_bench(summary: DiagnosisSummary) -> bool:
@@ -97,6 +150,46 @@ def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
         yield text[0].upper() + text[1:]
 
 
+def learned(summary: DiagnosisSummary) -> Iterator[str]:
+    """The torque of no known law: what it depends on, how large it is, what it is not told from."""
+    found = summary.get("learned_torque")
+    if found is None:
+        return
+    size = words.significant(found["amplitude_nm"])
+    text = f"Learned, as no effect of the catalogue explains it: {dependence(found)}, {size} N m."
+    if found["alike"]:
+        others = "; ".join(dependence(other) for other in found["alike"])
+        text += f" It cannot be told apart from {others}."
+    yield text
+    share = found["gap_share"]
+    if found["gap_withheld"]:
+        yield found["gap_withheld"]
+    elif share is not None and share < 0.5:
+        yield (
+            f"Beside it the recordings hold {words.significant(100.0 * share)} % of what they "
+            "would tell about the gap without it; the gap's interval includes that."
+        )
+
+
+def dependence(found: LearnedDependence | LearnedSummary) -> str:
+    """``a torque at the load over the load angle, orders 1 to 7``."""
+    turn = 2.0 * math.pi / found["period"]
+    over, base = {
+        "motor_angle": ("the motor angle", turn),
+        "load_angle": ("the load angle", turn),
+        "motor_speed": ("the motor speed", 1.0),
+        "time": ("time", 1.0 / found["period"]),
+    }[found["variable"]]
+    orders = [number(k * base, 3).rstrip("0").rstrip(".") for k in (1, found["orders"])]
+    listed = f"order {orders[0]}" if found["orders"] == 1 else f"orders {orders[0]} to {orders[1]}"
+    if found["variable"] == "time":
+        listed = f"{orders[0]} Hz" if found["orders"] == 1 else f"{orders[0]} to {orders[1]} Hz"
+    if found["variable"] == "motor_speed":
+        listed = f"{found['orders']} waves over {words.significant(found['period'])} rad/s"
+    reverses = " that reverses with the direction" if found["reverses"] else ""
+    return f"a torque at the {found['side']}{reverses} over {over}, {listed}"
+
+
 def remaining(summary: DiagnosisSummary) -> Iterator[str]:
     """What still repeats after naming."""
     from bayesbl.presentation.residuals import unexplained_phrase  # numpy is behind it
@@ -123,7 +216,9 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
     if before is None or after is None:
         return
     gap = words.in_mrad(after)
-    if summary["verdict"] == "unexplained":
+    if "learned_torque" in summary:
+        yield f"With the learned torque the gap is {gap}."
+    elif summary["verdict"] == "unexplained":
         yield (
             f"Fitted in spite of what is unexplained, the gap would be {gap}: do not rely on it."
         )

@@ -100,8 +100,15 @@ class _Named:
         return not self.words.isdisjoint(words.split())
 
 
-def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> Guess:
+def guess_columns(
+    path: str | Path, table: Table, joint: str | None = None, *, position_will_do: bool = False
+) -> Guess:
     """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
+
+    Parameters
+    ----------
+    position_will_do
+        Whether a position is enough where there is no speed.
 
     Raises
     ------
@@ -123,7 +130,8 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
     ramps = MOTOR_SPEED not in chosen and _is_of_ramps(table, chosen)
-    if MOTOR_SPEED not in chosen and not ramps:
+    moved = position_will_do and MOTOR_POSITION in chosen
+    if MOTOR_SPEED not in chosen and not ramps and not moved:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
         channel: _series(path, table, column)

@@ -20,6 +20,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.rigid.loop_method import METHOD as RIGID
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed, observed
@@ -30,6 +31,7 @@ from bayesbl.matching.signals import (
     Unknown,
     gap_unknown,
     start_angle_unknown,
+    tolerance_unknowns,
 )
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import require_alive, require_channels
@@ -57,20 +59,29 @@ SPEED_ALONE = (
     "by the speed alone, as the controller's integral hides them."
 )
 
+NOT_SAMPLED = (
+    "With a learned torque nothing is sampled: intervals are of the normal approximation to the "
+    "posterior of all its coefficients with everything else."
+)
+
 
 class ClosedLoop:
-    """Speed and current beside their simulation."""
+    """Speed and current beside their simulation; of a rigid drive, lines of its speed."""
 
     name = "forward"
 
     def describe(self, task: Task) -> str:
         """How many recordings, and what is unknown."""
+        if task.bench.drive == "rigid":
+            return RIGID.describe(task)
         used, held_out, unknowns, _ = forward_problem(task)
         free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
         return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
 
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer, with draws of everything unknown."""
+        """The answer, with draws of everything unknown where there is a gap."""
+        if task.bench.drive == "rigid":
+            return RIGID.diagnose(task, progress)
         config = task.config
         used, held_out, unknowns, notes = forward_problem(task)
         asked = config.candidates.effects
@@ -85,6 +96,8 @@ class ClosedLoop:
         fits = None if progress is None else partial(progress, "candidates")
         problem = (task.bench, used, held_out, unknowns, settings)
         found = task.work.get("naming", problem, lambda: search(*problem, fits), Findings)
+        if found.learned is not None:
+            return diagnosis_of(found, None, (*notes, NOT_SAMPLED))
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
         posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
@@ -208,15 +221,14 @@ def _unknowns(
             unknowns.append(known)
         else:
             unknowns.append(start_angle_unknown(seen.name))
-    tolerances = bench.tolerances
+    toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
-        if name not in tolerances:
+        if name not in toleranced:
             raise refused(
                 "A parameter is free within its tolerance, and this one has none.",
                 "[unknowns] bench_parameters",
                 name,
                 f"a tolerance for {name} in {config.bench.name}",
             )
-        value, half = bench.value(name), tolerances[name]
-        unknowns.append(Unknown(name, value - half, value + half))
+        unknowns.append(toleranced[name])
     return unknowns
