@@ -15,6 +15,8 @@ from bayesbl.cli.volume import VOLUME
 from bayesbl.errors import ConfigError, RecordingError, ResultError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bayesbl.config.sections import RunConfig
 
 
@@ -30,6 +32,15 @@ def run_file(
         run_config(load_run(config, kind=kind, **options), force, json, config)
 
 
+def notes_console() -> Console:
+    """Standard error, for progress and what is noted on the way; silent with ``--quiet``."""
+    from bayesbl.presentation.terminal import make_console
+
+    console = make_console(stderr=True)
+    console.quiet = VOLUME.get() == "quiet"
+    return console
+
+
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
@@ -39,9 +50,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
     from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.run import run
 
-    console, volume = make_console(stderr=True), VOLUME.get()
-    if volume == "quiet":
-        console.quiet = True
+    console, volume = notes_console(), VOLUME.get()
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
     if json:

@@ -45,6 +45,8 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output arm"
 _MOTOR = "motor mot m"
+_SIDES = f"{_REFERENCE} {_MOTOR} load"
+"""What groups of one joint's columns are called: none of them is a joint."""
 
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
@@ -165,7 +167,9 @@ def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]
     joints = dict.fromkeys(
         group
         for group, column in zip(groups, inner, strict=True)
-        if group and _channel(column) == MOTOR_SPEED
+        if group
+        and _channel(column) in (MOTOR_SPEED, MOTOR_POSITION)
+        and _words(group).isdisjoint(_SIDES.split())
     )
     known = shortened(", ".join(joints), 200)
     if joint is not None and joint not in joints:
@@ -224,13 +228,21 @@ def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:
     """Words of a name in small letters, and the unit that it or the file states."""
     bare, in_name = split_unit(name)
-    bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
-    parts = [part for part in re.split(r"[\W_]+", bare) if part]
+    parts = _split(bare)
     unit = _known_unit(table.unit(index)) or in_name
     if unit is None and len(parts) > 1:
         unit = _known_unit(parts[-1], also_small=True)
-    words = frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in parts)
-    return words, unit
+    return _words(bare), unit
+
+
+def _split(text: str) -> list[str]:
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return [part for part in re.split(r"[\W_]+", spaced) if part]
+
+
+def _words(text: str) -> frozenset[str]:
+    """Words in small letters, without the numbers at their ends."""
+    return frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
 
 
 def _known_unit(text: str | None, *, also_small: bool = False) -> str | None:

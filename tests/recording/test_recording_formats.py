@@ -241,6 +241,10 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
     speed = guess_columns(path, read_table(path)).columns[1]
     assert "behind the gearbox" in speed.reason
     assert speed.doubted
+    sides = {"t": TIME, "motor/speed": SPEED, "ref/speed": SPEED, "load/angle": TIME}
+    path = write_csv(tmp_path / "sides.csv", sides)
+    found = {column.channel for column in guess_columns(path, read_table(path)).columns}
+    assert found == {"time_s", "motor_speed_rpm", "reference_speed_rpm", "load_position_rad"}
     plain = write_csv(tmp_path / "log.csv", {"t": TIME, "axis 1/speed [rad/s]": SPEED})
     assert guess_columns(plain, read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
 
