@@ -293,7 +293,7 @@ def compared_undated(change, above, limit=1.2e-3):
     ("change", "above", "told"),
     [
         ((1e-4, 3e-4), 0.0, "0.9 mrad, still below the limit of 1.2 mrad"),
-        ((4e-4, 6e-4), 0.0, "1.2 mrad, close to the limit of 1.2 mrad"),
+        ((4e-4, 6e-4), 0.0, "bring the gap close to its limit of 1.2 mrad."),
         ((5e-4, 7e-4), 0.0, "1.3 mrad, beyond the limit of 1.2 mrad"),
         ((1e-4, 3e-4), 0.99, None),
         ((-3e-4, -1e-4), 0.0, None),
