@@ -473,8 +473,8 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
 def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
     text = re.search(r'<section id="figures">.*?</section>', written, re.S)[0]
     shown, folded = text.split("<details>")
-    assert "ensembles, step by step" not in shown
-    assert "ensembles, step by step" in folded
+    assert "ensemble by ensemble" not in shown
+    assert "ensemble by ensemble" in folded
     assert "The measured motor speed" in shown
     numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", text)]
     assert numbers == list(range(1, len(numbers) + 1))
