@@ -418,8 +418,8 @@ def test_a_closed_pipe_is_quiet(compared):
 
 def test_quiet_says_the_answer_alone_wherever_it_stands(tmp_path, capsys):
     base = two_ensembles(tmp_path, "fit")
-    recording = str(RECORDINGS / "wear_before.csv")
-    command = ["fit", recording, "--config", str(base), "--curve", "published"]
+    recording = cut(BEFORE, tmp_path / "two.csv", 2 * ROTATION_SAMPLES + 100)
+    command = ["fit", str(recording), "--config", str(base), "--curve", "published"]
     with without_figures():
         assert cli.status([*command, "--out", str(tmp_path / "out"), "--quiet"]) == 0
     printed = capsys.readouterr()

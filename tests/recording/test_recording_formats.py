@@ -287,6 +287,20 @@ def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) 
     np.testing.assert_array_equal(read_table(path).numbers([3])[:, 0], np.arange(20))
 
 
+def test_a_channel_of_text_in_a_scope_export_is_left_and_text_among_numbers_refused(
+    tmp_path: Path,
+) -> None:
+    header = "Name\tA\nStarttime of export\t1\n\nName\tn\tName\ton\nData-Type\tREAL64\n\n"
+    path = tmp_path / "scope.csv"
+    path.write_text(header + "".join(f"{i}\t{i % 7}\t{i}\tTrue\n" for i in range(20)))
+    table = read_table(path)
+    assert table.columns == ("time_s", "n", "on")
+    assert np.isnan(table.numbers([2])).all()
+    path.write_text(path.read_text().replace("\n5\t5\t", "\n5\tbad\t"))
+    with pytest.raises(RecordingError, match=r"line 12.*text among the samples.*'bad'"):
+        read_table(path)
+
+
 @pytest.mark.parametrize(
     ("library", "kind"),
     [
