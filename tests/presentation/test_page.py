@@ -22,7 +22,7 @@ from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
-from bayesbl.presentation.page.build import page
+from bayesbl.presentation.page.build import _prose, page
 from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.provenance import provenance
@@ -529,3 +529,10 @@ def test_a_notebook_shows_names_of_others_as_text(tree):
     html = result_of(hostile(tree))._repr_html_()
     assert HOSTILE not in html
     assert Reader(html).open == []
+
+
+def test_commands_are_code_and_no_option_is_broken_or_brings_markup():
+    assert str(_prose("Then `bayesbl fit A --bench <b>`; (--limit-rad) a--b")) == (
+        'Then <code>bayesbl fit A <span class="option">--bench</span> &lt;b&gt;</code>; '
+        '(<span class="option">--limit-rad</span>) a--b'
+    )
