@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import sys
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -267,6 +268,34 @@ def test_units_of_mdf_are_used_and_a_packed_file_is_the_same(tmp_path: Path) -> 
     for file in (path, packed):
         speed = read_recording(file).motor_speed_rpm
         np.testing.assert_array_equal(speed, SPEED * RPM_PER_RAD_PER_S)
+
+
+@pytest.mark.parametrize(("suffix", "version"), [("mf4", "4.10"), ("mdf", "3.30")])
+def test_a_formula_in_an_mdf_file_is_not_run(tmp_path: Path, suffix: str, version: str) -> None:
+    import asammdf
+
+    path = tmp_path / f"log.{suffix}"
+    signals = [
+        asammdf.Signal(SPEED, TIME, name="linear", conversion={"a": 2.0, "b": 1.0}),
+        asammdf.Signal(SPEED, TIME, name="formula", conversion={"formula": "2 * X1"}),
+    ]
+    with asammdf.MDF(version=version) as file:
+        file.append(signals)
+        file.save(path)
+    table = read_table(path)
+    assert table.columns == ("time_s", "linear")
+    np.testing.assert_array_equal(table.numbers([1])[:, 0], 2.0 * SPEED + 1.0)
+
+
+def test_a_line_far_down_in_a_workbook_is_refused_at_once(tmp_path: Path) -> None:
+    good = write_excel(tmp_path / "good.xlsx", PLAIN)
+    path = tmp_path / "far.xlsx"
+    with zipfile.ZipFile(good) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            text = old.read(name).replace(b'<row r="9">', b'<row r="999999999999">')
+            new.writestr(name, text)
+    with pytest.raises(RecordingError, match="too large"):
+        read_recording(path)
 
 
 def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) -> None:
