@@ -291,9 +291,11 @@ def _spare(speeds: Sequence[float]) -> int | None:
         if same and len(left) >= FEWEST_SETTINGS:
             possible.append(i)
     middle = float(np.median(np.abs(speeds)))
-    ends = min(map(abs, speeds)), max(map(abs, speeds))
-    return min(
-        possible,
-        key=lambda i: (abs(speeds[i]) in ends, abs(abs(speeds[i]) - middle), -i),
-        default=None,
-    )
+    sizes = np.abs(speeds)
+
+    def preference(i: int) -> tuple[bool, float, int]:
+        ends = np.array([sizes.min(), sizes.max()])
+        at_end = bool(np.any(np.abs(sizes[i] / ends - 1.0) <= SAME_SPEED))
+        return at_end, abs(float(sizes[i]) - middle), -i
+
+    return min(possible, key=preference, default=None)
