@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigid_loop import Drive, recorded
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
@@ -19,6 +18,7 @@ from bayesbl.diagnosis.rigid.order_lines import find_orders
 from bayesbl.diagnosis.rigid.speed_loop import loop_values, speed_of_torque, torque_of_angle
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import ConfigError, RecordingError
+from experiments.rigid_loop import Drive, recorded
 
 BENCH = """
 schema = 1
