@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
@@ -18,6 +19,7 @@ from bayesbl.diagnosis.rigid.order_lines import find_orders
 from bayesbl.diagnosis.rigid.speed_loop import loop_values, speed_of_torque, torque_of_angle
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.results.store import read_tree
 from experiments.rigid_loop import Drive, recorded
 
 BENCH = """
@@ -231,3 +233,24 @@ def test_the_bench_s_own_friction_and_lags_are_in_its_loop(tmp_path: Path) -> No
     values = loop_values(bench)
     assert values["motor_viscous_friction"] == 0.02
     assert values["speed_sensor_lag"] == 1e-3
+
+
+def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bench.toml").write_text(BENCH)
+    files = []
+    for rpm in (100.0, 300.0, -600.0):
+        made = recorded(Drive(torques=RIPPLE[:1]), rpm, 7, lasting_s=4.0, noise_rpm=0.5)
+        files.append(f"{made.name}.csv".replace(" ", "_"))
+        table = np.column_stack([made.time_s, made.motor_speed_rpm])
+        np.savetxt(files[-1], table, "%.6f", ",", header="time_s,motor_speed_rpm", comments="")
+    assert status(["diagnose", *files, "--bench", "bench.toml", "--out", "out"]) == 0
+    told = capsys.readouterr()
+    assert "speed's ripple" in " ".join(told.err.split())  # why this method
+    first = " ".join(told.out.split())
+    assert first.startswith("Motor torque ripple (order 6) 0.0")
+    assert "is missing from the bench: with it" in first
+    lines = read_tree("out")["order_sizes"].to_dataset()
+    assert set(lines["law"].values) == {"torque"}
+    assert set(lines["use"].values) == {"used", "held_out"}
+    assert Path("out", "figures", "lines_over_speed.png").exists()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,6 +15,7 @@ from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
     NamedEffect,
+    OrderSize,
     ParameterError,
     PieceSignals,
     probability_of,
@@ -30,6 +31,7 @@ from bayesbl.diagnosis.rigid.order_laws import (
     chosen_laws,
     fit_laws,
     generalises,
+    line_size,
     with_both,
     z_between,
 )
@@ -54,6 +56,7 @@ from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.moving import VARIES, is_one_speed
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
@@ -248,10 +251,11 @@ class _Answer:
                 fit, free, added = self._with_loop(lines, fit, alarm)
                 for place in set(first) & fit.laws.keys():
                     fit = with_both(lines, fit, place, values, free, alarm)
+                most = self.task.config.candidates.max_effects or MOST_EFFECTS
+                fit = _strongest(lines, fit, max(0, most - len(added)))
         named, remaining = self._named(lines, fit, notes)
-        most = self.task.config.candidates.max_effects or MOST_EFFECTS
         effects, errors = self._of_loop(fit, added)
-        effects = (*named, *effects)[:most]
+        effects = (*named, *effects)
         pieces, signals = self._compared(fit)
         return Diagnosis(
             verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
@@ -262,6 +266,7 @@ class _Answer:
             tuple(notes),
             bench_parameters=_fitted(fit, setting.free.priors) if fit else {},
             signals=tuple(signals),
+            order_sizes=tuple(self._sizes(fit)),
         )
 
     def _with_loop(
@@ -402,6 +407,30 @@ class _Answer:
                 errors.append(ParameterError(name, believed.value, believed.tolerance, estimate))
         return tuple(effects), tuple(errors)
 
+    def _sizes(self, fit: LawFit | None) -> Iterator[OrderSize]:
+        """Every line as the torque that would make it."""
+        values = self.setting.values if fit is None else fit.values
+        for item in (*self.setting.used, *self.setting.held_out):
+            lines = lines_of([item], [line.order for line in self.found])
+            for place, line in enumerate(self.found):
+                if not math.isfinite(lines.size[0, place]):
+                    continue
+                law = None if fit is None else fit.laws.get(place)
+                one = float(line_size(values, line.order, lines.speeds, 1.0, 0.0, 0.0)[0])
+                made = math.nan
+                if fit is not None and law is not None:
+                    made = float(fit.predicted(place, line.order, lines.speeds)[0]) / one
+                yield OrderSize(
+                    line.order,
+                    law or "none",
+                    item.piece.name,
+                    item.piece.use,
+                    float(lines.speeds[0]) * RPM_PER_RAD_PER_S,
+                    float(lines.size[0, place]) / one,
+                    float(lines.sd[0, place]) / one,
+                    made,
+                )
+
     def _compared(self, fit: LawFit | None) -> tuple[list, list]:  # type: ignore[type-arg]
         """Residuals and signals of every piece, with a mean alone and with all laws."""
         laws = {} if fit is None else fit.laws
@@ -466,6 +495,12 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
         deviations.append(sd)
     speeds = np.array([item.speed_rad_per_s for item in turning])
     return Lines(tuple(orders), speeds, np.array(sizes), np.array(deviations))
+
+
+def _strongest(lines: Lines, fit: LawFit, most: int) -> LawFit:
+    """The laws of the largest lines; the others are left to be described."""
+    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(lines.size[:, place])))[:most]
+    return replace(fit, laws={place: fit.laws[place] for place in sorted(kept)})
 
 
 def _one_speed(speeds: FloatArray) -> bool:
