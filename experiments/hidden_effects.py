@@ -185,7 +185,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 def hide(row: Row, index: int, generator: np.random.Generator) -> Hidden:
     """What a case hides."""
-    values = _believed()
+    values = believed()
     if row.hide == "nothing":
         return Hidden((), values, {})
     if row.hide == "outside":
@@ -306,7 +306,7 @@ def write_confusion(groups: Mapping[str, xr.Dataset], file: Path) -> None:
 
 
 @cache
-def _believed() -> dict[str, float]:
+def believed() -> dict[str, float]:
     bench = reference_bench()
     every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
     return {name: value for name, (value, default) in every.items() if value != default}
@@ -361,7 +361,7 @@ def _score(
     z, nearest = _signature(found, hidden)
     score = {"truth": _bits(hidden.names), "z": z, "nearest": nearest}
     for use in ("used", "held_out"):
-        score[f"closed_{use}"] = _closed(found, made, use)
+        score[f"closed_{use}"] = closed_share(found, made, use)
     first = made[0].truth
     gap = first.gap_rad + first.backlash__gap_rad
     score["delta_rad"] = gap
@@ -418,7 +418,7 @@ def _own_fit(found: Findings, hidden: Hidden) -> Explanation | None:
     return None
 
 
-def _closed(found: Findings, made: Sequence[Made], use: str) -> float:
+def closed_share(found: Findings, made: Sequence[Made], use: str) -> float:
     """Share of the mean square distance to the noise-free truth that naming has closed."""
     clean = {item.recording.name: item.clean[1:] for item in made}
     before = after = 0.0

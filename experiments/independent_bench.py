@@ -10,7 +10,9 @@ friction differently (ω/√(ω² + w²) at the motor, erf at the load), integra
 of the twist, and reaches steady rotation by running through whole rotations from a rough start.
 
 It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, lost speed
-samples, a second gap behind a third mass.
+samples, a second gap behind a third mass, and laws that differ from the catalogue's: load friction
+with another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
+harmonics, flanks of different stiffness, hysteresis by Bouc and Wen.
 """
 
 from __future__ import annotations
@@ -40,9 +42,13 @@ LONGEST_STEP_S = 2.5e-5
 CHECKPOINT_S = 0.03
 """The run goes back this far or more from where the recording begins, for channels that lag."""
 SETTLING_ROTATIONS = 1.5
+STATES = 12
 
 MOTOR_WIDTH = 0.05  # rad/s
 LOAD_WIDTH = 2e-3  # rad/s
+LUGRE_ANGLE = 0.05
+"""Way of the motor over which the bristles bend, rad: slow enough for the step."""
+LUGRE_DAMPING_S = 1e-4
 CHANNELS = (MOTOR_POSITION, MOTOR_SPEED, MOTOR_CURRENT)
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0)
 
@@ -114,6 +120,17 @@ class Plant(NamedTuple):
     outside__belt_mean: float = 0.0  # filled in: mean of the belt's pulse
     outside__second_gap_rad: float = 0.0
     outside__second_mass_share: float = 0.3
+    outside__load_coulomb_nm: float = 0.0  # smoothed as ω/(|ω| + w)
+    outside__lugre_nm: float = 0.0
+    outside__stribeck_1_nm: float = 0.0  # fades as exp(−|ω|/ω_s)
+    outside__stribeck_1_rad_per_s: float = 80.0
+    outside__ripple_nm: float = 0.0  # with a second and a third harmonic
+    outside__ripple_order: float = 4.0
+    outside__position_friction_nm: float = 0.0  # of the load, over its angle
+    outside__position_friction_phase_rad: float = 0.0
+    outside__flank_asymmetry: float = 0.0  # by which the lower flank is stiffer
+    outside__bouc_wen_nm: float = 0.0
+    outside__bouc_wen_rad: float = 5e-4
     outside__dropouts_per_s: float = 0.0
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
@@ -133,6 +150,8 @@ _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 @_jit
 def _shaft(twist, slip, gap, stiffness, damping, p):
     """Torque of one shaft with its gap, load side."""
+    if twist < 0.0:
+        stiffness *= 1.0 + p.outside__flank_asymmetry
     if p.hard_dead_zone != 0.0:
         if abs(twist) < gap:
             return 0.0
@@ -165,7 +184,7 @@ def _demand(y, p, phase, asked):
 
 @_jit
 def _slopes(t, y, p, phase, asked, drift_start, dy):
-    """θ_m, ω_m, θ_l, ω_l, ∫error, lagged torque, lagged speed, Dahl z, θ_k, ω_k."""
+    """θ_m, ω_m, θ_l, ω_l, ∫error, lagged torque, lagged speed, Dahl z, θ_k, ω_k, two more z."""
     n = p.gear_ratio
     error, demand = _demand(y, p, phase, asked)
     limit = p.torque_constant_nm_per_a * p.current_limit_a
@@ -200,6 +219,11 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         compression = twist - math.copysign(gap, twist)
         shaft += p.stiffness_hardening__stiffness_nm_per_rad3 * compression**3
     shaft += p.shaft_hysteresis__torque_nm * y[7]
+    dy[10] = 0.0
+    if p.outside__bouc_wen_nm != 0.0:
+        held = 0.5 * (abs(slip) * y[10] * abs(y[10]) + slip * y[10] * y[10])
+        dy[10] = (slip - held) / p.outside__bouc_wen_rad
+        shaft += p.outside__bouc_wen_nm * y[10]
 
     speed = y[1]
     dry = p.motor_coulomb_friction__torque_nm + p.friction_drift__torque_nm
@@ -216,6 +240,17 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
     if p.motor_torque_ripple__torque_nm != 0.0:
         turn = p.motor_torque_ripple__order * (y[0] + phase) + p.motor_torque_ripple__phase_rad
         lost += p.motor_torque_ripple__torque_nm * math.sin(turn)
+    dy[11] = 0.0
+    if p.outside__lugre_nm != 0.0:
+        dy[11] = (speed - abs(speed) * y[11]) / LUGRE_ANGLE
+        lost += p.outside__lugre_nm * (y[11] + LUGRE_DAMPING_S * dy[11])
+    if p.outside__stribeck_1_nm != 0.0:
+        fading = math.exp(-abs(speed) / p.outside__stribeck_1_rad_per_s)
+        lost += p.outside__stribeck_1_nm * fading * speed / math.sqrt(speed**2 + MOTOR_WIDTH**2)
+    if p.outside__ripple_nm != 0.0:
+        turn = p.outside__ripple_order * (y[0] + phase)
+        wave = math.sin(turn) + 0.5 * math.sin(2.0 * turn + 1.0) + 0.25 * math.sin(3.0 * turn + 2.0)
+        lost += p.outside__ripple_nm * wave
     if p.outside__time_torque_nm != 0.0:
         turn = 2.0 * math.pi * p.outside__time_frequency_hz * t + p.outside__time_phase_rad
         lost += p.outside__time_torque_nm * math.sin(turn)
@@ -232,6 +267,11 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
     load += p.load_viscous_friction__coefficient_nm_s_per_rad * y[3]
     if p.load_coulomb_friction__torque_nm != 0.0:
         load += p.load_coulomb_friction__torque_nm * math.erf(y[3] / LOAD_WIDTH)
+    load += p.outside__load_coulomb_nm * y[3] / (abs(y[3]) + LOAD_WIDTH)
+    if p.outside__position_friction_nm != 0.0:
+        turn = y[2] + p.outside__position_friction_phase_rad
+        wave = 1.0 + 0.5 * math.cos(turn) + 0.25 * math.sin(2.0 * turn)
+        load += p.outside__position_friction_nm * wave * math.erf(y[3] / LOAD_WIDTH)
 
     dy[0] = speed
     dy[1] = (torque - shaft / n - lost) / p.motor_inertia_kg_m2
@@ -253,16 +293,16 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
 def _step(t, y, h, p, phase, asked, drift_start, k, trial):
     """One step of Runge and Kutta, in place; asked, (3, 2): at its begin, middle and end."""
     _slopes(t, y, p, phase, asked[0], drift_start, k[0])
-    for i in range(10):
+    for i in range(STATES):
         trial[i] = y[i] + 0.5 * h * k[0, i]
     _slopes(t + 0.5 * h, trial, p, phase, asked[1], drift_start, k[1])
-    for i in range(10):
+    for i in range(STATES):
         trial[i] = y[i] + 0.5 * h * k[1, i]
     _slopes(t + 0.5 * h, trial, p, phase, asked[1], drift_start, k[2])
-    for i in range(10):
+    for i in range(STATES):
         trial[i] = y[i] + h * k[2, i]
     _slopes(t + h, trial, p, phase, asked[2], drift_start, k[3])
-    for i in range(10):
+    for i in range(STATES):
         y[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
@@ -294,13 +334,13 @@ def _run(p, settling_rotations, step, sampling_s, out):
     reference = p.reference_speed_rpm / RPM
     direction = math.copysign(1.0, reference)
     phase = p.motor_start_angle_rad - n * p.start_angle_rad
-    y = np.zeros(10)
+    y = np.zeros(STATES)
     y[2] = p.start_angle_rad - direction * 2.0 * math.pi * settling_rotations
     y[8] = y[2]
     y[0] = n * y[2]
     y[1], y[3], y[9], y[6] = reference, reference / n, reference / n, reference
     ramp_start = y[0]
-    k, trial, asked = np.empty((4, 10)), np.empty(10), np.empty((3, 2))
+    k, trial, asked = np.empty((4, STATES)), np.empty(STATES), np.empty((3, 2))
     older, old, old_t, older_t = y.copy(), y.copy(), 0.0, 0.0
     each = int(CHECKPOINT_S / step)
     begin = -1.0
@@ -370,7 +410,7 @@ def _follow(p, side, speed, angle, held, step, each, out):
     load += p.gravity_phase__torque_nm * math.cos(p.start_angle_rad)
     load += p.load_torque_offset__torque_nm
     gap = p.gap_rad + p.backlash__gap_rad
-    y = np.zeros(10)
+    y = np.zeros(STATES)
     y[2] = p.start_angle_rad
     y[8] = y[2]
     y[0] = n * (y[2] + load / p.shaft_stiffness_nm_per_rad + side * gap)
@@ -378,7 +418,7 @@ def _follow(p, side, speed, angle, held, step, each, out):
         y[4] = load / n / p.integral_gain_nm_per_rad
     y[5] = load / n
     start, _, _ = _measured(y, p, phase)
-    k, trial, asked = np.empty((4, 10)), np.empty(10), np.zeros((3, 2))
+    k, trial, asked = np.empty((4, STATES)), np.empty(STATES), np.zeros((3, 2))
     asked[:, 1] = start
     for _ in range(held):
         _step(0.0, y, step, p, phase, asked, math.inf, k, trial)

@@ -16,7 +16,8 @@ import numpy as np
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.joint_normal import JointNormal
-from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
+from bayesbl.bench.kernel import CURRENT, FIRST_LEARNED, FIRST_SKEW, POSITION, SLOTS, SPEED, Slot
+from bayesbl.bench.learned_torque import LearnedTorque
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
@@ -109,7 +110,7 @@ class Measurement:
     noise_through_controller: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Bench:
     """Two masses, a gap between them, gravity and a speed loop.
 
@@ -118,7 +119,8 @@ class Bench:
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
     ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
     with recordings but not simulated in steady rotation. ``identified``: what recordings told of
-    some parameters together; it goes before their tolerances.
+    some parameters together; it goes before their tolerances. ``learned_torque``: what repeated in
+    recordings and no effect explains.
     """
 
     parameters: Mapping[str, BenchParameter]
@@ -128,6 +130,7 @@ class Bench:
     effects: tuple[BenchEffect, ...] = ()
     assumed: frozenset[str] = frozenset()
     identified: JointNormal | None = None
+    learned_torque: LearnedTorque | None = None
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -156,7 +159,7 @@ class Bench:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings and arrays do not cross process boundaries as they are.
         plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        return Bench, (*plain, self.assumed, self.identified)
+        return Bench, (*plain, self.assumed, self.identified, self.learned_torque)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -168,8 +171,15 @@ class Bench:
             slots = effect_named(present.name).slots
             for name, value in present.complete().items():
                 vector[slots[name]] = value
+        if self.learned_torque is not None:
+            self.learned_torque.put_into(vector)
         vector.setflags(write=False)
         return vector
+
+    def __repr__(self) -> str:
+        effects = "".join(f", {effect.name}" for effect in self.effects)
+        toleranced = f"{len(self.tolerances)} of {len(self.parameters)} parameters with tolerance"
+        return f"<Bench {self.drive}: {toleranced}{effects}>"
 
     def value(self, name: str) -> float:
         """Value of a bench parameter, run setting or ``effect.parameter``."""
@@ -473,9 +483,12 @@ class Bench:
 
     def fingerprint(self) -> str:
         """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
+        vector = self._vector
+        if self.learned_torque is None:
+            vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_SKEW])
         content = {
             "version": _SIGNALS_VERSION,
-            "vector": [repr(float(value)) for value in self._vector],
+            "vector": [repr(float(value)) for value in vector],
             "speed_source": self.measurement.speed_source,
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -23,13 +23,17 @@ import numpy as np
 
 from bayesbl.compiled import compiled
 
+LEARNED_HARMONICS = 12
+
 
 class Slot(IntEnum):
     """Places in the flat parameter vector, numbered in this order.
 
-    Bench and run come first, then effects as ``effect__parameter``, skews last. A vector of zeros
-    in the effects' places is a bench without effects.
+    Bench and run come first, then effects as ``effect__parameter``, the learned torque, skews last.
+    A vector of zeros in the effects' places is a bench without effects.
     """
+
+    _ignore_ = "number wave"
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[Any]) -> int:
@@ -82,6 +86,15 @@ class Slot(IntEnum):
     speed_sensor_lag__time_s = auto()
     friction_drift__torque_nm = auto()
     friction_drift__rate_nm_per_s = auto()
+    learned_torque__side = auto()  # 0: there is none, 1: at the motor, 2: at the load
+    learned_torque__variable = auto()  # 0: motor angle, 1: load angle, 2: motor speed, 3: time
+    learned_torque__reverses = auto()  # 1: its sign is that of the speed
+    learned_torque__period = auto()  # of the variable: rad, rad/s or s
+    learned_torque__shift = auto()  # added to the variable
+    learned_torque__constant_nm = auto()
+    for wave in ("cosine", "sine"):
+        for number in range(1, LEARNED_HARMONICS + 1):
+            vars()[f"learned_torque__{wave}_{number}_nm"] = auto()
     channel_time_skew__position_s = auto()
     channel_time_skew__speed_s = auto()
     channel_time_skew__current_s = auto()
@@ -89,7 +102,12 @@ class Slot(IntEnum):
 
 SLOTS = len(Slot)
 FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
+FIRST_LEARNED = int(Slot.learned_torque__side)
+FIRST_COSINE = int(Slot["learned_torque__cosine_1_nm"])
+FIRST_SINE = int(Slot["learned_torque__sine_1_nm"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)
+AT_MOTOR, AT_LOAD = 1.0, 2.0
+OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
 STATES = 8
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
 
@@ -426,6 +444,37 @@ def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def learned_torque(t, angle, speed, load_angle, p, c):  # type: ignore[no-untyped-def]
+    """Torque of no known law against the side that it acts at, N m.
+
+    a_0 + Σ_k a_k cos(2π k x/X) + b_k sin(2π k x/X) of a variable x with the period X.
+    """
+    variable = p[Slot.learned_torque__variable]
+    if variable == OVER_MOTOR_ANGLE:
+        x = angle + c.phase_offset
+    elif variable == OVER_LOAD_ANGLE:
+        x = load_angle
+    elif variable == OVER_SPEED:
+        x = speed
+    else:
+        x = t - c.drift_start
+    phase = 2.0 * math.pi * (x + p[Slot.learned_torque__shift]) / p[Slot.learned_torque__period]
+    first_cosine = math.cos(phase)
+    first_sine = math.sin(phase)
+    cosine = 1.0
+    sine = 0.0
+    torque = p[Slot.learned_torque__constant_nm]
+    for k in range(LEARNED_HARMONICS):
+        turned = cosine * first_cosine - sine * first_sine
+        sine = sine * first_cosine + cosine * first_sine
+        cosine = turned
+        torque += p[FIRST_COSINE + k] * cosine + p[FIRST_SINE + k] * sine
+    if p[Slot.learned_torque__reverses] != 0.0:
+        torque *= direction_of(speed / c.friction_width)
+    return torque
+
+
+@_jit
 def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-untyped-def]
     """Motor acceleration of a drive without compliance; losses exclude gear-mesh friction."""
     reflected = c.load_inertia * c.per_ratio * c.per_ratio
@@ -488,6 +537,12 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             ]
         losses = motor_losses(t, y[MOTOR_ANGLE], speed, shaft, p, c)
     load = load_torque(load_angle, load_speed, p, c)
+    if c.effects and p[Slot.learned_torque__side] != 0.0:
+        learned = learned_torque(t, y[MOTOR_ANGLE], speed, load_angle, p, c)
+        if p[Slot.learned_torque__side] == AT_MOTOR:
+            losses += learned
+        else:
+            load += learned
     dy[MOTOR_ANGLE] = speed
     dy[INTEGRAL] = share * error
     if c.rigid:
@@ -730,6 +785,18 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
             rate = max(rate, turning * abs(p[Slot.gear_transmission_error__order]))
         if p[Slot.encoder_eccentricity__angle_rad] != 0.0:
             rate = max(rate, turning)
+        if p[Slot.learned_torque__side] != 0.0:
+            variable = p[Slot.learned_torque__variable]
+            if variable == OVER_LOAD_ANGLE:
+                turning *= c.per_ratio
+            elif variable != OVER_MOTOR_ANGLE:
+                turning = 1.0 if variable == OVER_TIME else 0.0
+            highest = 0
+            for k in range(LEARNED_HARMONICS):
+                if p[FIRST_COSINE + k] != 0.0 or p[FIRST_SINE + k] != 0.0:
+                    highest = k + 1
+            base = 2.0 * math.pi / p[Slot.learned_torque__period]
+            rate = max(rate, turning * highest * base)
     return min(LONGEST_PHASE / rate, 0.5 / (c.fastest_reference * c.per_ratio + 1e-3))
 
 
@@ -864,6 +931,20 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
 
 
 @_jit
+def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
+    """Load torque at rest against the shaft, N m, and the learned torque at the motor."""
+    load = load_torque(load_angle, speed * c.per_ratio, p, c)
+    if not c.effects or p[Slot.learned_torque__side] == 0.0:
+        return load, 0.0
+    learned = 0.0
+    if p[Slot.learned_torque__variable] != OVER_TIME:
+        learned = learned_torque(0.0, load_angle * c.ratio, speed, load_angle, p, c)
+    if p[Slot.learned_torque__side] == AT_MOTOR:
+        return load, learned
+    return load + learned, 0.0
+
+
+@_jit
 def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     """Start of the settling: torques balanced at the reference speed, no acceleration.
 
@@ -871,7 +952,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     """
     c = constants(p, 0.0, math.inf)
     speed = c.reference
-    load = load_torque(load_angle, speed * c.per_ratio, p, c)
+    load, losses = balanced_torques(load_angle, speed, p, c)
     side = math.copysign(1.0, load if load != 0.0 else speed)
     y[:] = 0.0
     y[TWIST] = 0.0 if c.rigid else load / c.stiffness + side * c.gap
@@ -879,7 +960,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     y[MOTOR_SPEED] = speed
     torque = load * c.per_ratio
     if c.effects:
-        torque += motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
     carried = abs(torque) <= c.torque_limit
     torque, _ = limited(torque, 0.0, c)
     if c.integral_gain > 0.0:
@@ -910,9 +991,12 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     carried = quasi_static_state(p, begin + math.pi, y)
     if not (quasi_static_state(p, begin, y) and carried):
         return SATURATED, 0
-    c = constants(p, y[MOTOR_ANGLE], math.inf)
+    # What goes with time begins about when the load will be there, and then exactly there.
+    expected = (start_angle - begin) / load_speed
+    in_time = p[Slot.learned_torque__side] != 0.0 and p[Slot.learned_torque__variable] == OVER_TIME
+    c = constants(p, y[MOTOR_ANGLE], expected if in_time else math.inf)
     none = np.empty((1, 0))
-    longest = 4.0 * (start_angle - begin) / load_speed + 1.0
+    longest = 4.0 * expected + 1.0
     first = y.copy()
     steady = np.empty((0, PIECE_COLUMNS))
     status, t, cost = integrate(
@@ -950,7 +1034,7 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     speed = reference_speed(t, c)
     acceleration = c.speed_1
     angle = p[Slot.start_angle_rad]
-    load = load_torque(angle, speed * c.per_ratio, p, c)
+    load, losses = balanced_torques(angle, speed, p, c)
     load += c.load_inertia * acceleration * c.per_ratio
     # A load that hardly presses may stand anywhere in the gap; so is the start continuous.
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
@@ -961,7 +1045,7 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     y[MOTOR_SPEED] = speed
     torque = load * c.per_ratio + c.motor_inertia * acceleration
     if c.effects:
-        torque += motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
     torque, _ = limited(torque, 0.0, c)
     shown, _ = sensed(y, p, c)
     reference_angle = shown - reference_position(t, c) + c.reference_angle

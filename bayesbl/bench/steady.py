@@ -176,3 +176,12 @@ def noise_through_loop(
         # Without lag the controller's proportional part answers in the sample itself.
         torque += -gain * (noise_rpm / RPM - np.concatenate(([0.0], noise_rpm[:-1] / RPM)))
     return states[:, SENSED] * RPM, torque / parameters[Slot.torque_constant_nm_per_a]
+
+
+def ringing_hz(matrix: FloatArray) -> float:
+    """Frequency of the slowest oscillation of the linear bench in contact, Hz; inf if it has none.
+
+    Of the first of the parameter vectors, shape (m, SLOTS).
+    """
+    rates = np.linalg.eigvals(contact_matrices(matrix[:1]))[0].imag
+    return float(np.min(rates[rates > 0.0], initial=math.inf)) / (2.0 * math.pi)

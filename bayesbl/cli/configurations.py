@@ -96,6 +96,10 @@ def init_command(
             help="The file to write. [default: RECORDING.toml, or diagnose.toml]",
         ),
     ] = None,
+    joint: Annotated[
+        str | None,
+        typer.Option("--joint", metavar="NAME", help="Which one, where a file holds several."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Write a first configuration for recordings, or a joint's data sheet to fill in."""
@@ -117,7 +121,7 @@ def init_command(
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.run import check
 
-    path, guess = start_config(recordings, out, force=force)
+    path, guess = start_config(recordings, out, joint=joint, force=force)
     plan = check(path)
     print_blocks(guessed(guess), make_console())
     say(what_next(path, sound=not plan.problems, torque_ramps=guess.torque_ramps))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -24,6 +25,7 @@ from bayesbl.bench.bench import (
     Measurement,
 )
 from bayesbl.bench.effects import effect_named
+from bayesbl.bench.learned_torque import LearnedTorque, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config import printed_units
 from bayesbl.config.fields import (
@@ -188,6 +190,36 @@ class EffectEntry(Section):
         return self
 
 
+class LearnedTorqueSection(Section):
+    """``[learned_torque]``: what repeated in recordings and no effect explains.
+
+    Against the motor or the load, N m there: constant_nm + Σ_k cosine_nm[k] cos(2π k x/period) +
+    sine_nm[k] sin(2π k x/period) of the variable x; times the sign of the motor's speed where it
+    ``reverses``. ``period`` in rad, rad/s or s; ``sd_nm`` of constant, cosines and sines.
+    """
+
+    side: Side
+    variable: Variable
+    period: float = Field(gt=0.0)
+    constant_nm: float = 0.0
+    cosine_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+    sine_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+    reverses: bool = False
+    sd_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Self:
+        try:
+            self.torque()
+        except BenchError as error:
+            refuse(error.problem, found=error.found, expected=error.expected)
+        return self
+
+    def torque(self) -> LearnedTorque:
+        """As the bench takes it."""
+        return LearnedTorque(**dict(self))
+
+
 class BenchFile(Section):
     """``kind = "bench"``."""
 
@@ -198,6 +230,7 @@ class BenchFile(Section):
     parameters: dict[Annotated[str, AfterValidator(_parameter_name)], ParameterEntry]
     measurement: MeasurementSection = MeasurementSection()
     effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
+    learned_torque: LearnedTorqueSection | None = None
 
     @field_validator("parameters")
     @classmethod
@@ -274,6 +307,7 @@ class BenchFile(Section):
                 for effect in self.effects
             ),
             assumed=frozenset(idle),
+            learned_torque=None if self.learned_torque is None else self.learned_torque.torque(),
         )
 
 
@@ -354,6 +388,8 @@ def dump_bench(bench: Bench) -> str:
     }
     if measurement.encoder_counts is not None:
         tables["measurement"]["encoder_counts"] = measurement.encoder_counts
+    if bench.learned_torque is not None:
+        tables["learned_torque"] = dataclasses.asdict(bench.learned_torque)
     return tomli_w.dumps(tables)
 
 

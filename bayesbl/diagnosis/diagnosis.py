@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.learned_torque import LearnedTorque
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
@@ -136,6 +137,39 @@ class Suggestion:
 
 
 @dataclass(frozen=True, slots=True)
+class LearnedCurve:
+    """A learned torque over its variable, each (n,); at the side it acts, N m, forwards."""
+
+    variable: FloatArray
+    torque_nm: FloatArray
+    sd_nm: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedAnswer:
+    """What was learned where no effect of the catalogue explains what repeats.
+
+    Attributes
+    ----------
+    amplitude_nm
+        Largest size, less its mean where it does not reverse.
+    alike
+        Other dependences that the recordings do not tell from it.
+    gap_share
+        Share of the information on the gap that it leaves; ``None`` where there is none.
+    gap_withheld
+        Why no gap is given; empty where one is.
+    """
+
+    torque: LearnedTorque
+    amplitude_nm: float
+    alike: tuple[LearnedTorque, ...]
+    curve: LearnedCurve
+    gap_share: float | None = None
+    gap_withheld: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """The whole answer.
 
@@ -156,7 +190,9 @@ class Diagnosis:
     ranking
         Candidates added alone, most probable first.
     augmented_bench
-        The bench with what was named in it.
+        The bench with what was named and learned in it.
+    learned
+        A torque of no known law.
     """
 
     verdict: Verdict
@@ -176,6 +212,7 @@ class Diagnosis:
     residuals_after: ResidualAnalysis | None = None
     ranking: tuple[RankedCandidate, ...] = ()
     augmented_bench: Bench | None = None
+    learned: LearnedAnswer | None = None
 
 
 def verdict_of(*, effects: bool, parameters: bool, remains: bool) -> Verdict:

@@ -4,9 +4,9 @@
 it). ``signals``: measured and predicted, for every piece. ``order_sizes``: lines of a speed loop.
 ``posterior``: draws of everything unknown, with what was named added. ``ranking``: every candidate
 added alone. ``residuals_before``, ``residuals_after``: what the simulation does not explain, over
-load angle, order and time. The answer in the words of ``summary.json`` is JSON in the attribute
-``diagnosis`` of the root, the bench with what was named in it a bench file in the attribute
-``augmented_bench``.
+load angle, order and time. ``learned_torque``: a torque of no known law over what it depends on.
+The answer in the words of ``summary.json`` is JSON in the attribute ``diagnosis`` of the root, the
+bench with what was named in it a bench file in the attribute ``augmented_bench``.
 """
 
 from __future__ import annotations
@@ -102,10 +102,22 @@ RANKING = Group(
 )
 
 
+LEARNED = Group(
+    "learned_torque",
+    table("""
+        torque_nm (point) | N m | learned torque against the side it acts at, turning forwards
+        sd_nm (point) | N m | its standard deviation
+    """),
+    table("variable (point) | 1 | what it depends on, in rad, rad/s or s"),
+    optional=True,
+)
+
+
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of a diagnosis."""
     of_pieces = (disagreement_group(""), signals_group(""))
-    return (*of_pieces, ORDER_SIZES, POSTERIOR, RANKING, *map(residuals_group, STAGES))
+    named = (ORDER_SIZES, POSTERIOR, RANKING, LEARNED)
+    return (*of_pieces, *named, *map(residuals_group, STAGES))
 
 
 def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
@@ -125,6 +137,13 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
         groups["order_sizes"] = of_rows(ORDER_SIZES, found.order_sizes)
     if found.posterior is not None:
         groups["posterior"] = posterior_dataset(found.posterior)
+    if found.learned is not None:
+        curve = found.learned.curve
+        groups["learned_torque"] = dataset(
+            LEARNED,
+            {"torque_nm": curve.torque_nm, "sd_nm": curve.sd_nm},
+            {"variable": curve.variable},
+        )
     if found.ranking:
         groups["ranking"] = of_rows(RANKING, found.ranking)
     for stage, analysis in zip(

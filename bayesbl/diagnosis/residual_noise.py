@@ -23,6 +23,9 @@ from bayesbl.noise.autoregression import (
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.types import FloatArray
 
+_FREQUENCIES = np.linspace(0.0, math.pi, 2001)
+"""rad per sample."""
+
 
 @dataclass(frozen=True, slots=True)
 class ResidualNoise:
@@ -43,6 +46,12 @@ class ResidualNoise:
     def innovation(self) -> float:
         """Standard deviation of what does not follow from the samples before."""
         return self.sd * math.sqrt(max(0.0, innovation_share(self.coefficients)))
+
+    @property
+    def strongest(self) -> float:
+        """Standard deviation per sample at the frequency where the noise is strongest."""
+        waves = np.exp(-1j * np.outer(_FREQUENCIES, np.arange(1, self.coefficients.size + 1)))
+        return float(np.max(self.innovation / np.abs(1.0 - waves @ self.coefficients)))
 
     def covariance_times(self, columns: FloatArray) -> FloatArray:
         """Σ X for X of shape (n, p) or (n,)."""

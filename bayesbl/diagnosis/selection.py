@@ -27,6 +27,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 from scipy.stats import chi2
@@ -42,6 +43,7 @@ from bayesbl.diagnosis.comparison import (
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
+    LearnedAnswer,
     NamedEffect,
     ParameterError,
     PieceSignals,
@@ -80,11 +82,30 @@ class Problem:
         Describes what still repeats in a fit's residuals.
     notes
         Sentences about what these recordings cannot show.
+    learn
+        Learns what a fit leaves, at a false-alarm rate, where the comparison can.
     """
 
     comparison: Comparison
     remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
     notes: tuple[str, ...] = ()
+    learn: Callable[[EffectsFit, float], LearnedFit | None] = lambda fit, false_alarm: None
+
+
+class LearnedFit(Protocol):
+    """The comparison with a learned torque in its bench, and its fit."""
+
+    @property
+    def comparison(self) -> Comparison:
+        """With the torque in its bench."""
+
+    @property
+    def fit(self) -> EffectsFit:
+        """With the same effects as before."""
+
+    @property
+    def answer(self) -> LearnedAnswer:
+        """What is told of the torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,13 +150,20 @@ def diagnose(
     comparison = problem.comparison
     before = comparison.fit((), None)
     after = _select(comparison, before, settings, progress)
+    learned = problem.learn(after, settings.false_alarm)
+    if learned is not None:
+        comparison, after = learned.comparison, learned.fit
     effects = tuple(_named(comparison, name, after) for name in _by_weight(comparison, after))
     estimates = _bench_estimates(comparison, after)
     errors = _parameter_errors(bench, estimates)
     remaining = problem.remaining(after)
     pieces = residuals_of_pieces(comparison, before, after)
     return Diagnosis(
-        verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
+        verdict_of(
+            effects=bool(effects),
+            parameters=bool(errors),
+            remains=bool(remaining) or learned is not None,
+        ),
         effects,
         errors,
         remaining,
@@ -143,6 +171,7 @@ def diagnose(
         problem.notes,
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
+        learned=None if learned is None else learned.answer,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 import xarray as xr
 
+from bayesbl.bench.learned_torque import LearnedTorque, Side, Variable
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
@@ -68,6 +69,35 @@ class RemainingSummary(TypedDict):
     chi_squared: NotRequired[float]
 
 
+class LearnedSummary(TypedDict):
+    """A torque of no known law: where it acts, what it depends on, its size.
+
+    ``period`` in rad, rad/s or s; ``amplitude_nm`` its largest size, at its side; ``alike`` other
+    dependences that say the same here; ``gap_share`` how much of what the recordings know of the
+    gap it leaves; ``gap_withheld`` why no gap is given.
+    """
+
+    side: Side
+    variable: Variable
+    reverses: bool
+    period: float
+    orders: int
+    amplitude_nm: float
+    alike: list[LearnedDependence]
+    gap_share: float | None
+    gap_withheld: str
+
+
+class LearnedDependence(TypedDict):
+    """Where a learned torque acts and what it depends on."""
+
+    side: Side
+    variable: Variable
+    reverses: bool
+    period: float
+    orders: int
+
+
 class DisagreementSummary(TypedDict):
     """RMS between bench and measurement in ``unit``; ``noise`` where it is over the noise floor."""
 
@@ -119,6 +149,7 @@ class Answer(TypedDict):
     delta_rad_after: Interval | None
     suggested_recording: SuggestedRecording | None
     augmented_bench: NotRequired[str]
+    learned_torque: NotRequired[LearnedSummary]
     diagnostics: NotRequired[SamplingSummary]
 
 
@@ -153,9 +184,27 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     }
     if found.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
+    if found.learned is not None:
+        answer["learned_torque"] = {
+            **_dependence(found.learned.torque),
+            "amplitude_nm": found.learned.amplitude_nm,
+            "alike": [_dependence(other) for other in found.learned.alike],
+            "gap_share": found.learned.gap_share,
+            "gap_withheld": found.learned.gap_withheld,
+        }
     if found.posterior is not None:
         answer["diagnostics"] = sampling_summary(found.posterior)
     return answer
+
+
+def _dependence(torque: LearnedTorque) -> LearnedDependence:
+    return {
+        "side": torque.side,
+        "variable": torque.variable,
+        "reverses": torque.reverses,
+        "period": torque.period,
+        "orders": len(torque.cosine_nm),
+    }
 
 
 def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Interval | HeldValue:

@@ -64,11 +64,20 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
     answers: list[RecordingAnswer] = []
     for number in range(len(job.recordings)):
         answer = job.known.get(number)
-        answers.append(answer or _measured(job, number, answers[-1] if answers else None))
+        answers.append(answer or measure_recording(job, number, answers[-1] if answers else None))
     return tuple(answers), _wear(job, answers)
 
 
-def _measured(job: JointJob, number: int, before: RecordingAnswer | None) -> RecordingAnswer:
+def measure_recording(
+    job: JointJob, number: int, before: RecordingAnswer | None
+) -> RecordingAnswer:
+    """One recording by itself; ``before``: of the recording before it, where the search starts.
+
+    Raises
+    ------
+    OSError
+        If nothing can be written where fits are kept.
+    """
     name = job.names[number]
     try:
         config = job.config("fit", [number])

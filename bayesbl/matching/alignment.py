@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import CURRENT, SPEED
+from bayesbl.bench.kernel import CURRENT, LEARNED_HARMONICS, SPEED
+from bayesbl.bench.learned_torque import SHIFT
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.motions import motion_starts, noise_of, start_angles, undecided_starts
@@ -21,6 +22,8 @@ from bayesbl.recording.moving import first_move
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
+SHIFTS_TRIED = 4 * LEARNED_HARMONICS
+"""Of a learned torque: four in a period of its highest order."""
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 
@@ -112,7 +115,22 @@ def aligned_starts(
                 at = names.index(key)
                 starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
     _, first = np.unique(starts, axis=0, return_index=True)
-    return [starts[k] for k in np.sort(first)]
+    return [with_shifts(model, starts[k]) for k in np.sort(first)]
+
+
+def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
+    """The point with the learned torque where each recording shows it, by a scan of its period."""
+    start = start.copy()
+    for i, seen in enumerate(model.recordings):
+        if (SHIFT, seen.name) not in [(u.name, u.recording) for u in model.unknowns]:
+            continue
+        place = model.index(SHIFT, seen.name)
+        trials = np.repeat(start[None], SHIFTS_TRIED, axis=0)
+        trials[:, place] = np.linspace(-0.5, 0.5, SHIFTS_TRIED, endpoint=False)
+        trials[:, place] *= model.bench.value("learned_torque.period")
+        left = model.whitened_of(trials, i)
+        start = trials[int(np.argmin(np.nan_to_num(np.einsum("ij,ij->i", left, left), nan=np.inf)))]
+    return start
 
 
 def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[FloatArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
         DisagreementTableSummary,
         EffectSummary,
         HeldValue,
+        LearnedDependence,
+        LearnedSummary,
     )
     from bayesbl.results.intervals import Interval
 
@@ -37,7 +40,7 @@ _USES = {"used": "fitted on", "held_out": "held out"}
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """One sentence per effect and parameter, the disagreement, what still repeats."""
-    for sentence in (*effects(summary), *parameter_errors(summary)):
+    for sentence in (*effects(summary), *parameter_errors(summary), *learned(summary)):
         yield Sentence(sentence)
     yield disagreement_table(summary["disagreement"])
     if any(row["closed_fraction"] is None for *_, row in _rows(summary["disagreement"])):
@@ -69,6 +72,10 @@ def headline(summary: DiagnosisSummary) -> str:
         case "parameter_error":
             return "No effect is missing, but the bench is wrong: " + next(
                 parameter_errors(summary)
+            )
+        case "unexplained" if "learned_torque" in summary:
+            return (
+                f"No effect of the catalogue explains it: {dependence(summary['learned_torque'])}."
             )
         case "unexplained":
             what = next(remaining(summary), ": .").partition(": ")[2]
@@ -143,6 +150,46 @@ def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
         yield text[0].upper() + text[1:]
 
 
+def learned(summary: DiagnosisSummary) -> Iterator[str]:
+    """The torque of no known law: what it depends on, how large it is, what it is not told from."""
+    found = summary.get("learned_torque")
+    if found is None:
+        return
+    size = words.significant(found["amplitude_nm"])
+    text = f"Learned, as no effect of the catalogue explains it: {dependence(found)}, {size} N m."
+    if found["alike"]:
+        others = "; ".join(dependence(other) for other in found["alike"])
+        text += f" It cannot be told apart from {others}."
+    yield text
+    share = found["gap_share"]
+    if found["gap_withheld"]:
+        yield found["gap_withheld"]
+    elif share is not None and share < 0.5:
+        yield (
+            f"Beside it the recordings hold {words.significant(100.0 * share)} % of what they "
+            "would tell about the gap without it; the gap's interval includes that."
+        )
+
+
+def dependence(found: LearnedDependence | LearnedSummary) -> str:
+    """``a torque at the load over the load angle, orders 1 to 7``."""
+    turn = 2.0 * math.pi / found["period"]
+    over, base = {
+        "motor_angle": ("the motor angle", turn),
+        "load_angle": ("the load angle", turn),
+        "motor_speed": ("the motor speed", 1.0),
+        "time": ("time", 1.0 / found["period"]),
+    }[found["variable"]]
+    orders = [number(k * base, 3).rstrip("0").rstrip(".") for k in (1, found["orders"])]
+    listed = f"order {orders[0]}" if found["orders"] == 1 else f"orders {orders[0]} to {orders[1]}"
+    if found["variable"] == "time":
+        listed = f"{orders[0]} Hz" if found["orders"] == 1 else f"{orders[0]} to {orders[1]} Hz"
+    if found["variable"] == "motor_speed":
+        listed = f"{found['orders']} waves over {words.significant(found['period'])} rad/s"
+    reverses = " that reverses with the direction" if found["reverses"] else ""
+    return f"a torque at the {found['side']}{reverses} over {over}, {listed}"
+
+
 def remaining(summary: DiagnosisSummary) -> Iterator[str]:
     """What still repeats after naming."""
     from bayesbl.presentation.residuals import unexplained_phrase  # numpy is behind it
@@ -169,7 +216,9 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
     if before is None or after is None:
         return
     gap = words.in_mrad(after)
-    if summary["verdict"] == "unexplained":
+    if "learned_torque" in summary:
+        yield f"With the learned torque the gap is {gap}."
+    elif summary["verdict"] == "unexplained":
         yield (
             f"Fitted in spite of what is unexplained, the gap would be {gap}: do not rely on it."
         )

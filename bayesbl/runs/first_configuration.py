@@ -55,7 +55,11 @@ def require_writable(path: Path, inputs: Sequence[Path], force: bool) -> None:
 
 
 def start_config(
-    recordings: Sequence[str | Path], out: str | Path | None = None, *, force: bool = False
+    recordings: Sequence[str | Path],
+    out: str | Path | None = None,
+    *,
+    joint: str | None = None,
+    force: bool = False,
 ) -> tuple[Path, Guess]:
     """Write a commented configuration: ``fit`` of one recording, ``compare`` of several.
 
@@ -65,6 +69,8 @@ def start_config(
         Files with the same columns; the first one is looked at.
     out
         The file to write; named after the first recording, in the working directory, by default.
+    joint
+        Which one, where a file holds several.
     force
         Write over an existing file.
 
@@ -78,7 +84,7 @@ def start_config(
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
     require_writable(path, [Path(file) for file in recordings], force)
     table, *_ = [read_table(file) for file in recordings]
-    guess = guess_columns(first, table)
+    guess = guess_columns(first, table, joint)
     write_text(config_text([Path(file) for file in recordings], path, guess), path)
     return path, guess
 

@@ -14,7 +14,7 @@ from importlib import import_module
 import numpy as np
 
 from bayesbl.bench.effect_declaration import ORDER, Effect
-from bayesbl.bench.kernel import Slot
+from bayesbl.bench.kernel import OVER_LOAD_ANGLE, OVER_MOTOR_ANGLE, OVER_SPEED, OVER_TIME, Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import FloatArray
@@ -74,6 +74,8 @@ def after(matrix: FloatArray, time_s: float) -> FloatArray:
     matrix = matrix.copy()
     for value, rate in _RATES:
         matrix[:, value] += time_s * matrix[:, rate]
+    in_time = matrix[:, Slot.learned_torque__variable] == OVER_TIME
+    matrix[in_time, Slot.learned_torque__shift] += time_s
     return matrix
 
 
@@ -85,9 +87,17 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
         cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
         if np.any((matrix[:, amplitude] != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
             return False
-    return True
+    learned = matrix[matrix[:, Slot.learned_torque__side] != 0.0]
+    variable = learned[:, Slot.learned_torque__variable]
+    turn = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
+    turn[variable == OVER_MOTOR_ANGLE] *= learned[variable == OVER_MOTOR_ANGLE, Slot.gear_ratio]
+    angular = (variable == OVER_MOTOR_ANGLE) | (variable == OVER_LOAD_ANGLE)
+    whole = angular & (np.abs(turn - np.round(turn)) <= 1e-9)
+    return bool(np.all(whole | (variable == OVER_SPEED)))
 
 
 def turn_with_the_motor(matrix: FloatArray) -> bool:
     """Whether anything is on in these benches, shape (m, SLOTS), that needs the motor's angle."""
-    return bool(np.any(matrix[:, _WITH_MOTOR_ANGLE] != 0.0))
+    learned = matrix[:, Slot.learned_torque__side] != 0.0
+    learned &= matrix[:, Slot.learned_torque__variable] == OVER_MOTOR_ANGLE
+    return bool(np.any(matrix[:, _WITH_MOTOR_ANGLE] != 0.0) or np.any(learned))

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.learned_torque import LEARNED_TORQUE, LearnedTorque
+from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import START_ANGLE
 from bayesbl.naming.explanation import Explanation
 
@@ -31,11 +33,36 @@ def augmented_bench(explanation: Explanation) -> Bench:
     effects = tuple(_fitted(effect, values, deviations) for effect in bench.effects)
     corrected = {name: values[name] for name in values if name in bench.parameters}
     bench = bench.with_parameters(**corrected).with_effects(*effects)
+    if bench.learned_torque is not None:
+        bench = replace(bench, learned_torque=torque_of(fit))
     parameters = dict(bench.parameters)
     for name in corrected:
         half = min(math.sqrt(3.0) * deviations[name], 0.5 * abs(values[name]))
         parameters[name] = replace(parameters[name], tolerance=half)
     return replace(bench, parameters=parameters)
+
+
+def torque_of(fit: SimulatedFit) -> LearnedTorque:
+    """The learned torque at the optimum, with standard deviations."""
+    learned = fit.model.bench.learned_torque
+    assert learned is not None
+    places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
+    spread = np.sqrt(np.diag(fit.covariance))
+    values = [
+        float(fit.point[places[name]]) if name in places else known
+        for name, known in zip(learned.names, learned.coefficients, strict=True)
+    ]
+    sds = [float(spread[places[name]]) if name in places else 0.0 for name in learned.names]
+    period = places.get(f"{LEARNED_TORQUE}__period")
+    orders = len(learned.cosine_nm)
+    return replace(
+        learned,
+        period=learned.period if period is None else float(fit.point[period]),
+        constant_nm=values[0],
+        cosine_nm=tuple(values[1 : 1 + orders]),
+        sine_nm=tuple(values[1 + orders :]),
+        sd_nm=tuple(sds),
+    )
 
 
 def known_settings(explanation: Explanation) -> dict[str, float]:

@@ -13,6 +13,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
+from bayesbl.diagnosis.closed_loop.learned import Learned, answer_of, learned_torque
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     residuals_of,
@@ -22,6 +23,7 @@ from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
+    LearnedAnswer,
     NamedEffect,
     ParameterError,
     verdict_of,
@@ -35,7 +37,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
-from bayesbl.naming.explanation import Explanation, with_noise
+from bayesbl.naming.explanation import Explanation, reduced, with_noise
 from bayesbl.naming.search import (
     Naming,
     name_missing,
@@ -78,6 +80,8 @@ class Findings:
         Recordings, those that were held out too, beside both simulations.
     remaining
         What still stands out after naming.
+    learned
+        The torque that was learned from what naming left; ``final`` has it.
     """
 
     believed: Bench
@@ -87,6 +91,7 @@ class Findings:
     residuals_before: ResidualAnalysis
     residuals_after: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
+    learned: Learned | None = None
 
 
 def search(
@@ -142,7 +147,26 @@ def search(
         naming = replace(naming, repeats=True, final=final, effects=())
         pairs = simulated_pairs(final, final, held_out)
         after, remaining = before, describe_unexplained(before)
-    return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining))
+    learned = None
+    if naming.repeats or remaining:
+        learned = learned_torque(final, remaining, settings.false_alarm, settings.motor_angle_known)
+    if learned is not None:
+        final = learned.explanation
+        naming = _with_candidates(naming, final)
+        pairs = simulated_pairs(naming.nominal, final, held_out)
+        after = _analysis(pairs, final, "after")
+        remaining = describe_unexplained(after)
+    return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
+
+
+def _with_candidates(naming: Naming, final: Explanation) -> Naming:
+    """Without the names that a learned torque has made superfluous."""
+    for place in range(len(naming.final.candidates) - 1, -1, -1):
+        if naming.final.candidates[place].label not in final.names:
+            left = reduced(naming.nominal, naming.final, place)
+            naming = replace(naming, final=left or naming.nominal)
+    kept = tuple(e for e in naming.effects if e.candidate.label in naming.final.names)
+    return replace(naming, effects=kept)
 
 
 def diagnosis_of(
@@ -167,7 +191,7 @@ def diagnosis_of(
         verdict_of(
             effects="effect" in kinds,
             parameters="parameter" in kinds,
-            remains=naming.repeats or bool(found.remaining),
+            remains=naming.repeats or bool(found.remaining) or found.learned is not None,
         ),
         tuple(
             NamedEffect(
@@ -196,13 +220,14 @@ def diagnosis_of(
         tuple(notes),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=_averaged_delta(naming, final, sampled),
+        delta_after=_delta_after(found, sampled),
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
         residuals_before=found.residuals_before,
         residuals_after=found.residuals_after,
         ranking=naming.ranking,
-        augmented_bench=augmented_bench(final) if final.candidates else None,
+        augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
+        learned=_learned_answer(found),
     )
 
 
@@ -268,6 +293,20 @@ def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
     logs = np.array([explanation.log_evidence for explanation in found.values()])
     weights = np.exp(logs - logs.max())
     return list(zip(found.values(), map(float, weights / weights.sum()), strict=True))
+
+
+def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:
+    """δ with what was named and learned; ``None`` where a learned torque leaves it open."""
+    told = _learned_answer(found)
+    if told is None:
+        return _averaged_delta(found.naming, found.final, sampled)
+    return None if told.gap_withheld else _delta(found.final, sampled)
+
+
+def _learned_answer(found: Findings) -> LearnedAnswer | None:
+    if found.learned is None:
+        return None
+    return answer_of(found.learned, _share_closed(found.residuals_before, found.residuals_after))
 
 
 def _averaged_delta(

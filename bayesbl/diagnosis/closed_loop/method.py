@@ -59,6 +59,11 @@ SPEED_ALONE = (
     "by the speed alone, as the controller's integral hides them."
 )
 
+NOT_SAMPLED = (
+    "With a learned torque nothing is sampled: intervals are of the normal approximation to the "
+    "posterior of all its coefficients with everything else."
+)
+
 
 class ClosedLoop:
     """Speed and current beside their simulation; of a rigid drive, lines of its speed."""
@@ -91,6 +96,8 @@ class ClosedLoop:
         fits = None if progress is None else partial(progress, "candidates")
         problem = (task.bench, used, held_out, unknowns, settings)
         found = task.work.get("naming", problem, lambda: search(*problem, fits), Findings)
+        if found.learned is not None:
+            return diagnosis_of(found, None, (*notes, NOT_SAMPLED))
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
         posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)

@@ -8,12 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesbl.bench.learned_torque import SHIFT
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.signals import SimulatedSignals, Unknown, start_angle_unknown
+from bayesbl.matching.signals import (
+    SimulatedSignals,
+    Unknown,
+    shift_unknowns,
+    start_angle_unknown,
+)
 from bayesbl.naming.explanation import Explanation
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.recording.types import FloatArray
@@ -58,9 +64,13 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
         for u in fit.model.unknowns
         if u.recording == fit.model.recordings[0].name and u.name.endswith("__phase_rad")
     ]
-    unknowns = [start_angle_unknown(seen.name), *phases]
+    bench = augmented_bench(explanation)
+    shifts = []
+    if any(u.name == SHIFT for u in fit.model.unknowns) and bench.learned_torque is not None:
+        shifts = shift_unknowns(bench.learned_torque, [seen.name])
+    unknowns = [start_angle_unknown(seen.name), *phases, *shifts]
     model = SimulatedSignals(
-        augmented_bench(explanation),
+        bench,
         [seen],
         unknowns,
         [estimate_channel_noise(seen.signals, seen.lag)],
@@ -72,7 +82,7 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
     if phases:  # four quadrants, as a phase far off has no slope towards the right one
         trials = [start.copy() for _ in range(4)]
         for k, trial in enumerate(trials):
-            trial[1:] = 0.5 * math.pi * k
+            trial[1 : 1 + len(phases)] = 0.5 * math.pi * k
     fits = [fit_simulated(model, trial) for trial in trials]
     best = min(fits, key=lambda f: f.chi_square)
     return np.asarray(model.signals(best.point, 0)[0])

@@ -13,6 +13,7 @@ from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.rigid.learned import learned_fit
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
@@ -156,6 +157,7 @@ def inverse_problem(task: Task) -> Problem:
         comparison,
         lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
         tuple(notes),
+        lambda fit, false_alarm: learned_fit(comparison, fit, false_alarm),
     )
 
 

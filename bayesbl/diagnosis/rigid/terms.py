@@ -118,4 +118,6 @@ def required_torque(motion: Motion, bench: Bench) -> FloatArray:
         effect = effect_named(present.name)
         if effect.torque is not None and effect.load_torque is None:
             torque = torque + effect.torque.signal(motion, bench, present.complete())
+    if bench.learned_torque is not None:
+        torque = torque + bench.learned_torque.along(motion, bench.value("gear_ratio"))
     return np.asarray(torque)

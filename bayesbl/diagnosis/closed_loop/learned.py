@@ -1,0 +1,329 @@
+"""A torque of no known law, learned from what the simulation leaves (:mod:`..learning`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesbl.bench.kernel import LEARNED_HARMONICS, RPM
+from bayesbl.bench.learned_torque import (
+    LEARNED_TORQUE,
+    SHIFT,
+    LearnedTorque,
+    coefficient_names,
+)
+from bayesbl.bench.steady import ringing_hz
+from bayesbl.diagnosis.closed_loop.augment import torque_of
+from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
+from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
+from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
+from bayesbl.errors import BenchError
+from bayesbl.matching.alignment import remaining_noise
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.naming.candidates import Candidate, amplitude_places
+from bayesbl.naming.criteria import ENOUGH_CLOSED
+from bayesbl.naming.explanation import ROUGHLY_CONVERGED, Explanation, gain_threshold, with_noise
+from bayesbl.recording.types import FloatArray
+
+LONGEST_PERIOD = 5.0
+"""Turns of the motor: what repeats more rarely belongs to the load or to time."""
+
+MOST_BASES = 3
+
+CURVE_POINTS = 181
+
+WHOLE = 0.02
+"""Of an order: lines this close to a whole multiple of another belong to it."""
+
+RANGE = 10.0
+"""Of every coefficient's flat prior, in the largest coefficient of the linear solution."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """A learned torque, fitted jointly with all else.
+
+    Attributes
+    ----------
+    explanation
+        With the coefficients among its unknowns.
+    torque
+        Fitted, with standard deviations.
+    alike
+        Other variables or sides that the recordings do not tell from it.
+    predicted_gain
+        χ² by which it predicts recordings that it was not fitted on.
+    gap_share
+        Share of the information on ln δ that it leaves; 1 where the gap is known.
+    reaches_ringing
+        Its orders repeat with the load, as impacts do, up to the ringing: it could be taken for
+        impacts, and these for it.
+    """
+
+    explanation: Explanation
+    torque: LearnedTorque
+    alike: tuple[LearnedTorque, ...]
+    predicted_gain: float
+    gap_share: float
+    reaches_ringing: bool
+
+
+def learned_torque(
+    base: Explanation,
+    remaining: Sequence[Unexplained],
+    false_alarm: float,
+    motor_angle_known: bool,
+) -> Learned | None:
+    """The torque that predicts most of what an explanation leaves; ``None`` if none does.
+
+    Parameters
+    ----------
+    remaining
+        What still repeats: its lines propose motor orders and frequencies.
+    """
+    fit = base.fit
+    if fit.model.bench.learned_torque is not None:
+        return None
+    found = []
+    for hypothesis in _hypotheses(remaining, motor_angle_known):
+        groups = _groups(fit, hypothesis)
+        if groups is not None:
+            found.append((hypothesis, groups))
+    trials = alike(learn(found, fit.model.prior_precision(), false_alarm), false_alarm)
+    for trial in trials:
+        with suppress(BenchError):
+            explanation = _without_idle(_fitted(base, trial), false_alarm)
+            fit = explanation.fit
+            others = tuple(t.hypothesis.torque(t.coefficients) for t in trials if t is not trial)
+            torque = torque_of(fit)
+            return Learned(
+                explanation, torque, others, trial.gain, gap_share(fit), _reaches(fit.model, torque)
+            )
+    return None
+
+
+def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
+    """Leave out named candidates, the faintest first, that beside the torque no longer stand out.
+
+    They stood in for it.
+    """
+    fit = explanation.fit
+    faintest: tuple[float, Candidate, list[int]] | None = None
+    for candidate in explanation.candidates:
+        names = {(u.name, u.recording) for u in candidate.unknowns}
+        at = [i for i, u in enumerate(fit.model.unknowns) if (u.name, u.recording) in names]
+        away = fit.point[at] - candidate.neutral
+        amplitudes = amplitude_places(candidate)
+        some = np.ix_([at[k] for k in amplitudes], [at[k] for k in amplitudes])
+        size = away[amplitudes]
+        gain = float(size @ np.linalg.solve(fit.covariance[some], size))
+        enough = gain_threshold(len(at), len(explanation.candidates), false_alarm)
+        if gain < enough and (faintest is None or gain < faintest[0]):
+            faintest = gain, candidate, at
+    if faintest is None:
+        return explanation
+    _, idle, at = faintest
+    kept = [i for i in range(fit.point.size) if i not in at]
+    bench = fit.model.bench
+    model = replace(
+        fit.model,
+        bench=bench.with_effects(*(e for e in bench.effects if e.name != idle.name)),
+        unknowns=tuple(fit.model.unknowns[i] for i in kept),
+    )
+    left = tuple(c for c in explanation.candidates if c is not idle)
+    fitted = Explanation(left, fit_simulated(model, fit.point[kept], fit.steps[kept]))
+    return _without_idle(fitted, false_alarm)
+
+
+def _reaches(model: SimulatedSignals, torque: LearnedTorque) -> bool:
+    """Whether the torque repeats with the load at orders that reach the ringing of an impact."""
+    if torque.variable != "load_angle":
+        return False
+    ringing = ringing_hz(model.bench.vector())
+    fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
+    return len(torque.cosine_nm) * fastest >= ringing
+
+
+def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Hypothesis]:
+    turn = 2.0 * math.pi
+    for side in ("load", "motor"):
+        for reverses in (False, True):
+            yield Hypothesis(side, "load_angle", turn, reverses)
+    own = not motor_angle_known
+    for order in _bases(remaining, "motor angle", lambda entry: entry.lowest_order):
+        if order * LONGEST_PERIOD >= 1.0:
+            yield Hypothesis("motor", "motor_angle", turn / order, False, own)
+    for frequency in _bases(remaining, "time", lambda entry: entry.frequency_hz):
+        yield Hypothesis("motor", "time", 1.0 / frequency, False, True)
+
+
+def _bases(
+    remaining: Sequence[Unexplained], dependence: What, value: Callable[[Unexplained], float]
+) -> list[float]:
+    """Orders or frequencies that what is left could be made of, at most a few.
+
+    Its lines, the smallest distance between two of them and, of whole orders, one. Of those that
+    hold as many lines as multiples, the largest first: it needs the fewest orders.
+    """
+    lines: list[float] = []
+    for entry in sorted(remaining, key=lambda entry: -entry.amplitude):
+        if entry.dependence in (dependence, "angle or time") and value(entry) > 0.0:
+            line = value(entry)
+            if dependence == "motor angle" and abs(line - round(line)) < 0.1 * WHOLE:
+                line = float(round(line))
+            if all(abs(line / other - 1.0) > SAME_ORDER for other in lines):
+                lines.append(line)
+    between = [abs(a - b) for a in lines for b in lines if abs(a - b) > WHOLE]
+    bases = [*lines, *sorted(between)[:1]]
+    if dependence == "motor angle" and any(line == round(line) for line in lines):
+        bases.append(1.0)
+
+    def held(base: float) -> int:
+        multiples = [line / base for line in lines]
+        return sum(
+            abs(m - round(m)) < WHOLE and 1 <= round(m) <= LEARNED_HARMONICS for m in multiples
+        )
+
+    found: list[float] = []
+    for base in sorted(bases, key=lambda base: (-held(base), -base)):
+        if all(abs(base / other - 1.0) > WHOLE for other in found):
+            found.append(base)
+    return found[:MOST_BASES]
+
+
+def _groups(fit: SimulatedFit, hypothesis: Hypothesis) -> list[Group] | None:
+    """Products of the columns of every recording; of the halves of one that is alone."""
+    names = coefficient_names(LEARNED_HARMONICS)
+    model = _with_torque(fit.model, hypothesis, LEARNED_HARMONICS, [Unknown(n) for n in names])
+    size = len(fit.point)
+    moved = np.repeat(np.concatenate([fit.point, np.zeros(len(names))])[None], len(names) + 1, 0)
+    step = _typical_torque(fit) * (model.bench.value("gear_ratio") if _at_load(hypothesis) else 1.0)
+    moved[np.arange(len(names)) + 1, np.arange(len(names)) + size] = step
+    z = model.whitened(moved)
+    columns = (z[0] - z[1:]) / step
+    if not np.all(np.isfinite(columns)):
+        return None
+    parts = [model.by_recording(row) for row in (*columns, *fit.jacobian.T, fit.residual)]
+    unknowns = fit.model.unknowns
+    groups = []
+    for i, seen in enumerate(fit.model.recordings):
+        table = np.stack([part[i] for part in parts])  # (p, channels, samples)
+        own = [k for k, u in enumerate(unknowns) if u.recording == seen.name]
+        halves = [slice(None)]
+        if len(fit.model.recordings) == 1:
+            middle = table.shape[2] // 2
+            halves, own = [slice(None, middle), slice(middle, None)], []
+        for rows in halves:
+            matrix = table[:, :, rows].reshape(len(table), -1)
+            groups.append(Group(matrix @ matrix.T, tuple(own)))
+    return groups
+
+
+def _at_load(hypothesis: Hypothesis) -> bool:
+    return hypothesis.side == "load"
+
+
+def _typical_torque(fit: SimulatedFit) -> float:
+    """Torque at the motor of the size that what is left has, N m: a step for derivatives."""
+    model = fit.model
+    seen = model.recordings[0]
+    left = np.sqrt(np.mean(seen.left_by(model.signals(fit.point, 0)[0]) ** 2, axis=1))
+    if len(left) > 1:
+        return float(left[1]) * model.bench.value("torque_constant_nm_per_a")
+    return float(left[0]) / RPM * model.bench.value("speed_gain_nm_s_per_rad")
+
+
+def _with_torque(
+    model: SimulatedSignals, hypothesis: Hypothesis, orders: int, unknowns: Sequence[Unknown]
+) -> SimulatedSignals:
+    """The comparison with a torque of so many orders, all zero, and these unknowns more."""
+    torque = hypothesis.torque(np.zeros(2 * orders + 1))
+    return replace(
+        model,
+        bench=replace(model.bench, learned_torque=torque),
+        unknowns=(*model.unknowns, *unknowns),
+    )
+
+
+def _fitted(base: Explanation, trial: Trial) -> Explanation:
+    """All unknowns jointly with the coefficients, twice, the noise estimated again between."""
+    hypothesis, model = trial.hypothesis, base.fit.model
+    reach = RANGE * float(np.abs(trial.coefficients).max())
+    names = coefficient_names(trial.orders)
+    unknowns = [Unknown(names[k], -reach, reach) for k in trial.free]
+    start = [float(trial.coefficients[k]) for k in trial.free]
+    if hypothesis.own_zero:
+        period = hypothesis.period
+        whole = abs(2.0 * math.pi / hypothesis.period % 1.0) < 1e-6
+        if not (hypothesis.variable == "motor_angle" and whole):
+            half = 0.5 * WHOLE * hypothesis.period
+            unknowns.append(Unknown(f"{LEARNED_TORQUE}__period", period - half, period + half))
+            start.append(period)
+        for seen, shift in zip(model.recordings[1:], trial.shifts[1:], strict=False):
+            unknowns.append(Unknown(SHIFT, -1.5 * period, 1.5 * period, recording=seen.name))
+            start.append((shift + 0.5 * period) % period - 0.5 * period)
+    extended = _with_torque(model, hypothesis, trial.orders, unknowns)
+    begin = np.concatenate([base.fit.point, start])
+    fit = fit_simulated(extended, begin, base.fit.steps, ROUGHLY_CONVERGED)
+    explanation = replace(base, fit=fit)
+    return with_noise(explanation, remaining_noise(fit))
+
+
+def gap_share(fit: SimulatedFit) -> float:
+    """Information on ln δ with the coefficients free over that with them known."""
+    names = [u.name for u in fit.model.unknowns]
+    if GAP not in names:
+        return 1.0
+    gap = names.index(GAP)
+    coefficients = set(coefficient_names(LEARNED_HARMONICS))
+    held = [i for i, name in enumerate(names) if name not in coefficients]
+    precision = np.linalg.inv(fit.covariance)
+    known = np.linalg.inv(precision[np.ix_(held, held)])[held.index(gap), held.index(gap)]
+    return float(known / fit.covariance[gap, gap])
+
+
+def band_of(fit: SimulatedFit, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The torque at these values of its variable and its standard deviation, each as ``x``."""
+    torque = torque_of(fit)
+    orders = np.arange(1, len(torque.cosine_nm) + 1)
+    phase = 2.0 * math.pi * np.outer(x, orders) / torque.period
+    basis = np.hstack([np.ones((x.size, 1)), np.cos(phase), np.sin(phase)])
+    places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
+    free = [k for k, name in enumerate(torque.names) if name in places]
+    at = [places[torque.names[k]] for k in free]
+    covariance = fit.covariance[np.ix_(at, at)]
+    variance = np.einsum("xi,ij,xj->x", basis[:, free], covariance, basis[:, free])
+    return torque.over(x), np.sqrt(variance)
+
+
+def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
+    """What is told of it; ``closed``: share of what repeated that is gone."""
+    torque = learned.torque
+    lowest = 0.0 if torque.belongs_to_recordings else -0.5 * torque.period
+    x = lowest + torque.period * np.linspace(0.0, 1.0, CURVE_POINTS)
+    values, sd = band_of(learned.explanation.fit, x)
+    withheld = ""
+    if learned.reaches_ringing:
+        withheld = (
+            "The learned torque repeats with the load at orders that reach the ringing of an "
+            "impact: it could be taken for impacts, so no gap is given."
+        )
+    elif closed < ENOUGH_CLOSED:
+        withheld = (
+            f"The learned torque removes {100.0 * closed:.0f} % of what repeats; from "
+            f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
+        )
+    size = values if torque.reverses else values - values.mean()
+    return LearnedAnswer(
+        torque,
+        float(np.abs(size).max()),
+        learned.alike,
+        LearnedCurve(x, values, sd),
+        learned.gap_share,
+        withheld,
+    )
