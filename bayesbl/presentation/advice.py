@@ -234,8 +234,8 @@ def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
         where = "beyond" if further_rad > limit_rad else "still below"
         place = f"to about {1e3 * further_rad:.2g} mrad, {where} the {limit}"
     yield (
-        f"As much growth again would bring the gap {place}. Give the recordings their dates (--date) for a "
-        "forecast of when it is reached."
+        f"As much growth again would bring the gap {place}. Give the recordings their dates "
+        "(--date) for a forecast of when it is reached."
     )
 
 
