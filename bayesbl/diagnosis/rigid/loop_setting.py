@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -30,6 +31,9 @@ CANDIDATES = (
 )
 CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_friction")
 """Effects of a bench that are no line at one speed, or are known to the loop."""
+
+LOAD_COUNTS = 0.01
+"""Share of the inertia from which the load's is spoken of."""
 
 HIDDEN = (
     "From the speed alone the controller's integral hides what friction is on average: only what "
@@ -126,8 +130,20 @@ def loop_setting(task: Task) -> Setting:
             )
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
     names = tuple(candidate.name for candidate in wanted(config, bench, CANDIDATES))
-    notes = (*notes_of(recordings), HIDDEN)
+    notes = (*notes_of(recordings), HIDDEN, *_soft_shaft(values))
     return Setting(tuple(used), tuple(held_out), values, Free(priors), names, notes)
+
+
+def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
+    """What the load's inertia means where a shaft lies between."""
+    at_motor = values["load_inertia_kg_m2"] / values["gear_ratio"] ** 2
+    motor = values["motor_inertia_kg_m2"] / (values["motor_inertia_kg_m2"] + at_motor)
+    if motor < 1.0 - LOAD_COUNTS:
+        yield (
+            f"The load holds {100.0 * (1.0 - motor):.2g} % of the inertia. Beyond the resonance of "
+            f"a shaft to it only the motor's own moves, and torques are {motor:.2g} times what is "
+            'said here: compare with drive = "two_mass" if the joint has a gear.'
+        )
 
 
 def _half(item: Turning, second: bool) -> Turning:
