@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
@@ -41,7 +40,7 @@ from bayesbl.diagnosis.rigid.order_laws import (
     z_between,
 )
 from bayesbl.diagnosis.rigid.order_lines import OrderLine, Turning, find_orders, noise_sd
-from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS
+from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS, torque_of_angle
 from bayesbl.diagnosis.selection import MOST_EFFECTS, SURE_PARAMETER
 from bayesbl.diagnosis.task import Task
 from bayesbl.measurement.task import StageProgress
@@ -102,10 +101,11 @@ class _Answer:
     task: Task
     setting: Setting
     found: list[OrderLine]
+    true_angle: bool = False
 
     def diagnosis(self) -> Diagnosis:
         """Name what follows a law, describe the rest."""
-        setting, alarm = self.setting, self.task.config.candidates.false_alarm
+        setting = self.setting
         lines = lines_of(setting.used, [line.order for line in self.found])
         laws = [law for law, name in LAWS.items() if name in setting.candidates]
         notes = list(setting.notes)
@@ -118,16 +118,18 @@ class _Answer:
             first = [k for k, line in enumerate(self.found) if line.order == 1.0 and len(laws) > 1]
             fit = chosen_laws(lines, laws, values, free)
             for place in first:
-                fit = with_both(lines, fit, place, values, free, alarm)
+                fit = with_both(lines, fit, place, values, free)
             # What follows no law must not bend the loop of what does.
             kept = {k: law for k, law in fit.laws.items() if generalises(lines, fit, k)}
             fit = fit_laws(lines, kept, values, free) if kept else None
             if fit is not None:
-                fit, free, added = self._with_loop(lines, fit, alarm)
+                fit, free, added = self._with_loop(lines, fit)
                 for place in set(first) & fit.laws.keys():
-                    fit = with_both(lines, fit, place, values, free, alarm)
+                    fit = with_both(lines, fit, place, values, free)
                 most = self.task.config.candidates.max_effects or MOST_EFFECTS
                 fit = _strongest(lines, fit, max(0, most - len(added)))
+        if fit is not None and (again := self._by_true_angle(fit)) is not None:
+            return again.diagnosis()
         named, remaining = self._named(lines, fit, notes)
         effects, errors = self._of_loop(fit, added)
         effects = (*named, *effects)
@@ -144,9 +146,34 @@ class _Answer:
             order_sizes=tuple(self._sizes(fit)),
         )
 
-    def _with_loop(
-        self, lines: Lines, fit: LawFit, alarm: float
-    ) -> tuple[LawFit, Free, list[_Added]]:
+    def _by_true_angle(self, fit: LawFit) -> _Answer | None:
+        """The same over the angle without the encoder's error, once it is named beside torques.
+
+        Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
+        """
+        first = [k for k in fit.laws if fit.laws[k] != "torque" and self.found[k].order == 1.0]
+        if self.true_angle or not first or len(fit.laws) == 1:
+            return None
+
+        def without_error(item: Turning) -> Turning:
+            (line,), _ = item.fit([1.0])
+            if not np.isfinite(line):
+                return item
+            torque, angle, phase = fit.sizes[first[0]]
+            like = angle * torque_of_angle(fit.values, np.full(1, item.speed_rad_per_s))[0]
+            turn = line / (torque * np.exp(1j * phase) + like)
+            error = angle * np.real(turn / abs(turn) * np.exp(1j * item.angle))
+            return replace(item, angle=item.angle - error, made={})
+
+        setting = replace(
+            self.setting,
+            used=tuple(map(without_error, self.setting.used)),
+            held_out=tuple(map(without_error, self.setting.held_out)),
+        )
+        alarm = self.task.config.candidates.false_alarm
+        return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
+
+    def _with_loop(self, lines: Lines, fit: LawFit) -> tuple[LawFit, Free, list[_Added]]:
         """The fit with what else the loop must have, and what of it is then free."""
         effects = [name for name in LOOP_EFFECTS if name in self.setting.candidates]
         wrong = [name for name in ("motor_inertia_kg_m2", *GAINS) if self.setting.values[name]]
@@ -169,14 +196,13 @@ class _Answer:
                 made = fit_laws(lines, fit.laws, self.setting.values, more)
                 if made.freedom > 0:
                     trials[name] = more, made
-            gains = {n: (fit.cost - made.cost) / made.scatter**2 for n, (_, made) in trials.items()}
-            best = max(gains, key=lambda name: gains[name], default="")
-            if not best or chi2.sf(gains[best], 1) * len(trials) > alarm:
+            gains = {name: z_between(made, fit) for name, (_, made) in trials.items()}
+            good = [name for name in trials if gains[name] >= ALIKE]
+            if not good:
                 return fit, free, found
-            top = trials[best][1]
-            alike = [name for name, (_, made) in trials.items() if z_between(top, made) < ALIKE]
-            first, *rivals = alike
-            found.append(_Added(first, tuple(rivals), math.sqrt(gains[first])))
+            top = trials[max(good, key=lambda name: gains[name])][1]
+            first, *rivals = [name for name in good if z_between(top, trials[name][1]) < ALIKE]
+            found.append(_Added(first, tuple(rivals), gains[first]))
             free, fit = trials[first]
             if not set(wrong) - free.priors.keys():
                 return fit, free, found  # only ratios of inertia and gains show

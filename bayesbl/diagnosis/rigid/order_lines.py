@@ -25,7 +25,7 @@ FINER = 4
 LEVEL_ORDERS = 40
 """Resolved orders over which the noise around a line is taken, by its median."""
 
-WHOLE = 3.0
+WHOLE = 4.0
 """Standard deviations within which an order is a whole one."""
 
 
