@@ -16,6 +16,7 @@ from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.free_motion.method import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
+from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.predictive_check import ROUNDING
@@ -189,6 +190,14 @@ def _method(
         return "forward", (
             "the bench is rigid, neither torque nor current is recorded, and each speed is "
             "constant: the controller's gains say what torque the speed's ripple takes"
+        )
+    driven = [recording for recording in recordings if moves(recording)]
+    if driven:
+        raise RecordingError(
+            MOTION_ALONE,
+            file=driven[0].place,
+            found=", ".join(driven[0].channels),
+            expected="one of " + ", ".join(INVERSE),
         )
     return "free_motion", (
         "the bench is rigid, and nothing drives the motor that is recorded: taken for let go with "

@@ -85,11 +85,10 @@ def ripples(found: Diagnosis) -> dict[float, float]:
     }
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 def test_a_ripple_and_two_harmonics_at_five_speeds_have_their_orders_and_sizes(
-    tmp_path: Path, seed: int
+    tmp_path: Path,
 ) -> None:
-    found = diagnosed(tmp_path, Drive(torques=RIPPLE), SPEEDS_RPM, seed=seed)
+    found = diagnosed(tmp_path, Drive(torques=RIPPLE), SPEEDS_RPM)
     assert found.verdict == "named"
     named = ripples(found)
     assert list(named) == [order for order, *_ in RIPPLE]
@@ -121,6 +120,14 @@ def test_an_encoder_that_is_off_centre_is_no_ripple_and_stands_beside_one(tmp_pa
         assert abs(fitted.value - size) < SURE * fitted.sd < 0.2 * size
 
 
+def test_a_ripple_has_no_sidebands_over_an_encoder_that_is_off_centre(tmp_path: Path) -> None:
+    drive = Drive(angles=((1.0, 4e-3, 0.3),), torques=((6.0, 0.3, 1.0),))
+    found = diagnosed(tmp_path, drive, FAST_RPM)
+    assert [e.name for e in found.effects].count("encoder_eccentricity") == 1
+    assert list(ripples(found)) == [6.0]
+    assert not found.remaining
+
+
 def test_one_speed_names_nothing_and_asks_for_another(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Drive(torques=RIPPLE), (800.0, -800.0))
     assert found.verdict == "unexplained"
@@ -148,7 +155,7 @@ def test_a_line_at_one_frequency_is_periodic_in_time(tmp_path: Path) -> None:
 
 def test_nothing_hidden_leaves_nothing_missing(tmp_path: Path) -> None:
     """False alarms: 1 in 100 for each set of recordings."""
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         found = diagnosed(tmp_path, Drive(), SPEEDS_RPM, seed=seed)
         assert found.verdict == "nothing_missing"
 
@@ -240,7 +247,7 @@ def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     Path("bench.toml").write_text(BENCH)
     files = []
-    for rpm in (100.0, 300.0, -600.0):
+    for rpm in (150.0, -600.0):
         made = recorded(Drive(torques=RIPPLE[:1]), rpm, 7, lasting_s=4.0, noise_rpm=0.5)
         files.append(f"{made.name}.csv".replace(" ", "_"))
         table = np.column_stack([made.time_s, made.motor_speed_rpm])

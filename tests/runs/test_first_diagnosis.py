@@ -19,6 +19,7 @@ from bayesbl.recording.types import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     MOTOR_TORQUE,
+    REFERENCE_SPEED,
     Recording,
 )
 from bayesbl.runs.diagnosis_file import diagnosis_of
@@ -117,6 +118,13 @@ def test_a_torque_that_never_changes_is_none(rigid: Bench) -> None:
     found = guessed(rigid, swing)
     assert found["comparison", "method"] == "free_motion"
     assert found["a", "use"] == "split"
+
+
+def test_a_driven_motion_without_its_torque_is_not_taken_for_a_free_one(rigid: Bench) -> None:
+    swing = swinging("a")
+    swing.channels[REFERENCE_SPEED] = np.gradient(swing.channels[MOTOR_POSITION], swing.time_s)
+    with pytest.raises(RecordingError, match="From motion alone"):
+        guess_diagnosis(rigid, [swing])
 
 
 def test_the_speed_alone_at_constant_speeds_shows_the_loop(rigid: Bench) -> None:
