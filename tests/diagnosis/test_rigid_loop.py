@@ -121,7 +121,7 @@ def test_an_encoder_that_is_off_centre_is_no_ripple_and_stands_beside_one(tmp_pa
 
 
 def test_a_ripple_has_no_sidebands_over_an_encoder_that_is_off_centre(tmp_path: Path) -> None:
-    drive = Drive(angles=((1.0, 4e-3, 0.3),), torques=((6.0, 0.3, 1.0),))
+    drive = Drive(angles=((1.0, 8e-3, 0.3),), torques=((6.0, 0.3, 1.0),))
     found = diagnosed(tmp_path, drive, FAST_RPM)
     assert [e.name for e in found.effects].count("encoder_eccentricity") == 1
     assert list(ripples(found)) == [6.0]
