@@ -178,9 +178,23 @@ def identify(
 
 
 def diagnose(
-    config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
+    *inputs: File,
+    config: File | None = None,
+    bench: File | None = None,
+    level: float | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    progress: bool = False,
 ) -> DiagnosisResult:
-    """Say what a bench lacks that recordings show, by a configuration; nothing is written.
+    """Say what a bench lacks that recordings show; nothing is written.
+
+    Parameters
+    ----------
+    inputs
+        A configuration in TOML; or recordings, of which method, channels, unknowns and what each is
+        for are guessed but for what ``config`` gives.
+    bench
+        A bench file, or the result of an identification.
 
     Raises
     ------
@@ -189,8 +203,13 @@ def diagnose(
     """
     from bayesbl.config.diagnose import DiagnoseConfig
     from bayesbl.runs.diagnose import run_diagnose
+    from bayesbl.runs.diagnosis_file import diagnosis_of
 
-    loaded = _load(config, "diagnose", DiagnoseConfig, seed, workers)
+    given: dict[str, Any] = {"bench": bench, "level": level, "seed": seed, "workers": workers}
+    if len(inputs) == 1 and Path(inputs[0]).suffix.lower() == ".toml":
+        loaded = _load(inputs[0], "diagnose", DiagnoseConfig, **given)
+    else:
+        loaded, _ = diagnosis_of(inputs, config, **given)
     with _shown(progress) as tell:
         found: DiagnosisResult = _as_object(run_diagnose(loaded, tell))
     return found
@@ -209,7 +228,7 @@ def sweep(
     from bayesbl.config.sweep import SweepConfig
     from bayesbl.runs.sweep import run_sweep
 
-    loaded = _load(config, "sweep", SweepConfig, seed, workers)
+    loaded = _load(config, "sweep", SweepConfig, seed=seed, workers=workers)
     with _shown(progress) as tell:
         found: SweepResult = _as_object(run_sweep(loaded, tell))
     return found
@@ -326,10 +345,10 @@ def _measure(
         return _as_object(measure(loaded, tell))
 
 
-def _load(config: File, kind: str, model: type[C], seed: int | None, workers: int | None) -> C:
+def _load(config: File, kind: str, model: type[C], **given: object) -> C:
     from bayesbl.runs.run import load_run
 
-    loaded = load_run(config, kind=kind, seed=seed, workers=workers)
+    loaded = load_run(config, kind=kind, **given)
     assert isinstance(loaded, model)
     return loaded
 

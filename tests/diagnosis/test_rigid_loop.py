@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
@@ -262,3 +264,8 @@ def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, c
     assert set(lines["law"].values) == {"torque"}
     assert set(lines["use"].values) == {"used", "held_out"}
     assert Path("out", "figures", "lines_over_speed.png").exists()
+    same = bayesbl.diagnose(*files, bench="bench.toml").summary
+    stored = json.loads(Path("out", "summary.json").read_text())
+    assert [e["parameters"] for e in same["effects"]] == [
+        e["parameters"] for e in stored["effects"]
+    ]
