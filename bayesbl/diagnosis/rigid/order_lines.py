@@ -201,7 +201,7 @@ def _refined(
 ) -> tuple[float, float]:
     """The order of the highest score nearby, and its standard deviation by the curvature.
 
-    A whole order within the errors is the whole one.
+    A whole order within the errors is the whole one, unless every order is near one.
     """
     parts = [
         (item.piece.kept(item.angle), left, float(np.interp(order, orders, level)))
@@ -225,7 +225,8 @@ def _refined(
     # The logarithm of the likelihood is the score over the level: its second derivative.
     sd = 1.0 / math.sqrt(bend) if bend > 0.0 else width
     whole = round(best)
-    return (float(whole) if whole and abs(best - whole) < WHOLE * sd else best), sd
+    is_whole = whole > 0 and abs(best - whole) < WHOLE * sd < 0.5
+    return (float(whole) if is_whole else best), sd
 
 
 def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatArray:
