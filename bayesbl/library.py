@@ -206,8 +206,9 @@ def diagnose(
     from bayesbl.runs.diagnosis_file import diagnosis_of
 
     given: dict[str, Any] = {"bench": bench, "level": level, "seed": seed, "workers": workers}
-    if len(inputs) == 1 and Path(inputs[0]).suffix.lower() == ".toml":
-        loaded = _load(inputs[0], "diagnose", DiagnoseConfig, **given)
+    alone = inputs[0] if len(inputs) == 1 else None if inputs else config
+    if alone is not None and Path(alone).suffix.lower() == ".toml":
+        loaded = _load(alone, "diagnose", DiagnoseConfig, **given)
     else:
         loaded, _ = diagnosis_of(inputs, config, **given)
     with _shown(progress) as tell:
