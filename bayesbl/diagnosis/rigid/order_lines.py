@@ -225,8 +225,9 @@ def _refined(
     # The logarithm of the likelihood is the score over the level: its second derivative.
     sd = 1.0 / math.sqrt(bend) if bend > 0.0 else width
     whole = round(best)
-    is_whole = whole > 0 and abs(best - whole) < WHOLE * sd < 0.5
-    return (float(whole) if is_whole else best), sd
+    # By the likelihood itself: of a weak line it has several peaks, and a bend of each.
+    near = 2.0 * (misfit(float(whole)) - misfit(best)) < WHOLE**2
+    return (float(whole) if near and whole > 0 and WHOLE * sd < 0.5 else best), sd
 
 
 def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatArray:
