@@ -22,8 +22,6 @@ The share of the posterior between two quantiles of n draws has the standard dev
 √(p (1 − p)/n), p its level. (The same number as 100 in each of four chains, Vehtari et al. 2021.)
 """
 STEPS_PER_AUTOCORRELATION = 50.0
-LAGS = 5.0
-"""Lags in autocorrelation times that are summed: later ones add more scatter than they tell."""
 WEAKEST_SIGNAL_TO_NOISE = 6.0
 """A/σ_A below which the answer is withheld: noise alone hardly ever rings as loudly.
 
@@ -103,26 +101,16 @@ def rank_r_hat_and_ess(
 def integrated_time(chain: FloatArray) -> float:
     """Integrated autocorrelation time in steps of one ensemble's chain, (step, walker, d).
 
-    τ = 1 + 2 Σ ρ_t over the first lags up to five τ (Sokal 1997), ρ the mean autocorrelation of
-    the walkers. The largest over the symbols; of a chain shorter than five τ, what its whole length
-    gives, where emcee's own estimate would say 1. Infinite for a chain that does not move.
+    The largest over the symbols; infinite for a chain that does not move.
     """
-    from emcee.autocorr import function_1d
+    from emcee.autocorr import integrated_time as estimate
 
-    steps = len(chain)
     spread = chain.reshape(-1, chain.shape[-1]).std(axis=0)
-    if steps < 8 or np.any(spread == 0.0):
+    if len(chain) < 8 or np.any(spread == 0.0):
         return math.inf
-    longest = 0.0
     with np.errstate(invalid="ignore"):  # a walker that never moved
-        for walkers in np.moveaxis(chain, -1, 0):
-            mean = np.mean([function_1d(one) for one in walkers.T], axis=0)
-            times = 2.0 * np.cumsum(mean) - 1.0
-            if not np.all(np.isfinite(times)):
-                return math.inf
-            enough = np.arange(steps) >= LAGS * times
-            longest = max(longest, float(times[np.argmax(enough) if enough.any() else -1]))
-    return longest
+        longest = float(np.max(estimate(chain, tol=0, quiet=True)))
+    return longest if math.isfinite(longest) else math.inf
 
 
 def judge(

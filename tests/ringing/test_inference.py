@@ -641,24 +641,6 @@ def test_a_walker_that_never_moves_makes_the_autocorrelation_time_infinite() -> 
     assert integrated_time(chain) == math.inf
 
 
-def test_a_chain_too_short_to_tell_its_memory_is_not_taken_for_one_without():
-    """Walkers that step by 1 % of their scatter: the memory is far longer than the chain."""
-    generator = np.random.default_rng(3)
-    start = generator.standard_normal((1, 40, 1))
-    chain = start + 0.01 * generator.standard_normal((60, 40, 1)).cumsum(axis=0)
-    assert integrated_time(chain) > 10.0
-
-
-def test_the_memory_of_a_chain_is_that_of_its_law():
-    """x' = 0.9 x + noise: τ = (1 + 0.9)/(1 − 0.9) = 19; 40 walkers of 4,000 steps know it to 4 %."""
-    generator = np.random.default_rng(4)
-    chain = np.empty((4000, 40, 1))
-    chain[0] = generator.standard_normal((40, 1))
-    for step in range(1, 4000):
-        chain[step] = 0.9 * chain[step - 1] + math.sqrt(0.19) * generator.standard_normal((40, 1))
-    assert integrated_time(chain) == pytest.approx(19.0, rel=0.12)
-
-
 def test_ringing_no_stronger_than_its_uncertainty_is_withheld() -> None:
     symbols = {**TRUTH, AMPLITUDE: 1.0}
     estimator = Estimator(sampler=SamplerSettings(ensembles=2, max_steps=500))
