@@ -95,7 +95,9 @@ def test_what_repeats_every_rotation_is_what_is_said_to(torque: LearnedTorque) -
     run = with_torque(torque).vector(gap_rad=GAP_RAD, start_angle_rad=0.4)
     speed = simulate_channels(run, 3600, 500.0)[0, 1]
     repeats = bool(np.max(np.abs(speed[1800:] - speed[:1800])) < 0.01)
-    assert repeat_each_rotation(run) is repeats is (torque.variable in ("load_angle", "motor_speed"))
+    assert (
+        repeat_each_rotation(run) is repeats is (torque.variable in ("load_angle", "motor_speed"))
+    )
     assert turn_with_the_motor(run) is (torque.variable == "motor_angle")
 
 
