@@ -14,12 +14,12 @@ from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned import gap_share, learned_torque
+from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_torque
 from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.learning import Group, Hypothesis, learn
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.learned import learned_fit
+from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned import Learned, answer_of, learned_torque
+from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_torque
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     residuals_of,
