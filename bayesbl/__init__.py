@@ -3,9 +3,13 @@
 The public functions and types, whose names stay:
 
 =====================  ============================================================================
-``fit``, ``compare``   recordings in, an xarray tree with posterior, gap and change out
+``fit``, ``compare``   recordings in, gap and change out; what all of these give is a ``Result``
+``identify``           a data sheet and recordings in, the joint's own bench out
+``diagnose``           what a bench lacks that recordings show
+``sweep``              the gap curve of a bench
+``Result``             prints its answer, plots, gives an xarray tree, a table and a page
+``read_result``        a stored result as such an object
 ``summarise``          a tree as ``summary.json`` holds it: δ in rad, intervals, probabilities
-``read_result``        the tree of a stored result
 ``run``                a configuration of any kind, with its output folder
 ``load_config``        a validated configuration from TOML
 ``read_recording``     a ``Recording``: channels over time, units in their names
@@ -28,10 +32,19 @@ if TYPE_CHECKING:
     from bayesbl.config.loading import load_config
     from bayesbl.curve.gap_curve import GapCurve, published_curve
     from bayesbl.errors import UserError
-    from bayesbl.library import compare, fit, run, write_page
+    from bayesbl.library import (
+        compare,
+        diagnose,
+        fit,
+        identify,
+        read_result,
+        run,
+        sweep,
+        write_page,
+    )
+    from bayesbl.presentation.result_object import Result
     from bayesbl.recording.readers import read_recording
     from bayesbl.recording.types import Recording
-    from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.summary import summarise
 
 __version__ = "0.3.0"
@@ -40,10 +53,13 @@ __all__ = [
     "Bench",
     "GapCurve",
     "Recording",
+    "Result",
     "UserError",
     "__version__",
     "compare",
+    "diagnose",
     "fit",
+    "identify",
     "load_bench",
     "load_config",
     "published_curve",
@@ -51,6 +67,7 @@ __all__ = [
     "read_result",
     "run",
     "summarise",
+    "sweep",
     "write_page",
 ]
 
@@ -58,16 +75,20 @@ _HOMES = {
     "Bench": "bayesbl.bench.bench",
     "GapCurve": "bayesbl.curve.gap_curve",
     "Recording": "bayesbl.recording.types",
+    "Result": "bayesbl.presentation.result_object",
     "UserError": "bayesbl.errors",
     "compare": "bayesbl.library",
+    "diagnose": "bayesbl.library",
     "fit": "bayesbl.library",
+    "identify": "bayesbl.library",
     "load_bench": "bayesbl.config.bench",
     "load_config": "bayesbl.config.loading",
     "published_curve": "bayesbl.curve.gap_curve",
     "read_recording": "bayesbl.recording.readers",
-    "read_result": "bayesbl.runs.declared_groups",
+    "read_result": "bayesbl.library",
     "run": "bayesbl.library",
     "summarise": "bayesbl.runs.summary",
+    "sweep": "bayesbl.library",
     "write_page": "bayesbl.library",
 }
 """Public name to the module that holds it, and behind a colon its name there if it differs."""

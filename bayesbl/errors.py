@@ -103,3 +103,7 @@ class WorkerError(UserError):
 
 class ClusterError(UserError):
     """A cluster that cannot be reached, or whose workers cannot run a study."""
+
+
+class BrokerError(UserError):
+    """A broker of messages that cannot be reached, or does not let us in."""

@@ -1,25 +1,54 @@
-"""What the commands do, as functions: ``bayesbl.fit``, ``compare``, ``run`` and ``write_page``."""
+"""What the commands do, as functions: they return results that print, plot and give their numbers.
+
+Options that are not given are those of ``config``, or the defaults of the command line.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ResultError
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from bayesbl.measurement.task import StageProgress
+    from bayesbl.presentation.result_object import (
+        ComparisonResult,
+        DiagnosisResult,
+        FitResult,
+        IdentificationResult,
+        Result,
+        SweepResult,
+    )
     from bayesbl.runs.summary import Summary
+
+File = str | Path
+Route = Literal["auto", "direct", "amplitude", "torque_ramp"]
+C = TypeVar("C", bound=RunConfig)
 
 
 def fit(
-    recording: str | Path, *, config: str | Path | None = None, **options: object
-) -> xr.DataTree:
+    recording: File,
+    *,
+    config: File | None = None,
+    bench: File | None = None,
+    curve: File | None = None,
+    route: Route | None = None,
+    limit_rad: float | None = None,
+    gear_ratio: float | None = None,
+    level: float | None = None,
+    start_from: File | None = None,
+    check_sampler: bool | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    progress: bool = False,
+) -> FitResult:
     """Measure the gap in one recording; nothing is written.
 
     Parameters
@@ -27,41 +56,66 @@ def fit(
     recording
         A file; other column names and units are mapped by ``config``.
     config
-        A configuration file that the options go over.
-    options
-        As the command line's: ``curve``, ``level``, ``limit_rad`` (rad), ``gear_ratio``, ``seed``,
-        ``workers``.
+        A configuration file that the other arguments override.
+    bench, curve
+        What the gap is read from: a bench file, or a stored sweep, ``"published"`` for the
+        paper's.
+    limit_rad
+        Repair limit of the gap, in rad at the load.
+    level
+        Probability of intervals.
+    start_from
+        An earlier result whose optimum the search starts from.
+    progress
+        Show bars on a terminal.
 
     Returns
     -------
-    Groups ``posterior`` (``delta_rad`` in rad, ``amplitude_rpm`` in rpm, …, dimensions ``chain``
-    and ``draw``), ``sample_stats``, ``observed_data`` and more, units on every variable.
+    With groups ``posterior`` (``delta_rad`` in rad, ``amplitude_rpm`` in rpm, …, dimensions
+    ``chain`` and ``draw``), ``sample_stats``, ``observed_data`` and more, units on every variable.
 
     Raises
     ------
     UserError
         If the recording or the configuration cannot be used.
     """
-    return _measure("fit", [recording], config, options)
+    given = {"bench": bench, "curve": curve, "route": route, "limit_rad": limit_rad}
+    given |= {"gear_ratio": gear_ratio, "level": level, "start_from": start_from}
+    given |= {"check_sampler": check_sampler, "seed": seed, "workers": workers}
+    found: FitResult = _measure("fit", [recording], config, (), given, progress)
+    return found
 
 
 def compare(
-    first: str | Path,
-    *later: str | Path,
-    config: str | Path | None = None,
+    first: File,
+    *later: File,
+    config: File | None = None,
+    bench: File | None = None,
+    curve: File | None = None,
+    route: Route | None = None,
     dates: Sequence[date] = (),
-    **options: object,
-) -> xr.DataTree:
+    limit_rad: float | None = None,
+    before: date | None = None,
+    gear_ratio: float | None = None,
+    level: float | None = None,
+    start_from: File | None = None,
+    check_sampler: bool | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    progress: bool = False,
+) -> ComparisonResult:
     """Measure the gap in each recording of one joint, and its change; nothing is written.
 
     Parameters
     ----------
     first, later
         Files in the order they were taken, at least two.
-    config, options
-        As for :func:`fit`.
     dates
         When each was taken; with them the result has a group ``wear``.
+    before
+        Asks how probably the gap passes the limit before this date.
+
+    The others are those of :func:`fit`.
 
     Returns
     -------
@@ -73,7 +127,106 @@ def compare(
     UserError
         If a recording or the configuration cannot be used.
     """
-    return _measure("compare", [first, *later], config, options, dates)
+    given: dict[str, Any] = {"bench": bench, "curve": curve, "route": route}
+    given |= {"limit_rad": limit_rad}
+    given |= {"before": before, "gear_ratio": gear_ratio, "level": level}
+    given |= {"start_from": start_from, "check_sampler": check_sampler}
+    given |= {"seed": seed, "workers": workers}
+    found: ComparisonResult = _measure("compare", [first, *later], config, dates, given, progress)
+    return found
+
+
+def identify(
+    *recordings: File,
+    config: File | None = None,
+    bench: File | None = None,
+    effects: Literal["catalogue"] | Sequence[str] | None = None,
+    dates: Sequence[date] = (),
+    level: float | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    progress: bool = False,
+) -> IdentificationResult:
+    """Find the bench of a joint from its data sheet and recordings; nothing is written.
+
+    Parameters
+    ----------
+    bench
+        The data sheet: a bench file with tolerances.
+    effects
+        Effects that the data sheet lacks: looked for in the catalogue, or free by name.
+
+    The others are those of :func:`compare`; without recordings, those of ``config`` are used.
+
+    Raises
+    ------
+    UserError
+        If data sheet, recordings or configuration cannot be used.
+    """
+    from bayesbl.config.identify import IdentifyConfig
+    from bayesbl.config.loading import config_from_options
+    from bayesbl.runs.identify import run_identify
+
+    named = effects if effects is None or effects == "catalogue" else list(effects)
+    given: dict[str, Any] = {"bench": bench, "effects": named, "level": level}
+    given |= {"seed": seed, "workers": workers}
+    loaded = config_from_options("identify", recordings, config, dates, **given)
+    assert isinstance(loaded, IdentifyConfig)
+    with _shown(progress) as tell:
+        found: IdentificationResult = _as_object(run_identify(loaded, tell))
+    return found
+
+
+def diagnose(
+    config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
+) -> DiagnosisResult:
+    """Say what a bench lacks that recordings show, by a configuration; nothing is written.
+
+    Raises
+    ------
+    UserError
+        If configuration, bench or recordings cannot be used.
+    """
+    from bayesbl.config.diagnose import DiagnoseConfig
+    from bayesbl.runs.diagnose import run_diagnose
+
+    loaded = _load(config, "diagnose", DiagnoseConfig, seed, workers)
+    with _shown(progress) as tell:
+        found: DiagnosisResult = _as_object(run_diagnose(loaded, tell))
+    return found
+
+
+def sweep(
+    config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
+) -> SweepResult:
+    """Simulate a bench over gaps, by a configuration, for its gap curve; nothing is written.
+
+    Raises
+    ------
+    UserError
+        If configuration or bench cannot be used, or the curve is not monotone.
+    """
+    from bayesbl.config.sweep import SweepConfig
+    from bayesbl.runs.sweep import run_sweep
+
+    loaded = _load(config, "sweep", SweepConfig, seed, workers)
+    with _shown(progress) as tell:
+        found: SweepResult = _as_object(run_sweep(loaded, tell))
+    return found
+
+
+def read_result(path: File) -> Result:
+    """A stored result of any kind, of the kind of object that made it.
+
+    Raises
+    ------
+    ResultError
+        If there is no readable, finished result.
+    """
+    from bayesbl.presentation.result_object import result_of
+    from bayesbl.runs.declared_groups import read_result as read
+
+    return result_of(read(path))
 
 
 def run(config: str | Path | RunConfig, *, force: bool = False) -> Summary:
@@ -157,23 +310,44 @@ def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | Non
 
 def _measure(
     kind: str,
-    recordings: list[str | Path],
-    config: str | Path | None,
-    options: Mapping[str, object],
-    dates: Sequence[date] = (),
-) -> xr.DataTree:
-    from bayesbl.config.loading import OPTIONS, config_from_options
-    from bayesbl.errors import ConfigError
+    recordings: Sequence[File],
+    config: File | None,
+    dates: Sequence[date],
+    given: dict[str, Any],
+    progress: bool,
+) -> Any:
+    from bayesbl.config.loading import config_from_options
+    from bayesbl.config.measurement import SnapshotConfig
     from bayesbl.measurement.routes import measure
-    from bayesbl.recording.channels import did_you_mean
 
-    for name in options:
-        if name not in OPTIONS:
-            raise ConfigError(
-                "There is no such option." + did_you_mean(name, OPTIONS),
-                where=name,
-                expected="one of " + ", ".join(OPTIONS),
-            )
-    loaded = config_from_options(kind, recordings, config, dates, **options)
+    loaded = config_from_options(kind, recordings, config, dates, **given)
     assert isinstance(loaded, SnapshotConfig)
-    return measure(loaded)
+    with _shown(progress) as tell:
+        return _as_object(measure(loaded, tell))
+
+
+def _load(config: File, kind: str, model: type[C], seed: int | None, workers: int | None) -> C:
+    from bayesbl.runs.run import load_run
+
+    loaded = load_run(config, kind=kind, seed=seed, workers=workers)
+    assert isinstance(loaded, model)
+    return loaded
+
+
+def _as_object(tree: xr.DataTree) -> Any:
+    from bayesbl.presentation.result_object import result_of
+
+    return result_of(tree)
+
+
+@contextmanager
+def _shown(progress: bool) -> Iterator[StageProgress | None]:
+    """What a run calls with its steps, if they are to be shown."""
+    if not progress:
+        yield None
+        return
+    from bayesbl.presentation.progress import progress as bars
+    from bayesbl.presentation.terminal import make_console
+
+    with bars(make_console(stderr=True)) as tell:
+        yield tell

@@ -110,7 +110,7 @@ class Measurement:
     noise_through_controller: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Bench:
     """Two masses, a gap between them, gravity and a speed loop.
 
@@ -175,6 +175,11 @@ class Bench:
             self.learned_torque.put_into(vector)
         vector.setflags(write=False)
         return vector
+
+    def __repr__(self) -> str:
+        effects = "".join(f", {effect.name}" for effect in self.effects)
+        toleranced = f"{len(self.tolerances)} of {len(self.parameters)} parameters with tolerance"
+        return f"<Bench {self.drive}: {toleranced}{effects}>"
 
     def value(self, name: str) -> float:
         """Value of a bench parameter, run setting or ``effect.parameter``."""

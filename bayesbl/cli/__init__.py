@@ -14,14 +14,14 @@ import typer
 
 from bayesbl import __version__
 from bayesbl.cli.bench import (
-    diagnose_command,
     effects_command,
     plan_command,
     simulate_command,
     sweep_command,
 )
 from bayesbl.cli.configurations import check_command, fleet_command, init_command, run_command
-from bayesbl.cli.identifying import identify_command
+from bayesbl.cli.device import collect_command, watch_command
+from bayesbl.cli.identifying import diagnose_command, identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
@@ -51,6 +51,8 @@ app.command("check")(check_command)
 app.command("fit")(fit_command)
 app.command("compare")(compare_command)
 app.command("fleet")(fleet_command)
+app.command("watch")(watch_command)
+app.command("collect")(collect_command)
 app.command("simulate")(simulate_command)
 app.command("sweep")(sweep_command)
 app.command("diagnose")(diagnose_command)

@@ -44,7 +44,6 @@ def _command(kind: str, what: str) -> Callable[..., None]:
 
 simulate_command = _command("simulate", "Make recordings on a virtual bench.")
 sweep_command = _command("sweep", "Sweep a virtual bench over its gap, for a gap curve of its own.")
-diagnose_command = _command("diagnose", "Find what a bench lacks that recordings show.")
 
 
 def plan_command(

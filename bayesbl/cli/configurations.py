@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -71,21 +72,42 @@ def check_command(config: ConfigPath) -> None:
 def init_command(
     recordings: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="RECORDING", help="One to fit, several to compare."),
+        typer.Argument(
+            metavar="RECORDING",
+            help="One to fit, several to compare; with --diagnose, the bench's file before them.",
+        ),
     ] = None,
     bench: Annotated[
         bool,
         typer.Option("--bench", help="Write a joint's data sheet to fill in, joint.toml, instead."),
     ] = False,
+    diagnose: Annotated[
+        bool,
+        typer.Option(
+            "--diagnose",
+            help="Write a diagnosis: what does the bench lack that the recordings show?",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="The file to write. [default: RECORDING.toml]"),
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="The file to write. [default: RECORDING.toml, or diagnose.toml]",
+        ),
+    ] = None,
+    joint: Annotated[
+        str | None,
+        typer.Option("--joint", metavar="NAME", help="Which one, where a file holds several."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Write a first configuration for recordings, or a joint's data sheet to fill in."""
     if bench:
         _init_bench(recordings, out, force)
+        return
+    if diagnose:
+        _init_diagnosis(recordings or [], out, force)
         return
     if not recordings:
         raise ConfigError(
@@ -99,10 +121,33 @@ def init_command(
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.run import check
 
-    path, guess = start_config(recordings, out, force=force)
+    path, guess = start_config(recordings, out, joint=joint, force=force)
     plan = check(path)
     print_blocks(guessed(guess), make_console())
     say(what_next(path, sound=not plan.problems, torque_ramps=guess.torque_ramps))
+    _print_findings(plan)
+
+
+def _init_diagnosis(given: list[Path], out: Path | None, force: bool) -> None:
+    from bayesbl.presentation.first_configuration import chosen, guessed
+    from bayesbl.presentation.terminal import make_console, print_blocks, say
+    from bayesbl.runs.diagnosis_file import start_diagnosis
+    from bayesbl.runs.run import check
+
+    if len(given) < 2:
+        raise ConfigError(
+            "A diagnosis is guessed from a bench and recordings.",
+            where="--diagnose",
+            found=", ".join(map(str, given)) or "nothing",
+            expected="bayesbl init --diagnose BENCH RECORDING …, best forward, reverse and at "
+            "another speed; `bayesbl init --bench` writes a bench to fill in",
+        )
+    path, columns, guess = start_diagnosis(given[0], given[1:], out, force=force)
+    plan = check(path)
+    print_blocks(guessed(columns), make_console())
+    print_blocks(chosen(guess), make_console())
+    next_step = f"Correct it there, then: bayesbl run {shlex.quote(str(path))}"
+    say(f"Written to {path}. " + ("It cannot run yet:" if plan.problems else next_step))
     _print_findings(plan)
 
 

@@ -1,4 +1,4 @@
-"""The command that finds a joint's own bench from its data sheet and recordings."""
+"""Commands that ask about the bench: a joint's own from its data sheet, and what one lacks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl.cli import options
-from bayesbl.cli.running import run_config
+from bayesbl.cli.running import given_files, guessing_columns, run_config, run_file
 from bayesbl.errors import ConfigError
 
 DataSheet = Annotated[
@@ -50,23 +50,67 @@ def identify_command(
     workers: options.Workers = None,
 ) -> None:
     """Find the bench of a joint from its data sheet and recordings, with the gap."""
-    from bayesbl.config.loading import config_from_options
-
     given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    given |= {"bench": bench, "level": level}
     if effects is not None:
         given["effects"] = effects if effects == "catalogue" else effects.split(",")
-    if len(inputs) == 1 and inputs[0].suffix.lower() == ".toml":
-        given |= {"bench": bench, "level": level}
+    from bayesbl.config.loading import config_from_options
+
+    if _is_configuration(inputs):
         loaded = config_from_options("identify", (), inputs[0], **given)
         run_config(loaded, force, json, inputs[0])
         return
     if bench is None and config is None:
-        raise ConfigError(
-            "An identification starts from a data sheet.",
-            where="--bench",
-            found="nothing",
-            expected="--bench datasheet.toml; `bayesbl init --bench` writes one to fill in",
-        )
-    given |= {"bench": bench, "level": level}
+        raise _without_bench("An identification starts from a data sheet.", "datasheet.toml")
     loaded = config_from_options("identify", inputs, config, dates or (), **given)
     run_config(loaded, force, json, config)
+
+
+def diagnose_command(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CONFIG | RECORDING …",
+            help="A configuration, or recordings: best in both directions and at two speeds.",
+        ),
+    ],
+    bench: options.BenchFile = None,
+    config: options.BaseConfig = None,
+    out: options.Out = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    level: options.Level = None,
+    workers: options.Workers = None,
+) -> None:
+    """Find what a bench lacks that recordings show."""
+    given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    given |= {"bench": bench, "level": level}
+    if _is_configuration(inputs):
+        run_file(inputs[0], force, json, kind="diagnose", **given)
+        return
+    if bench is None and config is None:
+        raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
+    from bayesbl.presentation.terminal import make_console
+    from bayesbl.runs.diagnosis_file import diagnosis_of
+
+    files = given_files([*([bench] if bench else []), *inputs])
+    with guessing_columns(f"init --diagnose {files}", config):
+        loaded, guess = diagnosis_of(inputs, config, **given)
+    console = make_console(stderr=True)
+    for choice in guess:
+        console.print(f"Guessed: {choice.told}", markup=False, highlight=False)
+    run_config(loaded, force, json, config)
+
+
+def _is_configuration(inputs: list[Path]) -> bool:
+    return len(inputs) == 1 and inputs[0].suffix.lower() == ".toml"
+
+
+def _without_bench(problem: str, example: str) -> ConfigError:
+    return ConfigError(
+        problem,
+        where="--bench",
+        found="nothing",
+        expected=f"--bench {example}; `bayesbl init --bench` writes one to fill in",
+    )

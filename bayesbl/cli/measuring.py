@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl.cli import options
-from bayesbl.cli.running import run_config
-from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.cli.running import given_files, guessing_columns, run_config
+from bayesbl.errors import ConfigError
 from bayesbl.recording import formats
 
 FORMATS = formats.names()
@@ -97,17 +97,5 @@ def _measure(
     from bayesbl.config.loading import config_from_options
 
     loaded = config_from_options(kind, recordings, config, **given)
-    try:
+    with guessing_columns(f"init {given_files(recordings)}", config):
         run_config(loaded, force, json, config)
-    except RecordingError as error:
-        if config is not None or error.where != "header":
-            raise
-        files = " ".join(shlex.quote(str(recording)) for recording in recordings)
-        raise RecordingError(
-            error.problem,
-            file=error.file,
-            where=error.where,
-            found=error.found,
-            expected=f"{error.expected}; `bayesbl init {files}` writes a configuration with the "
-            "columns guessed",
-        ) from None

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from bayesbl.cli.statuses import WITHHELD
-from bayesbl.errors import ConfigError, ResultError
+from bayesbl.errors import ConfigError, RecordingError, ResultError
 
 if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
@@ -45,6 +48,32 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
         if json:
             say(f"Withheld: {summary['reason']}", err=True)
         raise typer.Exit(WITHHELD)
+
+
+def given_files(files: Sequence[Path]) -> str:
+    """Files as a shell takes them."""
+    return " ".join(shlex.quote(str(file)) for file in files)
+
+
+@contextmanager
+def guessing_columns(command: str, config: Path | None) -> Iterator[None]:
+    """A recording whose columns are not known leads to the command that guesses them.
+
+    Not where a configuration could have told them.
+    """
+    try:
+        yield
+    except RecordingError as error:
+        if config is not None or error.where != "header":
+            raise
+        raise RecordingError(
+            error.problem,
+            file=error.file,
+            where=error.where,
+            found=error.found,
+            expected=f"{error.expected}; `bayesbl {command}` writes a configuration with the "
+            "columns guessed",
+        ) from None
 
 
 def print_json(folder: Path) -> None:

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.config.fields import (
+    BenchSource,
     ChannelName,
-    InputPath,
     Positive,
     Range,
     Section,
@@ -113,7 +113,7 @@ class DiagnoseConfig(RecordedConfig):
     """``kind = "diagnose"``."""
 
     kind: Literal["diagnose"]
-    bench: InputPath
+    bench: BenchSource
     comparison: Compared = Field(default_factory=Compared)
     unknowns: Unknowns = Field(default_factory=Unknowns)
     recordings: Annotated[tuple[DiagnosedRecording, ...], BeforeValidator(as_tuple)]

@@ -63,12 +63,15 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
 
 _OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
-    {"identify": {"bench": ("bench",)}, "plan": {"bench": ("bench",)}}
+    {kind: {"bench": ("bench",)} for kind in ("identify", "plan", "diagnose")}
 )
 """Options that set another field in some kinds."""
 
 _COMMON_SECTIONS = ("schema", "run", "columns", "interval")
-"""Sections that an identification takes from the configuration of a measurement."""
+"""Sections that identification and diagnosis take from the configuration of a measurement."""
+
+_OF_A_BENCH = ("identify", "diagnose")
+"""Kinds that ask about the bench, whose files have sections of their own."""
 
 _LONGEST_OUTPUT = 200
 """Bytes in the name of an output folder; file systems take 255, and hidden siblings need some."""
@@ -145,7 +148,7 @@ def config_from_options(
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
     require_kind(document.tables, _sharing(kind), document.file, document.text)
     tables = {"schema": 1, **document.tables, "kind": kind}
-    if kind == "identify" and _kind_of(document) not in ("", kind):
+    if kind in _OF_A_BENCH and _kind_of(document) not in ("", kind):
         tables = {name: tables[name] for name in _COMMON_SECTIONS if name in tables}
         tables["kind"] = kind
         tables["run"] = {k: v for k, v in tables.get("run", {}).items() if k != "output"}
@@ -159,6 +162,8 @@ def config_from_options(
         )
     if recordings:
         tables["recordings"] = _entries(recordings, dates)
+        if kind == "diagnose":  # one half of each to fit on, as long as nobody says better
+            tables["recordings"] = [{**entry, "use": "split"} for entry in tables["recordings"]]
         origins[("recordings",)] = "recordings"
     for option, value in options.items():
         if value is not None:
@@ -174,7 +179,7 @@ def config_from_options(
 def _sharing(kind: str) -> list[str]:
     """The kinds whose files a run of this kind can start from: those with the same sections."""
     measured = [other for other, model in KINDS.items() if issubclass(model, SnapshotConfig)]
-    if kind == "identify":
+    if kind in _OF_A_BENCH:
         return [kind, *measured]
     return measured if kind in measured else [kind]
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from bayesbl.config.fields import InputPath, Positive, Section, as_tuple
+from bayesbl.config.fields import BenchSource, Positive, Section, as_tuple
 from bayesbl.config.motion import two_angles
 from bayesbl.config.sections import RunConfig
 
@@ -27,7 +27,7 @@ class PlanConfig(RunConfig):
     """``kind = "plan"``: motions ranked by the width of δ that they promise at ``gap_rad``."""
 
     kind: Literal["plan"]
-    bench: InputPath
+    bench: BenchSource
     limits: Limits = Field(default_factory=Limits)
     gap_rad: Positive = 8e-4
     sampling_hz: float = Field(default=1000.0, ge=100.0)

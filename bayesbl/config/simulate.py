@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.config.fields import (
-    InputPath,
+    BenchSource,
     Name,
     OutputPath,
     Positive,
@@ -64,7 +64,7 @@ class SimulateFile(Section):
     schema_version: Literal[1] = Field(alias="schema")
     kind: Literal["simulate"]
     run: SimulateRun = SimulateRun()
-    bench: InputPath
+    bench: BenchSource
     truth_file: str | None = Field(default=None, min_length=1)
     recordings: Annotated[
         tuple[SimulatedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)

@@ -60,18 +60,6 @@ class Task:
             require_channels(recording, channels)
 
 
-def cuts(config: DiagnoseConfig, recordings: Sequence[Recording]) -> list[tuple[int, Use, slice]]:
-    """Number of the recording, use and samples of every piece; a split one is cut in the middle."""
-    found: list[tuple[int, Use, slice]] = []
-    for i, (entry, recording) in enumerate(zip(config.recordings, recordings, strict=True)):
-        if entry.use == "split":
-            half = recording.samples // 2
-            found += [(i, "used", slice(None, half)), (i, "held_out", slice(half, None))]
-        else:
-            found.append((i, "used" if entry.use == "fit" else "held_out", slice(None)))
-    return found
-
-
 def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
     """A recording, or some samples of it, as it is compared."""
     require_enough(recording, channel, recording.excluded)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import os
 import re
@@ -140,6 +141,28 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
     return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
 
 
+def is_joint_name(text: str) -> bool:
+    """Whether a joint may be called so: the name of its page, so no path and no markup."""
+    return _NAME.fullmatch(text) is not None
+
+
+def digest_of_file(file: str) -> tuple[str | None, str | None]:
+    """SHA-256 of a file's bytes, or why it cannot be read."""
+    try:
+        return hashlib.sha256(read_input(Path(file))).hexdigest(), None
+    except (OSError, ValueError) as error:
+        told = getattr(error, "strerror", None) or str(error)
+        return None, f"The file cannot be read: {told}."
+
+
+def file_of_another(joint: str, date: str) -> str:
+    """Why a recording is not used whose file is there for another joint too."""
+    return (
+        f"Its file is to the last byte that of joint {joint}, {date}, so nobody knows whose it is. "
+        "Was a file copied by mistake?"
+    )
+
+
 def _refused(one: Found, reason: str) -> Found:
     return Found(one.joint, one.date, one.file, one.reference_speed_rpm, reason)
 
@@ -198,7 +221,7 @@ def _date_of(value: object) -> str:
 
 def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
     name = str(row.get("joint") or "")
-    if not _NAME.fullmatch(name):
+    if not is_joint_name(name):
         expected = (
             f"at most {LONGEST_NAME} letters, digits, spaces and . , + - _, a letter or digit first"
         )

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.bench import load_bench
+from bayesbl.bench.bench import Bench
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.errors import UserError
@@ -40,6 +40,7 @@ from bayesbl.measurement.stored_snapshot import stored_snapshots
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear_laws import LAWS
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.warm_start import EarlierOptimum
 
@@ -63,11 +64,20 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
     answers: list[RecordingAnswer] = []
     for number in range(len(job.recordings)):
         answer = job.known.get(number)
-        answers.append(answer or _measured(job, number, answers[-1] if answers else None))
+        answers.append(answer or measure_recording(job, number, answers[-1] if answers else None))
     return tuple(answers), _wear(job, answers)
 
 
-def _measured(job: JointJob, number: int, before: RecordingAnswer | None) -> RecordingAnswer:
+def measure_recording(
+    job: JointJob, number: int, before: RecordingAnswer | None
+) -> RecordingAnswer:
+    """One recording by itself; ``before``: of the recording before it, where the search starts.
+
+    Raises
+    ------
+    OSError
+        If nothing can be written where fits are kept.
+    """
     name = job.names[number]
     try:
         config = job.config("fit", [number])
@@ -97,9 +107,10 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
     if "delta_rad" in posterior:
         gap = _flat(posterior["delta_rad"].values)
     if gap is not None and stored.route == "direct":
-        unknowns = _unknowns(job, stored.name)
-        bench = np.array([as_normal(u, _flat(posterior[u.name].values)) for u in unknowns])
-        bench = bench.reshape(len(unknowns), gap.size)
+        own = _bench(job)
+        unknowns = _unknowns(own, stored.name)
+        draws = [_flat(posterior[u.name].values) for u in unknowns]
+        bench = as_normal(unknowns, draws, own.identified).reshape(len(unknowns), gap.size)
     amplitude = None
     if "amplitude_rpm" in posterior:
         found = stored.interval("posterior", "amplitude_rpm")
@@ -180,7 +191,7 @@ def _by_bench(
     names = [job.names[number] for number in used]
     seeds = job.seeds(used)
     gaps = paired_gaps(alone, DRAWS, np.random.default_rng(seeds.gap))
-    differing = other_benches(alone, [u.name for u in _unknowns(job, names[0])])
+    differing = other_benches(alone, [u.name for u in _unknowns(_bench(job), names[0])])
     reason = None
     if differing:
         told = "; ".join(
@@ -239,10 +250,13 @@ def _of_group(
     )
 
 
-def _unknowns(job: JointJob, name: str) -> list[Unknown]:
-    """What is not known of the joint's bench and shared by all its recordings."""
+def _bench(job: JointJob) -> Bench:
     assert job.joint.bench is not None
-    bench = load_bench(Path(job.joint.bench))
+    return bench_from(job.joint.bench)
+
+
+def _unknowns(bench: Bench, name: str) -> list[Unknown]:
+    """What is not known of a joint's bench and shared by all its recordings."""
     own = [u for u in effect_unknowns(bench, [name]) if u.recording is None]
     return [*own, *tolerance_unknowns(bench)]
 

@@ -23,6 +23,7 @@ from bayesbl.results.intervals import IntervalKind, interval
 RECORDINGS_FILE, JOINTS_FILE = "recordings.parquet", "joints.parquet"
 
 QUANTILES = (0.01, 0.05, 0.25, 0.75, 0.95, 0.99)
+QUANTILE_COLUMNS = tuple(f"delta_rad_q{round(100 * q):02d}" for q in QUANTILES)
 
 RECORDING_COLUMNS = {
     "joint": ("string", "of the inventory"),
@@ -36,14 +37,14 @@ RECORDING_COLUMNS = {
     "reason": ("string", "why δ is null; null where it is not"),
     "notes": ("string", "what else to know of it"),
     "route": ("string", "direct or amplitude"),
-    "used": ("bool", "whether the joint's rate rests on it"),
+    "used": ("bool", "whether the joint's rate rests on it; null where none was made, by watch"),
     "delta_rad_median": ("double", "gap, rad"),
     "delta_rad_low": ("double", "lower bound of the interval, rad"),
     "delta_rad_high": ("double", "upper bound, rad"),
     "delta_rad_sd": ("double", "standard deviation, rad"),
     **{
-        f"delta_rad_q{round(100 * q):02d}": ("double", f"{100 * q:g} % quantile, rad")
-        for q in QUANTILES
+        name: ("double", f"{100 * q:g} % quantile, rad")
+        for name, q in zip(QUANTILE_COLUMNS, QUANTILES, strict=True)
     },
     "amplitude_rpm_median": ("double", "amplitude of the ringing, rpm"),
     "amplitude_rpm_low": ("double", "rpm"),
@@ -103,7 +104,7 @@ class Level:
 
 
 def recording_row(
-    answer: RecordingAnswer, joint: Joint | None, used: bool, level: Level
+    answer: RecordingAnswer, joint: Joint | None, used: bool | None, level: Level
 ) -> dict[str, Any]:
     """A row of ``recordings.parquet``, which recording it is of left open."""
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
@@ -117,11 +118,8 @@ def recording_row(
         gap = answer.gap_rad
         assert gap is not None
         row |= level.of(gap, "delta_rad") | {"delta_rad_sd": float(gap.std())}
-        found_at = np.quantile(gap, QUANTILES)
-        row |= {
-            f"delta_rad_q{round(100 * q):02d}": float(v)
-            for q, v in zip(QUANTILES, found_at, strict=True)
-        }
+        found_at = map(float, np.quantile(gap, QUANTILES))
+        row |= dict(zip(QUANTILE_COLUMNS, found_at, strict=True))
         if joint is not None and joint.limit_rad is not None and joint.curve != "published":
             row["probability_above_limit"] = float(np.mean(gap > joint.limit_rad))
     return row
@@ -249,10 +247,7 @@ def write_table(
     import pyarrow.parquet
 
     extra = dict.fromkeys(key for row in rows for key in row if key not in columns)
-    fields = [
-        pyarrow.field(name, pyarrow.type_for_alias(kind), metadata={"meaning": meaning})
-        for name, (kind, meaning) in columns.items()
-    ]
+    fields = list(schema_of(columns))
     for name in extra:
         is_number = all(isinstance(row.get(name, 0.0), float | None) for row in rows)
         kind = pyarrow.float64() if is_number else pyarrow.string()
@@ -263,6 +258,16 @@ def write_table(
             ]
     table = pyarrow.Table.from_pylist([dict(row) for row in rows], schema=pyarrow.schema(fields))
     pyarrow.parquet.write_table(table, path)
+
+
+def schema_of(columns: Mapping[str, tuple[str, str]]) -> Any:
+    """Of pyarrow; the meaning of each column is in its metadata."""
+    import pyarrow
+
+    return pyarrow.schema(
+        pyarrow.field(name, pyarrow.type_for_alias(kind), metadata={"meaning": meaning})
+        for name, (kind, meaning) in columns.items()
+    )
 
 
 def require_tables() -> None:

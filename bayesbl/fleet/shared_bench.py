@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import chi2
 
+from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.matching.signals import Unknown
 from bayesbl.recording.types import FloatArray
 
@@ -39,11 +40,29 @@ _EDGE = 1e-4
 """Shares of a flat prior beyond which draws count as at its edge (3.7 standard deviations)."""
 
 
-def as_normal(unknown: Unknown, values: FloatArray) -> FloatArray:
-    """Draws of an unknown in the coordinate in which its prior is standard normal."""
+def as_normal(
+    unknowns: Sequence[Unknown], draws: Sequence[FloatArray], joint: JointNormal | None
+) -> FloatArray:
+    """Draws of values in coordinates whose prior is standard normal, shape (unknown, draw).
+
+    ``joint``: the prior that some of the unknowns have together.
+    """
+    found = np.array([_alone(u, values) for u, values in zip(unknowns, draws, strict=True)])
+    if joint is None:
+        return found
+    shared = [row for row, unknown in enumerate(unknowns) if unknown.name in joint.names]
+    sd = np.array([unknowns[row].sd for row in shared])
+    whitening = joint.whitening([unknowns[row].name for row in shared])
+    found[shared] = whitening @ (sd[:, None] * found[shared])
+    return found
+
+
+def _alone(unknown: Unknown, values: FloatArray) -> FloatArray:
+    """Draws of one unknown where its own prior is standard normal, whatever others share it."""
+    coordinate = np.log(values) if unknown.logarithmic else values
     if np.isfinite(unknown.sd):
-        return np.asarray((values - unknown.centre) / unknown.sd)
-    share = (values - unknown.low) / (unknown.high - unknown.low)
+        return np.asarray((coordinate - unknown.centre) / unknown.sd)
+    share = (coordinate - unknown.low) / (unknown.high - unknown.low)
     return np.asarray(ndtri(np.clip(share, _EDGE, 1.0 - _EDGE)))
 
 

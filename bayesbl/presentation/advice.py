@@ -227,14 +227,15 @@ def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
     if limit_rad is None or above is None or above >= SURE or last["delta_rad"] is None:
         return
     further_rad = last["delta_rad"]["median"] + change_rad
+    limit = f"limit of {1e3 * limit_rad:g} mrad"
     if abs(further_rad / limit_rad - 1.0) < CLOSE:
-        where = "close to"
+        place = f"close to its {limit}"
     else:
         where = "beyond" if further_rad > limit_rad else "still below"
+        place = f"to about {1e3 * further_rad:.2g} mrad, {where} the {limit}"
     yield (
-        f"As much growth again would bring the gap to about {1e3 * further_rad:.2g} mrad, {where} "
-        f"the limit of {1e3 * limit_rad:g} mrad. Give the recordings their dates (--date) for a "
-        "forecast of when it is reached."
+        f"As much growth again would bring the gap {place}. Give the recordings their dates "
+        "(--date) for a forecast of when it is reached."
     )
 
 

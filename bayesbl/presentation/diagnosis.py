@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         DiagnosisSummary,
         DisagreementSummary,
         DisagreementTableSummary,
+        EffectSummary,
         HeldValue,
         LearnedDependence,
         LearnedSummary,
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 FAR_BEYOND_NOISE = 10.0
 """Standard deviations from zero above which their number is of no use to a reader."""
+
+MOST_RIVALS = 2
+"""That a headline lists by name."""
 
 UNTOLD_SHARE = (
     "–: before naming, the disagreement is too small beside the noise to give a share of it."
@@ -53,22 +57,64 @@ def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
 
 
 def headline(summary: DiagnosisSummary) -> str:
-    """The verdict as a sentence."""
-    names = [in_words(effect["name"]) for effect in summary["effects"]]
+    """The verdict as a sentence, with the size of what is missing."""
     match summary["verdict"]:
         case "named":
-            listed = names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
-            return f"Missing in the bench: {listed}."
+            names = [_size_in_short(effect) for effect in summary["effects"]]
+            if any(effect["indistinguishable_from"] for effect in summary["effects"]):
+                listed = "; ".join(names)
+            else:
+                listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+            missing = (
+                "is missing from the bench" if len(names) == 1 else "are missing from the bench"
+            )
+            return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
         case "parameter_error":
-            return "No effect is missing, but parameters of the bench are wrong."
+            return "No effect is missing, but the bench is wrong: " + next(
+                parameter_errors(summary)
+            )
         case "unexplained" if "learned_torque" in summary:
             return (
                 f"No effect of the catalogue explains it: {dependence(summary['learned_torque'])}."
             )
         case "unexplained":
-            return "Something repeats that no effect of the catalogue explains."
+            what = next(remaining(summary), ": .").partition(": ")[2]
+            return f"Something repeats that no effect of the catalogue explains: {what}"
         case _:
+            left = summary["disagreement"]["over_all"].get("used")
+            if left is not None and left["closed_fraction"] is not None:
+                after, noise = (_sized_rms(left, key) for key in ("after", "noise_floor"))
+                return (
+                    f"No effect could be named, and the bench leaves {after} where the noise is "
+                    f"{noise}."
+                )
             return "Nothing is missing: the residuals do not repeat, or no finding generalises."
+
+
+def _size_in_short(effect: EffectSummary) -> str:
+    """``load Coulomb friction 6.1 N m (5.8 to 6.4)``, its order and its rivals."""
+    parameters = dict(effect["parameters"])
+    order = parameters.pop("order", None)
+    name, size = next(iter(parameters.items()))
+    words_of_name = in_words(effect["name"])
+    if order is not None:
+        words_of_name += f" (order {_digits(order['median'])})"
+    sized_name = f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}"
+    rivals = effect["indistinguishable_from"]
+    alike = " or ".join(map(in_words, rivals))
+    if len(rivals) > MOST_RIVALS:
+        alike = f"one of {len(rivals)} others that look the same"
+    return f"{sized_name}, or {alike}" if alike else sized_name
+
+
+def _effect_of_naming(summary: DiagnosisSummary) -> str:
+    """``: with it, 99.8 % of the disagreement on held-out data is gone``."""
+    found = summary["disagreement"]["over_all"].get("held_out")
+    if found is None or found["closed_fraction"] is None:
+        return ""
+    them = "it" if len(summary["effects"]) == 1 else "them"
+    share = removed(found["closed_fraction"])
+    return f": with {them}, {share} of the disagreement on held-out data is gone"
 
 
 def has_augmented_bench(summary: DiagnosisSummary) -> bool:

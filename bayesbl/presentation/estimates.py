@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
+    from bayesbl.results.intervals import Interval
 
 
 def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
@@ -72,12 +73,33 @@ def _box_search(part: SnapshotSummary) -> str:
 
 
 def _parameter_table(part: SnapshotSummary) -> Table:
-    """All nine symbols: the free ones with their interval, the others as fixed."""
-    from bayesbl.ringing.symbols import SYMBOLS
+    """All nine symbols and the time constant, with intervals or as fixed."""
+    from bayesbl.ringing.symbols import DECAY, SYMBOLS
 
     kind = words.short_kind(next(iter(part["parameters"].values())))
     columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
-    return table(columns, [_row(part, symbol.name, symbol.unit) for symbol in SYMBOLS.values()])
+    rows = [_row(part, symbol.name, symbol.unit) for symbol in SYMBOLS.values()]
+    rows.insert(list(SYMBOLS).index(DECAY) + 1, _time_constant(part))
+    return table(columns, rows)
+
+
+def _time_constant(part: SnapshotSummary) -> tuple[str, ...]:
+    """The decay rate as the time constant that its symbol τ is often taken for."""
+    from bayesbl.ringing.symbols import DECAY
+
+    best, found = 1e3 / part["optimum"][DECAY], part["parameters"].get(DECAY)
+    name = "  time constant, its inverse"
+    if found is None:
+        return name, f"{best:.3g}", "", "fixed", "ms"
+    inverse: Interval = {
+        **found,
+        "median": 1e3 / found["median"],
+        "low": 1e3 / found["high"],
+        "high": 1e3 / found["low"],
+    }
+    places = words.decimals(inverse, units=20.0)
+    shown = (number(value, places) for value in (best, inverse["median"]))
+    return name, *shown, words.bounds(inverse, places=places), "ms"
 
 
 def _row(part: SnapshotSummary, name: str, unit: str) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from bayesbl.recording.guessing import NO_UNIT
 
 if TYPE_CHECKING:
     from bayesbl.recording.guessing import Guess
+    from bayesbl.runs.first_diagnosis import Choice
 
 
 def guessed(guess: Guess) -> Iterator[Block]:
@@ -26,6 +27,12 @@ def guessed(guess: Guess) -> Iterator[Block]:
             why = "" if column.reason == NO_UNIT else f" ({column.reason})"
             unit = f"the unit of {column.name} is not stated{why}."
             yield Sentence(unit, "warning", "Check")
+
+
+def chosen(guess: Iterable[Choice]) -> Iterator[Block]:
+    """How recordings and bench would be compared, with the reasons."""
+    for choice in guess:
+        yield Sentence(choice.told)
 
 
 def what_next(path: Path, *, sound: bool, torque_ramps: bool = False) -> str:

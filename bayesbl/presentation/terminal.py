@@ -17,7 +17,7 @@ import sys
 import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TextIO
 
 from bayesbl.errors import UserError
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table
@@ -101,8 +101,8 @@ def _spell(error: UnicodeError) -> tuple[str, int]:
     return spelled, error.end
 
 
-def make_console(*, stderr: bool = False) -> Console:
-    """A console that prints what it is given, in colour on a terminal only."""
+def make_console(*, stderr: bool = False, file: TextIO | None = None) -> Console:
+    """A console that prints what it is given, in colour on a terminal only; or into a file."""
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
@@ -114,7 +114,7 @@ def make_console(*, stderr: bool = False) -> Console:
                 own = segment.control  # rich's, not a text's
                 yield segment if own else segment._replace(text=plain(segment.text))
 
-    return PlainConsole(stderr=stderr, highlight=False, markup=False, emoji=False)
+    return PlainConsole(stderr=stderr, file=file, highlight=False, markup=False, emoji=False)
 
 
 def error(console: Console, problem: UserError) -> None:

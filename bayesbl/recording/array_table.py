@@ -1,9 +1,12 @@
-"""Files that hold arrays (NetCDF, MATLAB, Parquet) as a table of columns."""
+"""Files that hold arrays (NetCDF, MATLAB, Parquet, …) as a table of columns."""
 
 from __future__ import annotations
 
+import io
+import logging
+import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -31,11 +34,14 @@ class ArrayTable:
         Name to values, shape (n,) each; n may differ between arrays that nobody asks for.
     units
         Units that the file itself states, by name.
+    clocks
+        Of columns that are sampled in groups, the column that holds their time in s, by name.
     """
 
     file: str
     arrays: Mapping[str, AnyArray]
     units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    clocks: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -45,6 +51,11 @@ class ArrayTable:
     def unit(self, column: int) -> str | None:
         """What the file says of a column's unit."""
         return self.units.get(self.columns[column])
+
+    def clock(self, column: int) -> int | None:
+        """The column that holds a column's time, where the file ties them together."""
+        name = self.clocks.get(self.columns[column])
+        return None if name is None else self.columns.index(name)
 
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
@@ -136,7 +147,8 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
     zlib.error, struct.error, …), so there is no narrower list that would hold.
     """
     try:
-        yield
+        with _without_words():
+            yield
     except UserError:
         raise
     except Exception as error:
@@ -149,13 +161,27 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
         ) from None
 
 
-def missing_library(file: Path, kind: str, library: str) -> RecordingError:
+@contextmanager
+def _without_words() -> Iterator[None]:
+    """Keep back what parsers print, log and complain of when a damaged file ends them."""
+    hook, level = sys.unraisablehook, logging.root.manager.disable
+    sys.unraisablehook = lambda _: None
+    logging.disable(logging.CRITICAL)
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        sys.unraisablehook = hook
+        logging.disable(level)
+
+
+def missing_library(file: Path, kind: str, library: str, otherwise: str = "") -> RecordingError:
     """The optional library that a format needs is not installed."""
     return RecordingError(
         f"Reading {kind} needs {library}, which is not installed.",
         file=file,
         found=f"no module {library}",
-        expected='pip install "bayesbl[formats]"',
+        expected='pip install "bayesbl[formats]"' + (f", or {otherwise}" if otherwise else ""),
     )
 
 

@@ -33,6 +33,9 @@ class Table(Protocol):
     def unit(self, column: int) -> str | None:
         """The unit that the file states for a column."""
 
+    def clock(self, column: int) -> int | None:
+        """The column that holds a column's time in s, where the file ties them together."""
+
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
 
@@ -56,13 +59,28 @@ class Column:
 
 
 def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) -> list[Column]:
-    """Time first, then the mapped columns, then those that already have a channel's name."""
+    """Time first, then the mapped columns, then those that already have a channel's name.
+
+    Where the file ties columns to clocks, time is that of the mapped columns unless it is mapped.
+    """
     names = table.columns
     channels = {channel: _mapped(path, table, channel, spec) for channel, spec in specs.items()}
     taken = {column.index for column in channels.values()}
     for channel in (TIME, *CHANNELS):
         if channel not in channels and channel in names and names.index(channel) not in taken:
             channels[channel] = _mapped(path, table, channel, ColumnSpec(channel))
+    clocks = {column.index: table.clock(column.index) for column in channels.values()}
+    tied = {clock for clock in clocks.values() if clock is not None}
+    if len(tied) > 1:
+        raise RecordingError(
+            "These columns were not sampled together.",
+            file=path,
+            where=", ".join(f'"{names[index]}"' for index in clocks),
+            found=_listed(tuple(names[clock] for clock in sorted(tied))) + " as their times",
+            expected="columns of one joint, topic or group",
+        )
+    if TIME not in channels and tied:
+        channels[TIME] = Column(tied.pop(), TIME, "s")
     if TIME not in channels:
         raise _missing_column(path, names, TIME)
     if len(channels) == 1:

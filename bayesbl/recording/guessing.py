@@ -8,6 +8,7 @@ guesses are written into a configuration for the user to confirm.
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bayesbl.errors import RecordingError
+from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import (
     CHANNELS,
     LOAD_POSITION,
@@ -95,17 +96,29 @@ class _Named:
         return not self.words.isdisjoint(words.split())
 
 
-def guess_columns(path: str | Path, table: Table) -> Guess:
-    """Guess the channels of a file.
+def guess_columns(
+    path: str | Path, table: Table, joint: str | None = None, *, position_will_do: bool = False
+) -> Guess:
+    """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
+
+    Parameters
+    ----------
+    position_will_do
+        Whether a position is enough where there is no speed.
 
     Raises
     ------
     RecordingError
         If no column can be time, or none the motor's speed (nor position and torque, as of ramps
-        with the output held), or these do not hold numbers.
+        with the output held), or these do not hold numbers; if there is no such joint, or several
+        and none was chosen.
     """
-    named = [_Named(i, name, *_parsed(table, i, name)) for i, name in enumerate(table.columns)]
+    named = _of_joint(path, table, joint)
     chosen = _by_name(named)
+    tied = {table.clock(column.index) for column in chosen.values()} - {None}
+    if len(tied) == 1:
+        (clock,) = tied
+        chosen[TIME] = next(column for column in named if column.index == clock)
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if _increases(_numbers(table, column))), None)
@@ -113,7 +126,8 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
     ramps = MOTOR_SPEED not in chosen and _is_of_ramps(table, chosen)
-    if MOTOR_SPEED not in chosen and not ramps:
+    moved = position_will_do and MOTOR_POSITION in chosen
+    if MOTOR_SPEED not in chosen and not ramps and not moved:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
         channel: _series(path, table, column)
@@ -123,7 +137,8 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(table, chosen, held)
-    columns = tuple(_completed(_stated(channel, chosen[channel]), units) for channel in held)
+    guesses = (_completed(_stated(channel, chosen[channel]), units) for channel in held)
+    columns = tuple(_doubted(column, held[column.channel]) for column in guesses)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -131,6 +146,44 @@ def guess_columns(path: str | Path, table: Table) -> Guess:
         tuple(name for name in table.columns if name and name not in taken),
         ramps,
     )
+
+
+def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]:
+    """The columns of the chosen joint, or of the only one; all of them where no name has a joint.
+
+    What stands before the last slash is the joint, and does not tell what a column holds.
+    """
+    groups = [split_unit(name)[0].rpartition("/")[0] for name in table.columns]
+    inner = [
+        _Named(i, name, *_parsed(table, i, name.removeprefix(f"{group}/")))
+        for i, (name, group) in enumerate(zip(table.columns, groups, strict=True))
+    ]
+    joints = dict.fromkeys(
+        group
+        for group, column in zip(groups, inner, strict=True)
+        if group and _channel(column) == MOTOR_SPEED
+    )
+    known = shortened(", ".join(joints), 200)
+    if joint is not None and joint not in joints:
+        raise RecordingError(
+            "There is no such joint.",
+            file=path,
+            where="--joint",
+            found=shortened(joint),
+            expected=known or "a joint with a column like joint_2/velocity",
+        )
+    if joint is None and len(joints) > 1:
+        raise RecordingError(
+            "The file holds several joints.",
+            file=path,
+            found=known,
+            expected=f"one of them, e.g. --joint {shlex.quote(next(iter(joints)))}",
+        )
+    if not joints:
+        return [_Named(i, name, *_parsed(table, i, name)) for i, name in enumerate(table.columns)]
+    chosen = joint if joint is not None else next(iter(joints))
+    pairs = zip(groups, inner, strict=True)
+    return [column for group, column in pairs if group in ("", chosen)]
 
 
 def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
@@ -151,6 +204,17 @@ def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> G
         return stated
     unit, reason = units[stated.channel]
     return replace(stated, unit=unit, reason=reason)
+
+
+def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
+    """Not sure of a motor's speed that is a load's: what ROS calls a joint's velocity is one."""
+    if column.channel != MOTOR_SPEED:
+        return column
+    rpm = float(np.nanmean(np.abs(values))) * conversion_factor(MOTOR_SPEED, column.unit)
+    if not column.sure or rpm >= _USUAL_SPEEDS_RPM[0]:
+        return column
+    reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
+    return replace(column, reason=reason, sure=False)
 
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:

@@ -14,6 +14,9 @@ VARIES = 0.05
 """Range of a reference speed over its largest value, from which on it is a motion. Below it the
 speed is one, and what it varies by is at most what a fit of one speed refuses."""
 
+PARTS = 8
+"""Of a recording, whose mean speeds are compared."""
+
 AT_REST = 1e-3
 """Share of its largest value below which a reference speed is a rest."""
 
@@ -42,6 +45,17 @@ def moves(recording: Recording) -> bool:
     steps = np.abs(np.diff(position))
     straight = np.linspace(position[0], position[-1], position.size)
     return float(np.max(np.abs(position - straight))) > VARIES * float(steps.sum() + 1e-300)
+
+
+def is_one_speed(speed_rpm: FloatArray, period_s: float) -> bool:
+    """Whether a motor turns at one speed: no part of the recording is slower or faster.
+
+    Parts of a turn or more, over which torque that repeats averages out. ``speed_rpm``: shape (n,).
+    """
+    turns = abs(float(speed_rpm.mean())) / 60.0 * speed_rpm.size * period_s
+    parts = np.array_split(speed_rpm, max(1, min(PARTS, int(turns))))
+    means = np.array([part.mean() for part in parts])
+    return bool(np.ptp(means) <= VARIES * abs(float(means.mean())))
 
 
 def require_same_motion(recording: Recording, asked_rpm: FloatArray) -> None:

@@ -52,7 +52,7 @@ class Source:
     unused_columns: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Recording:
     """Named channels over time, checked at file level only.
 
@@ -82,6 +82,11 @@ class Recording:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     excluded: BoolArray | None = None
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        rate = 1.0 / self.sampling_period_s
+        channels = ", ".join(self.channels)
+        return f"<Recording {self.name}: {self.duration_s:.4g} s at {rate:.4g} Hz, {channels}>"
 
     @property
     def place(self) -> str:

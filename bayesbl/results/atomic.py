@@ -24,8 +24,13 @@ _STAGING = ".staging"
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """A temporary file that takes the name ``path`` when the block ends without exception.
+
+    Parameters
+    ----------
+    durable
+        It is on the disk, under its name, when the block has ended: a power cut leaves it whole.
 
     Raises
     ------
@@ -36,7 +41,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
     require_replaceable(path)
     with staging(path) as folder:
         yield folder / path.name
+        if durable:
+            _to_disk(folder / path.name)
         os.replace(folder / path.name, path)
+    if durable:
+        _to_disk(path.parent)
 
 
 def require_replaceable(path: Path) -> None:
@@ -203,6 +212,17 @@ def _is_still(folder: Path, handle: int) -> bool:
         return os.path.samestat(os.fstat(handle), os.stat(folder))
     except FileNotFoundError:
         return False
+
+
+def _to_disk(path: Path) -> None:
+    """Have the system write what it holds of a file, or the names in a folder."""
+    if sys.platform == "win32" and path.is_dir():
+        return  # folders cannot be opened there
+    handle = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _umask() -> int:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import xarray as xr
 
-from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
@@ -19,6 +18,7 @@ from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
+from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
@@ -67,7 +67,7 @@ def describe(config: DiagnoseConfig, plan: Plan) -> None:
 
 def task_of(config: DiagnoseConfig, work: WorkStore = NOTHING_KEPT) -> Task:
     """Bench and recordings, read and long enough to be compared."""
-    return Task(config, load_bench(config.bench), tuple(_recordings(config)), work)
+    return Task(config, bench_from(config.bench), tuple(_recordings(config)), work)
 
 
 def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:

@@ -12,7 +12,7 @@ from bayesbl.config.fields import name_of, names_of
 from bayesbl.config.files import require_text_names
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
-from bayesbl.recording.guessing import Guess, GuessedColumn, guess_columns
+from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.inputs import require_apart
@@ -41,8 +41,25 @@ def require_new(path: Path, what: str, force: bool) -> None:
         )
 
 
+def require_writable(path: Path, inputs: Sequence[Path], force: bool) -> None:
+    """A configuration can be written to ``path``, over none of its inputs.
+
+    Raises
+    ------
+    UserError
+        If not.
+    """
+    require_text_names(inputs)
+    require_apart([path], inputs)
+    require_new(path, "configuration", force)
+
+
 def start_config(
-    recordings: Sequence[str | Path], out: str | Path | None = None, *, force: bool = False
+    recordings: Sequence[str | Path],
+    out: str | Path | None = None,
+    *,
+    joint: str | None = None,
+    force: bool = False,
 ) -> tuple[Path, Guess]:
     """Write a commented configuration: ``fit`` of one recording, ``compare`` of several.
 
@@ -52,6 +69,8 @@ def start_config(
         Files with the same columns; the first one is looked at.
     out
         The file to write; named after the first recording, in the working directory, by default.
+    joint
+        Which one, where a file holds several.
     force
         Write over an existing file.
 
@@ -63,11 +82,9 @@ def start_config(
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
-    require_text_names([Path(file) for file in recordings])
-    require_apart([path], [Path(file) for file in recordings])
-    require_new(path, "configuration", force)
+    require_writable(path, [Path(file) for file in recordings], force)
     table, *_ = [read_table(file) for file in recordings]
-    guess = guess_columns(first, table)
+    guess = guess_columns(first, table, joint)
     write_text(config_text([Path(file) for file in recordings], path, guess), path)
     return path, guess
 
@@ -86,13 +103,11 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
         "# repaired = true              # if this is the first one after a repair\n"
     )
     entries = "\n".join(
-        f"[[recordings]]\nname = {_text(name)}\nfile = {_text(_relative(file, path))}\n"
+        f"[[recordings]]\nname = {quoted(name)}\nfile = {quoted(relative(file, path))}\n"
         + (_MORE_FILES if ramps else _ASKED_SPEED)
         + (dated if kind == "compare" else "")
         for name, file in zip(names, recordings, strict=True)
     )
-    columns = "\n".join(_column_line(column) for column in guess.columns)
-    unused = f"# Not used: {', '.join(_text(name) for name in guess.unused)}\n"
     return f"""\
 # Check the columns, then:   bayesbl run {shlex.quote(path.name)}
 
@@ -101,7 +116,7 @@ kind = "{kind}"
 
 [run]
 seed = 1                # same seed, same numbers
-output = {_text(f"results/{name_of(path.stem)}")}
+output = {quoted(f"results/{name_of(path.stem)}")}
 
 [joint]
 {_RAMPS_JOINT if ramps else _JOINT}\
@@ -110,8 +125,7 @@ output = {_text(f"results/{name_of(path.stem)}")}
 {before if kind == "compare" else ""}
 # Each channel with the column that holds it. These are guesses: names and units decide the answer.
 [columns]
-{columns}
-{unused if guess.unused else ""}
+{column_lines(guess)}
 {entries}
 [interval]
 level = 0.9             # of the credible intervals
@@ -146,14 +160,23 @@ route = "torque_ramp"
 """
 
 
-def _column_line(column: GuessedColumn) -> str:
-    entry = f"{column.channel} = {{name = {_text(column.name)}, unit = {_text(column.unit)}}}"
-    return f"{entry}    # {column.reason}"
+def column_lines(guess: Guess) -> str:
+    """The entries of ``[columns]``, each with its reason, and the columns that have none."""
+    lines = [
+        f"{column.channel} = {{name = {quoted(column.name)}, unit = {quoted(column.unit)}}}"
+        f"    # {column.reason}\n"
+        for column in guess.columns
+    ]
+    if guess.unused:
+        lines.append(f"# Not used: {', '.join(quoted(name) for name in guess.unused)}\n")
+    return "".join(lines)
 
 
-def _text(text: str) -> str:
+def quoted(text: str) -> str:
+    """Text as TOML has it."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _relative(file: Path, path: Path) -> str:
+def relative(file: Path, path: Path) -> str:
+    """A file as the configuration at ``path`` names it."""
     return Path(os.path.relpath(file, path.parent)).as_posix()

@@ -7,7 +7,6 @@ file costs its own measurement and its joint's wear, and a run that was killed g
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections import Counter, defaultdict
@@ -29,7 +28,14 @@ from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.errors import ResultError
 from bayesbl.fleet.draws_store import DrawsStore
-from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
+from bayesbl.fleet.inventory import (
+    Found,
+    Joint,
+    digest_of_file,
+    file_of_another,
+    find_recordings,
+    read_joints,
+)
 from bayesbl.fleet.joint_job import REFUSED, JointAnswer, JointJob, RecordingAnswer
 from bayesbl.fleet.measured_joint import MeasuredJoint, fits_beside, measure_joint
 from bayesbl.fleet.plant_tables import (
@@ -47,7 +53,6 @@ from bayesbl.fleet.plant_tables import (
 )
 from bayesbl.fleet.pooled_rates import TypeRates
 from bayesbl.processes import processes
-from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
@@ -66,8 +71,8 @@ OWN = {RECORDINGS_FILE, JOINTS_FILE, DRAWS_FOLDER, PAGE_FILE, PAGES}
 LARGEST_FITS_BYTES = 2_000_000_000
 """Of finished fits, some 300 kB each, that a joint's change is computed from; the oldest go."""
 
-_KEPT = ".kept"
-
+KEPT = ".kept"
+"""Of the hidden folder beside the output folder that answers are kept in."""
 
 MOST_URGENT = 20
 """Joints in the summary; all are in the tables."""
@@ -132,7 +137,7 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     jobs, refused = _jobs(config, joints, find_recordings(config.fleet, joints))
     if options.force:
         shutil.rmtree(fits_beside(output), ignore_errors=True)
-    with locked_sibling(output, _KEPT) as folder:
+    with locked_sibling(output, KEPT) as folder:
         store = WorkStore(folder, fresh=options.force)
         _finish(config, jobs, store, options)
         store = replace(store, fresh=False)
@@ -170,7 +175,7 @@ def _jobs(
     config: FleetConfig, joints: Sequence[Joint], found: Sequence[Found]
 ) -> tuple[list[JointJob], list[tuple[Found, str | None]]]:
     """A job for each joint; and what cannot be measured, with the digest of what could be read."""
-    digests = {one.file: _digest(one) for one in found if one.reason is None}
+    digests = {one.file: digest_of_file(one.file) for one in found if one.reason is None}
     owners: dict[str, list[Found]] = defaultdict(list)
     for one in found:
         sha = digests.get(one.file, (None, None))[0]
@@ -185,37 +190,39 @@ def _jobs(
             refused.append((replace(one, reason=reason), sha))
         else:
             of_joint[one.joint].append((one, sha))
+    make = job_maker(config)
+    jobs = []
+    for joint in joints:
+        mine = of_joint[joint.name]
+        recordings, shas = (tuple(part) for part in zip(*mine, strict=True)) if mine else ((), ())
+        jobs.append(make(joint, recordings, shas))
+    return jobs, refused
+
+
+def job_maker(
+    config: FleetConfig,
+) -> Callable[[Joint, Sequence[Found], Sequence[str]], JointJob]:
+    """Makes the job of a joint from its recordings and their digests."""
     settings = settings_of(config)
     digest_of = cache(file_sha256)
     shared = {
         key: settings.get(key, {})
         for key in ("columns", "estimator", "posterior", "interval", "curve", "wear")
     }
-    jobs = []
-    for joint in joints:
-        mine = of_joint[joint.name]
-        recordings, shas = (tuple(part) for part in zip(*mine, strict=True)) if mine else ((), ())
-        jobs.append(
-            JointJob(
-                joint,
-                recordings,
-                shas,
-                None if joint.bench is None else digest_of(joint.bench),
-                None if joint.curve in (None, PUBLISHED) else digest_of(joint.curve),
-                shared,
-                config.run.seed,
-                str(config.run.output),
-            )
+
+    def make(joint: Joint, recordings: Sequence[Found], sha256: Sequence[str]) -> JointJob:
+        return JointJob(
+            joint,
+            tuple(recordings),
+            tuple(sha256),
+            None if joint.bench is None else digest_of(joint.bench),
+            None if joint.curve in (None, PUBLISHED) else digest_of(joint.curve),
+            shared,
+            config.run.seed,
+            str(config.run.output),
         )
-    return jobs, refused
 
-
-def _digest(one: Found) -> tuple[str | None, str | None]:
-    try:
-        return hashlib.sha256(read_input(Path(one.file))).hexdigest(), None
-    except (OSError, ValueError) as error:
-        told = getattr(error, "strerror", None) or str(error)
-        return None, f"The file cannot be read: {told}."
+    return make
 
 
 def _copied(one: Found, alike: Sequence[Found]) -> str | None:
@@ -225,10 +232,7 @@ def _copied(one: Found, alike: Sequence[Found]) -> str | None:
         return None
     strange = [other for other in others if other.joint != one.joint]
     if strange:
-        return (
-            f"Its file is to the last byte that of joint {strange[0].joint}, {strange[0].date}, so "
-            "nobody knows whose it is. Was a file copied by mistake?"
-        )
+        return file_of_another(strange[0].joint, strange[0].date)
     if one is alike[0]:
         return None
     return f"Its file is to the last byte that of {alike[0].date}. Was a file copied by mistake?"
@@ -317,7 +321,7 @@ def _write(
         if kept is None:
             raise ResultError("What was measured cannot be read again.", file=store.folder)
         for one, sha256, row in zip(job.recordings, job.sha256, kept.rows, strict=True):
-            rows.append({**row, **_identity(one, sha256)})
+            rows.append({**row, **identity(one, sha256)})
         dates = tuple(one.date for one in job.recordings)
         outcomes = tuple(str(row["outcome"]) for row in kept.rows)
         outcomes += (REFUSED,) * broken[job.joint.name]
@@ -327,7 +331,7 @@ def _write(
         measured.append(Measured(job.joint, replace(kept.answer, gap_rad=now), dates, outcomes))
     for one, digest in refused:
         answer = RecordingAnswer(REFUSED, one.reason)
-        rows.append({**recording_row(answer, None, False, level), **_identity(one, digest)})
+        rows.append({**recording_row(answer, None, False, level), **identity(one, digest)})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
     types, chosen = pool(measured, config.fleet.pool_by, config.run.seed)
     of_joints = joint_rows(measured, chosen, level, config.fleet.decide_before)
@@ -342,7 +346,8 @@ def _write(
     return summary
 
 
-def _identity(one: Found, sha256: str | None) -> dict[str, Any]:
+def identity(one: Found, sha256: str | None) -> dict[str, Any]:
+    """Which recording a row is of."""
     return {"joint": one.joint, "date": one.date, "file": one.file, "sha256": sha256}
 
 

@@ -11,27 +11,24 @@ import xarray as xr
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.identify import IdentifiedRecording, IdentifyConfig
-from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.config.identify import IdentifyConfig
+from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, Problem, identify
-from bayesbl.matching.observed import LARGEST_SPEED_ERROR, Observed, observed
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.readers import read_recording
-from bayesbl.recording.types import MOTOR_CURRENT, Recording
+from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.runs.asked_speed import asked_speed
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
     from bayesbl.runs.summary import Summary
-
-WHOLE_SPEED_RPM = 0.1
-"""How far a mean speed may be from a whole number of rpm that is taken for the reference: the
-integral of the controller keeps the mean there but for noise."""
 
 
 def run(config: IdentifyConfig, options: Options) -> Summary:
@@ -101,7 +98,10 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
         recording = ready_for_fit(recording, bench.value("gear_ratio"))
         require_alive(recording, (MOTOR_CURRENT,))
-        speed = entry.reference_speed_rpm or _speed(recording, bench, entry, notes)
+        speed = entry.reference_speed_rpm
+        if speed is None:
+            speed, told = asked_speed(recording, bench, entry.file)
+            notes += [f"{entry.name}: {told}."] if told else []
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
         seen[entry.use].append(replace(observed(recording, bench, speed), known=known))
         notes += [f"{entry.name}: {note}" for note in recording.notes]
@@ -158,23 +158,3 @@ def _parameters(config: IdentifyConfig, bench: Bench) -> tuple[str, ...]:
                 expected=f"a tolerance or relative_tolerance for {name}, or not to ask for it",
             )
     return tuple(asked)
-
-
-def _speed(
-    recording: Recording, bench: Bench, entry: IdentifiedRecording, notes: list[str]
-) -> float | None:
-    """The reference speed of a recording that states none; ``None`` for the bench's own."""
-    mean = float(recording.motor_speed_rpm.mean())
-    own = bench.value("reference_speed_rpm")
-    if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
-        return None
-    if abs(mean - round(mean)) > WHOLE_SPEED_RPM:
-        raise RecordingError(
-            "The recording was made at another speed than the bench's.",
-            file=entry.file,
-            where="reference_speed_rpm",
-            found=f"{mean:.6g} rpm on average, no whole number",
-            expected="reference_speed_rpm under [[recordings]]: what the controller was given",
-        )
-    notes.append(f"{entry.name}: its mean speed, {round(mean)} rpm, is taken for its reference.")
-    return float(round(mean))

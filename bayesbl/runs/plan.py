@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.bench import load_bench
 from bayesbl.config.plan import PlanConfig
 from bayesbl.errors import ConfigError
 from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
+from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.summary_types import Head, head
 from bayesbl.results.variables import Group, dataset, table
@@ -167,7 +167,7 @@ def _group(motions: list[PlannedMotion]) -> xr.Dataset:
 
 
 def _bench(config: PlanConfig) -> Bench:
-    bench = load_bench(config.bench)
+    bench = bench_from(config.bench)
     if bench.drive == "rigid":
         raise ConfigError(
             "A rigid bench has no gap to plan for.",

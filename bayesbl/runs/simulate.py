@@ -16,12 +16,13 @@ import numpy as np
 from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes
-from bayesbl.config.bench import dump_bench, load_bench
+from bayesbl.config.bench import dump_bench
 from bayesbl.config.motion import CycleMotion, MotionSection, SineMotion, StrokesMotion
 from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
 from bayesbl.results.atomic import replacing, require_replaceable
+from bayesbl.results.identified import bench_from
 from bayesbl.results.inputs import require_apart, require_inside
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 
@@ -69,7 +70,7 @@ def run_simulate(
     """
     config_path = Path(config_path)
     config = load_simulation(config_path)
-    bench = load_bench(config.bench)
+    bench = bench_from(config.bench)
     targets = _targets(config, config_path, out)
     _require_possible(config, config_path, bench)
     seed = config.run.seed if seed is None else seed
@@ -95,9 +96,9 @@ def run_simulate(
 def describe(path: Path, plan: Plan) -> None:
     """Which recordings would be made, and on which bench."""
     config = load_simulation(path)
-    plan.add("bench", lambda: f"{config.bench}, gap form {load_bench(config.bench).gap_form}")
+    plan.add("bench", lambda: f"{config.bench}, gap form {bench_from(config.bench).gap_form}")
     plan.add("output", lambda: str(_targets(config, path)[0].parent))
-    plan.add("size", lambda: _require_possible(config, path, load_bench(config.bench)))
+    plan.add("size", lambda: _require_possible(config, path, bench_from(config.bench)))
     for entry in config.recordings:
         length = f"{entry.rotations:g} rotations"
         if entry.motion is not None:

@@ -135,6 +135,44 @@ def as_parquet(path: Path, table: Table) -> None:
     pq.write_table(pa.table(dict(table)), path)
 
 
+def as_excel(path: Path, table: Table) -> None:
+    import openpyxl
+
+    book = openpyxl.Workbook(write_only=True)
+    sheet = book.create_sheet()
+    sheet.append(list(table))
+    for row in zip(*(values.tolist() for values in table.values()), strict=True):
+        sheet.append(list(row))
+    book.save(path)
+
+
+def as_mdf(path: Path, table: Table) -> None:
+    import asammdf
+
+    with asammdf.MDF() as file:
+        signals = [
+            asammdf.Signal(values, table[TIME], name=name)
+            for name, values in table.items()
+            if name != TIME
+        ]
+        file.append(signals)
+        file.save(path, overwrite=True)
+
+
+def as_tdms(path: Path, table: Table) -> None:
+    import nptdms
+
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment([nptdms.ChannelObject("log", *column) for column in table.items()])
+
+
+def as_bag(path: Path, table: Table) -> None:
+    """As states of a joint called motor."""
+    from recording_files import write_bag
+
+    write_bag(path, {"motor": {"velocity": table[SPEED], "effort": table[CURRENT]}}, table[TIME])
+
+
 def as_csv(path: Path, table: Table, name: str = "") -> None:
     path.write_text(plain_csv(table))
 
@@ -149,7 +187,18 @@ FORMATS: Mapping[str, tuple[str, Callable[[Path, Table], None]]] = {
     "MATLAB 5, rows": ("a.mat", partial(as_mat5, orientation="row")),
     "MATLAB 7.3": ("a.mat", as_mat73),
     "Parquet": ("a.parquet", as_parquet),
+    "MDF": ("a.mf4", as_mdf),
+    "TDMS": ("a.tdms", as_tdms),
 }
+"""Formats that hold every number and name as it is."""
+
+OTHER_FORMATS: Mapping[str, tuple[str, Callable[[Path, Table], None]]] = {
+    "Excel": ("a.xlsx", as_excel),
+    "MCAP": ("a.mcap", as_bag),
+    "ROS 1 bag": ("a.bag", as_bag),
+    "SQLite bag": ("a.db3", as_bag),
+}
+"""Formats that round, or name their columns themselves."""
 
 
 def reversed_columns(table: Table) -> Table:
@@ -224,7 +273,7 @@ def same_arrays(form: str, arrange: Callable[[Table], Table]) -> Prepare:
 
 def damaged(form: str, damage: Damage) -> Prepare:
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
-        file, write = FORMATS[form]
+        file, write = (FORMATS | OTHER_FORMATS)[form]
         write(place / file, example())
         (place / file).write_bytes(damage((place / file).read_bytes(), rng))
         configure(file)
@@ -418,7 +467,7 @@ DAMAGED = Group(
         *(
             (f"{form}: {name}", damaged(form, damage))
             for name, damage in BYTES.items()
-            for form in FORMATS
+            for form in FORMATS | OTHER_FORMATS
         ),
     ],
 )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.fleet.shared_bench import (
     FALSE_ALARM,
     MatchedAlone,
@@ -120,9 +121,32 @@ def test_recordings_of_one_bench_are_seldom_said_to_differ():
 
 def test_every_prior_becomes_standard_normal():
     generator = np.random.default_rng(5)
-    flat = as_normal(Unknown("a", 2.0, 6.0), generator.uniform(2.0, 6.0, 20_000))
-    normal = as_normal(Unknown("b", centre=3.0, sd=0.5), generator.normal(3.0, 0.5, 20_000))
-    for draws in (flat, normal):
-        assert draws.mean() == pytest.approx(0.0, abs=0.03)
-        assert draws.std() == pytest.approx(1.0, abs=0.03)
-    assert np.isfinite(as_normal(Unknown("a", 2.0, 6.0), np.array([2.0, 6.0]))).all()
+    unknowns = [Unknown("a", 2.0, 6.0), Unknown("b", centre=3.0, sd=0.5)]
+    draws = [generator.uniform(2.0, 6.0, 20_000), generator.normal(3.0, 0.5, 20_000)]
+    for row in as_normal(unknowns, draws, None):
+        assert row.mean() == pytest.approx(0.0, abs=0.03)
+        assert row.std() == pytest.approx(1.0, abs=0.03)
+    assert np.isfinite(as_normal(unknowns[:1], [np.array([2.0, 6.0])], None)).all()
+
+
+def test_a_joint_prior_becomes_standard_normal_beside_what_it_leaves_alone():
+    """Two identified parameters, nearly one by their ratio, around one known by its tolerance."""
+    generator = np.random.default_rng(6)
+    covariance = np.array([[0.04, 0.0396], [0.0396, 0.04]])
+    joint = JointNormal(("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad"), covariance)
+    factors = joint.draw(generator, 20_000).T
+    of_joint = (0.2 * factors[0], 9e3 * factors[1])
+    unknowns = [
+        _identified("load_inertia_kg_m2", 0.2, joint),
+        Unknown("a", 2.0, 6.0),
+        _identified("shaft_stiffness_nm_per_rad", 9e3, joint),
+    ]
+    draws = [of_joint[0], generator.uniform(2.0, 6.0, 20_000), of_joint[1]]
+    normal = as_normal(unknowns, draws, joint)
+    np.testing.assert_allclose(normal.mean(axis=1), 0.0, atol=0.03)
+    np.testing.assert_allclose(np.cov(normal), np.eye(3), atol=0.04)
+
+
+def _identified(name: str, value: float, joint: JointNormal) -> Unknown:
+    low, middle, high = joint.range(name, value)
+    return Unknown(name, low, high, middle, joint.sd(name), logarithmic=True)

@@ -417,6 +417,17 @@ def test_the_curve_figure_shows_every_sweep_point_and_the_stored_curve(swept):
     assert np.array_equal(drawn[:, 1], 1e3 * swept["curve"]["delta_rad"].values)
 
 
+def test_eq_4_is_shown_for_the_bench_that_it_was_made_for_alone(swept):
+    other = swept.copy()
+    shaft = "shaft_stiffness_nm_per_rad"
+    bench = reference_bench()
+    other.attrs["bench"] = dump_bench(bench.with_parameters(**{shaft: 2.0 * bench.value(shaft)}))
+    assert "eq. 4" in texts(curve(swept))
+    shown = texts(curve(other))
+    assert "eq. 4" not in shown
+    assert "tolerances of the bench" in shown
+
+
 def test_every_source_of_the_curve_has_its_band(swept):
     bands = source_bands(swept)
     assert set(bands) == {"regression", "lack_of_fit", "bench"}

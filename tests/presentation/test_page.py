@@ -14,6 +14,7 @@ import xarray as xr
 from places import CONFIGS, RECORDINGS
 from quick import without_figures
 
+import bayesbl
 from bayesbl import cli
 from bayesbl.measurement.dated_wear import wear_group, years_between
 from bayesbl.measurement.wear import trend
@@ -22,6 +23,7 @@ from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
 from bayesbl.presentation.page.build import page
+from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
@@ -490,3 +492,40 @@ def test_figures_come_in_one_order_whatever_their_names(tree):
         ]  # fmt: skip
     assert all(caption(figure.name, known) == figure.caption for figure in known)
     assert caption("corner_old", known).startswith("old: ")
+
+
+def test_a_result_as_an_object_says_what_the_command_prints_and_the_page_shows(
+    compared, written, capsys
+):
+    result = bayesbl.read_result(compared)
+    assert cli.status(["inspect", str(compared)]) == 0
+    assert capsys.readouterr().out.startswith(str(result))
+    shown = Reader(result._repr_html_())
+    assert shown.open == []
+    texts = {text.strip() for text in Reader(written).texts}
+    assert [text for text in shown.texts if text.strip() not in texts] == []
+    rows = result.to_dataframe()
+    change = result["change"].to_dataset()["change_rad"]
+    assert list(rows["name"]) == ["wear_before", "wear_after"]
+    assert rows["delta_rad"].diff().iloc[-1] == pytest.approx(float(change.median()), abs=1e-5)
+    assert list(rows["delta_rad_low"]) == [
+        snapshot["delta_rad"]["low"] for snapshot in result.summary["snapshots"]
+    ]
+
+
+def test_every_figure_of_a_result_is_a_method_of_it(compared):
+    plot = bayesbl.read_result(compared).plot
+    assert {"gap", "trace"} <= set(dir(plot))
+    assert plot.trace("wear_after").axes
+    with pytest.raises(bayesbl.UserError, match='Did you mean "gap"'):
+        plot("gapp")
+    with pytest.raises(bayesbl.UserError, match="wear_before, wear_after"):
+        plot.trace("wear_later")
+    with pytest.raises(AttributeError, match="gapp"):
+        _ = plot.gapp
+
+
+def test_a_notebook_shows_names_of_others_as_text(tree):
+    html = result_of(hostile(tree))._repr_html_()
+    assert HOSTILE not in html
+    assert Reader(html).open == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import sys
 from collections.abc import Callable
@@ -14,15 +15,28 @@ import pytest
 from added_module import added_module
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from recording_files import write_csv, write_mat5, write_mat73, write_netcdf, write_parquet
+from recording_files import (
+    write_bag,
+    write_csv,
+    write_excel,
+    write_mat5,
+    write_mat73,
+    write_mdf,
+    write_netcdf,
+    write_parquet,
+    write_scope,
+    write_tdms,
+)
 
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.recording import formats
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.recording.readers import read_recording
+from bayesbl.recording.guessing import guess_columns
+from bayesbl.recording.readers import read_recording, read_table
+from bayesbl.units import RPM_PER_RAD_PER_S
 
-TIME = np.arange(400) * 0.001
-SPEED = 2000.0 + np.sin(TIME * 30.0)
+TIME = np.arange(400) / 1000.0
+SPEED = np.round(2000.0 + np.sin(TIME * 30.0), 9)  # Excel keeps 15 digits
 PLAIN = {"time_s": TIME, "motor_speed_rpm": SPEED, "note": np.arange(400.0)}
 START = np.datetime64("2026-03-01T12:00:00", "ns")
 DATES = START + (TIME * 1e9).round().astype("timedelta64[ns]")
@@ -41,6 +55,12 @@ WRITERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
     ),
     "MATLAB v7.3, one structure": ("mat", lambda path: write_mat73(path, {"rec": PLAIN})),
     "Parquet": ("parquet", lambda path: write_parquet(path, PLAIN)),
+    "Excel": ("xlsx", lambda path: write_excel(path, PLAIN)),
+    "MDF 4": ("mf4", lambda path: write_mdf(path, PLAIN)),
+    "MDF 3": ("mdf", lambda path: write_mdf(path, PLAIN, "3.30")),
+    "TDMS": ("tdms", lambda path: write_tdms(path, {"log": PLAIN})),
+    "TwinCAT Scope": ("csv", lambda path: write_scope(path, PLAIN)),
+    "TwinCAT Scope, English": ("csv", lambda path: write_scope(path, PLAIN, ";", ".")),
 }
 
 
@@ -164,14 +184,125 @@ def test_matrices_and_structures_are_named_as_matlab_names_them(tmp_path: Path) 
         np.testing.assert_array_equal(recording.channels["motor_current_a"], SPEED)
 
 
-@pytest.mark.parametrize(("library", "kind"), [("pyarrow", "Parquet"), ("h5py", "MATLAB v7.3")])
+JOINTS = {
+    "joint_1": {"position": TIME, "velocity": -SPEED, "effort": TIME},
+    "joint_2": {"position": 2.0 * TIME, "velocity": SPEED, "effort": -TIME},
+}
+SEVERAL_JOINTS: dict[str, tuple[str, Callable[[Path], Path]]] = {
+    "MCAP": ("mcap", lambda path: write_bag(path, JOINTS, TIME)),
+    "ROS 2, SQLite": ("db3", lambda path: write_bag(path, JOINTS, TIME)),
+    "ROS 1": ("bag", lambda path: write_bag(path, JOINTS, TIME)),
+    "TDMS, a group each": (
+        "tdms",
+        lambda path: write_tdms(
+            path, JOINTS, wf_increment=0.001, wf_start_offset=0.0, unit_string="rad/s"
+        ),
+    ),
+}
+
+
+ALL = WRITERS | SEVERAL_JOINTS
+
+
+@pytest.mark.parametrize("kind", SEVERAL_JOINTS)
+def test_one_joint_of_several_in_a_file_is_chosen_by_name_with_its_unit_and_its_clock(
+    tmp_path: Path, kind: str
+) -> None:
+    suffix, write = SEVERAL_JOINTS[kind]
+    path = write(tmp_path / f"recording.{suffix}")
+    recording = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("joint_2/velocity")})
+    np.testing.assert_allclose(recording.time_s, TIME, rtol=1e-15)
+    np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED * RPM_PER_RAD_PER_S)
+    mixed = {
+        "motor_speed_rpm": ColumnSpec("joint_2/velocity"),
+        "motor_position_rad": ColumnSpec("joint_1/position", "rad"),
+    }
+    with pytest.raises(RecordingError, match="not sampled together"):
+        read_recording(path, columns=mixed)
+
+
+def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    path = write_bag(tmp_path / "bag.mcap", JOINTS, TIME)
+    with pytest.raises(RecordingError, match=r"several joints.*joint_1, joint_2.*--joint joint_1"):
+        guess_columns(path, read_table(path))
+    with pytest.raises(RecordingError, match=r"no such joint.*joint_3.*joint_1, joint_2"):
+        guess_columns(path, read_table(path), "joint_3")
+    guess = guess_columns(path, read_table(path), "joint_2")
+    assert {column.channel: (column.name, column.unit) for column in guess.columns} == {
+        "time_s": ("joint_2/time_s", "s"),
+        "motor_speed_rpm": ("joint_2/velocity", "rad/s"),
+        "motor_position_rad": ("joint_2/position", "rad"),
+        "motor_torque_nm": ("joint_2/effort", "N m"),
+    }
+    slow = {"axis": {"position": TIME, "velocity": SPEED / 1e4, "effort": TIME}}
+    path = write_bag(tmp_path / "slow.mcap", slow, TIME)
+    speed = guess_columns(path, read_table(path)).columns[1]
+    assert "behind the gearbox" in speed.reason
+    assert not speed.sure
+    plain = write_csv(tmp_path / "log.csv", {"t": TIME, "axis 1/speed [rad/s]": SPEED})
+    assert guess_columns(plain, read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
+
+
+def test_a_bag_without_stamps_is_read_by_the_time_of_recording_only_if_that_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    path = write_bag(tmp_path / "bag.mcap", JOINTS, TIME, stamped=False)
+    speed = {"motor_speed_rpm": ColumnSpec("joint_2/velocity")}
+    with pytest.raises(RecordingError, match='"time_s" is missing'):
+        read_recording(path, columns=speed)
+    asked = read_recording(path, columns=speed | {"time_s": ColumnSpec("joint_2/received_s")})
+    np.testing.assert_array_equal(asked.time_s, TIME)
+
+
+def test_units_of_mdf_are_used_and_a_packed_file_is_the_same(tmp_path: Path) -> None:
+    path = write_mdf(tmp_path / "log.mf4", PLAIN, motor_speed_rpm="rad/s")
+    packed = tmp_path / "log.mf4.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    for file in (path, packed):
+        speed = read_recording(file).motor_speed_rpm
+        np.testing.assert_array_equal(speed, SPEED * RPM_PER_RAD_PER_S)
+
+
+def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) -> None:
+    header = (
+        "Name\tA\nStarttime of export\t1\n\nName\tn\tName\tslow\nUnit\trad/s (Speed)\tUnit\tA\n"
+    )
+    kept = "".join(f"{i}\t{i % 7}\t{2 * i}\t{i}\n" for i in range(20)) + "20\t6\n" * 1
+    path = tmp_path / "scope.csv"
+    path.write_text(header + "\n" + kept)
+    table = read_table(path)
+    assert table.columns == ("clock 1/time_s", "n", "clock 2/time_s", "slow")
+    assert [table.unit(i) for i in (1, 3)] == ["rad/s", "A"]
+    assert table.clock(3) == 2
+    assert table.numbers([2, 3]).shape == (20, 2)
+    # Interpolated by Scope: the slow one's samples repeated to fill the lines.
+    filled = "".join(f"{i}\t{i % 7}\t{2 * (i // 2)}\t{i // 2}\n" for i in range(40))
+    path.write_text(header + "\n" + filled)
+    np.testing.assert_array_equal(read_table(path).numbers([3])[:, 0], np.arange(20))
+
+
+@pytest.mark.parametrize(
+    ("library", "kind"),
+    [
+        ("pyarrow", "Parquet"),
+        ("h5py", "MATLAB v7.3"),
+        ("openpyxl", "Excel"),
+        ("asammdf", "MDF 4"),
+        ("nptdms", "TDMS"),
+        ("rosbags", "MCAP"),
+    ],
+)
 def test_a_library_that_is_not_installed_is_named_with_how_to_install_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: str, kind: str
 ) -> None:
-    suffix, write = WRITERS[kind]
+    suffix, write = ALL[kind]
     path = write(tmp_path / f"recording.{suffix}")
+    for module in [name for name in sys.modules if name.startswith(f"{library}.")]:
+        monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(RecordingError, match=rf'{library}.*pip install "bayesbl\[formats\]"'):
+    with pytest.raises(RecordingError, match=rf'(?i){library}.*pip install "bayesbl\[formats\]"'):
         read_recording(path)
 
 
@@ -180,7 +311,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("good")
     return {
         kind: write(folder / f"{number}.{suffix}").read_bytes()
-        for number, (kind, (suffix, write)) in enumerate(WRITERS.items())
+        for number, (kind, (suffix, write)) in enumerate(ALL.items())
     }
 
 
@@ -188,7 +319,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
 )
 @given(
-    kind=st.sampled_from([kind for kind in WRITERS if kind != "CSV"]),
+    kind=st.sampled_from([kind for kind in ALL if kind != "CSV"]),
     place=st.floats(0.0, 1.0),
     replacement=st.binary(min_size=1, max_size=6),
     cut=st.booleans(),
@@ -205,10 +336,11 @@ def test_damage_to_a_file_of_any_format_never_ends_in_a_traceback(
     # Headers are short, and the damage that matters is there: the place is not uniform.
     position = int(place**3 * len(data))
     behind = b"" if cut else data[position + len(replacement) :]
-    path = tmp_path / f"damaged.{WRITERS[kind][0]}"
+    path = tmp_path / f"damaged.{ALL[kind][0]}"
     path.write_bytes(data[:position] + replacement + behind)
+    columns = {"motor_speed_rpm": ColumnSpec("joint_2/velocity")} if kind in SEVERAL_JOINTS else {}
     with suppress(UserError):
-        assert np.all(np.diff(read_recording(path).time_s) > 0)
+        assert np.all(np.diff(read_recording(path, columns=columns).time_s) > 0)
 
 
 NUMBERS = st.one_of(

@@ -16,9 +16,10 @@ from bayesbl.config.loading import load_config
 from bayesbl.fleet.joint_job import JointJob
 from bayesbl.fleet.measured_joint import measure_joint
 from bayesbl.library import draw
-from bayesbl.runs import fleet
+from bayesbl.runs import fleet, watch
 from bayesbl.runs.run import run
 from bayesbl.runs.simulate import run_simulate
+from bayesbl.runs.watch import Watched
 
 pytest.importorskip("pyarrow")
 
@@ -142,6 +143,21 @@ def test_a_run_without_news_measures_nothing_and_writes_the_same(plant):
     with patch.object(fleet, "measure_joint", side_effect=AssertionError("it is measured")):
         assert start(configure(plant)) == []
     assert [table(plant / "plant", name) for name in ("recordings", "joints")] == before
+
+
+def test_a_device_gives_the_same_rows_and_takes_over_what_a_fleet_has_measured(plant):
+    start(configure(plant))
+    asked = Watched(plant / "data", plant / "watched", once=True, settled_s=0.01)
+    told: list[str] = []
+    with patch.object(watch, "measure_recording", side_effect=AssertionError("it is measured")):
+        watch.watch(
+            load_config(configure(plant)), asked, print, lambda row: told.append(row["joint"])
+        )
+    assert told == ["J1", "J1", "J2", "J2"]
+    rows = [table(plant / name, "recordings") for name in ("plant", "watched")]
+    for row in (*rows[0], *rows[1]):
+        row["used"] = None
+    assert rows[0] == rows[1]
 
 
 def test_a_new_file_touches_its_joint_only_and_a_copied_one_is_told(plant):

@@ -28,7 +28,8 @@ def augmented_bench(explanation: Explanation) -> Bench:
     for i, unknown in enumerate(fit.model.unknowns):
         if unknown.name not in values:
             values[unknown.name] = float(unknown.value(fit.point[i]))
-            deviations[unknown.name] = float(np.sqrt(fit.covariance[i, i]))
+            scale = values[unknown.name] if unknown.logarithmic else 1.0
+            deviations[unknown.name] = scale * float(np.sqrt(fit.covariance[i, i]))
     effects = tuple(_fitted(effect, values, deviations) for effect in bench.effects)
     corrected = {name: values[name] for name in values if name in bench.parameters}
     bench = bench.with_parameters(**corrected).with_effects(*effects)

@@ -20,6 +20,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.rigid.loop_method import METHOD as RIGID
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed, observed
@@ -30,6 +31,7 @@ from bayesbl.matching.signals import (
     Unknown,
     gap_unknown,
     start_angle_unknown,
+    tolerance_unknowns,
 )
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import require_alive, require_channels
@@ -64,18 +66,22 @@ NOT_SAMPLED = (
 
 
 class ClosedLoop:
-    """Speed and current beside their simulation."""
+    """Speed and current beside their simulation; of a rigid drive, lines of its speed."""
 
     name = "forward"
 
     def describe(self, task: Task) -> str:
         """How many recordings, and what is unknown."""
+        if task.bench.drive == "rigid":
+            return RIGID.describe(task)
         used, held_out, unknowns, _ = forward_problem(task)
         free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
         return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
 
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer, with draws of everything unknown."""
+        """The answer, with draws of everything unknown where there is a gap."""
+        if task.bench.drive == "rigid":
+            return RIGID.diagnose(task, progress)
         config = task.config
         used, held_out, unknowns, notes = forward_problem(task)
         asked = config.candidates.effects
@@ -215,15 +221,14 @@ def _unknowns(
             unknowns.append(known)
         else:
             unknowns.append(start_angle_unknown(seen.name))
-    tolerances = bench.tolerances
+    toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
-        if name not in tolerances:
+        if name not in toleranced:
             raise refused(
                 "A parameter is free within its tolerance, and this one has none.",
                 "[unknowns] bench_parameters",
                 name,
                 f"a tolerance for {name} in {config.bench.name}",
             )
-        value, half = bench.value(name), tolerances[name]
-        unknowns.append(Unknown(name, value - half, value + half))
+        unknowns.append(toleranced[name])
     return unknowns

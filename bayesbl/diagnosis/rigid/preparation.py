@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.motion import even
-from bayesbl.diagnosis.task import Task, cuts, piece_of, refused, rows_of, sound
+from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import Recording
 
@@ -55,11 +58,18 @@ def even_recordings(
 
 
 def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:
-    """Pieces to fit on and to predict."""
-    return tuple(
-        piece_of(rows_of(recordings[i], rows), channel, use)
-        for i, use, rows in cuts(task.config, recordings)
-    )
+    """Pieces to fit on and to predict; what comes to rest is split where half its way is done."""
+    found = []
+    for entry, recording in zip(task.config.recordings, recordings, strict=True):
+        if entry.use != "split":
+            use: Use = "used" if entry.use == "fit" else "held_out"
+            found.append(piece_of(recording, channel, use))
+            continue
+        way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
+        middle = int(np.searchsorted(way, 0.5 * way[-1]))
+        found.append(piece_of(rows_of(recording, slice(middle)), channel, "used"))
+        found.append(piece_of(rows_of(recording, slice(middle, None)), channel, "held_out"))
+    return tuple(found)
 
 
 def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:

@@ -41,10 +41,18 @@ def answer_picture(parts: Sequence[tuple[str, SnapshotSummary]], decimals: int =
             )
             continue
         low, middle, high = (1e3 * found[key] for key in ("low", "median", "high"))
-        panel.plot([low, high], [row, row], color=own.colour, linewidth=5.0, alpha=0.45)
-        panel.plot([middle], [row], color=own.colour, marker=own.marker, markersize=8.0)
+        # A tick for the median: a round mark would hide an interval that is narrower than it.
+        panel.plot(
+            [low, high],
+            [row, row],
+            color=own.colour,
+            linewidth=6.0,
+            solid_capstyle="butt",
+            alpha=0.5,
+        )
+        panel.plot([middle], [row], color=own.colour, marker="|", markersize=15.0, mew=1.4)
         panel.annotate(
-            f"{middle:.{decimals}f}", (middle, row), (0.0, 7.0), textcoords="offset points",
+            f"{middle:.{decimals}f}", (middle, row), (0.0, 9.0), textcoords="offset points",
             ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
         )  # fmt: skip
     if limit is not None:

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesbl.presentation.figures import style
-from bayesbl.presentation.figures.scales import Scale, scale_of
+from bayesbl.presentation.figures.scales import Scale, scale_of, time_constant
 from bayesbl.presentation.figures.snapshots import Snapshot
 from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.symbols import AMPLITUDE
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY
 
 _BINS = 32
 _LEVELS = (0.9, 0.5)
@@ -117,23 +117,31 @@ def _label(
 
 
 def _inner_ticks(low: float, high: float) -> list[float]:
-    """One or two round values away from the panel's corners, where neighbours' would collide."""
+    """Two round values away from the panel's corners, where neighbours' would collide.
+
+    As round as they can be while far enough apart for their numbers not to touch.
+    """
     margin = 0.12 * (high - low)
-    ticks = MaxNLocator(4).tick_values(low, high)
-    inner = [float(t) for t in ticks if low + margin < t < high - margin]
-    if len(inner) < 2:
-        return inner
-    apart = inner[-1] - inner[0] > 0.4 * (high - low)  # else their numbers would touch
-    return [inner[0], inner[-1]] if apart else [inner[len(inner) // 2]]
+    inner: list[float] = []
+    for count in range(3, 12):
+        ticks = MaxNLocator(count).tick_values(low, high)
+        inner = [float(t) for t in ticks if low + margin < t < high - margin]
+        if len(inner) > 1 and inner[-1] - inner[0] > 0.4 * (high - low):
+            break
+    return [inner[0], inner[-1]] if len(inner) > 1 else inner
 
 
 def _explain(figure: Figure, snapshot: Snapshot) -> None:
     """Name, what the lines mean, and what has no row, in the empty upper corner."""
     count = snapshot.values("posterior", AMPLITUDE).size
     terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
+    constant = (
+        time_constant(snapshot.values("posterior", DECAY)) if DECAY in snapshot.symbols else ""
+    )
     lines = [
         f"{count} draws; contours hold 50 % and 90 % of them,",
         "dashed lines are the median and the 5 % and 95 % quantiles",
+        f"τ is a decay rate: the time constant 1/τ is {constant}" if constant else "",
         f"not shown: {terms} baseline terms, sampled with the others" if terms else "",
         *textwrap.wrap(f"δ withheld: {snapshot.reason}" if snapshot.reason else "", 62),
     ]

@@ -10,9 +10,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bayesbl.config.bench import parse_bench, reference_bench
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
-from bayesbl.presentation.figures import layout, style
+from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.snapshots import values
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
@@ -43,31 +44,45 @@ _NAMES: Mapping[str, str] = {
 
 
 @stored_figure(
-    "Gap against amplitude of the ringing: the sweep and the curve through it.",
+    "(a) Gap against amplitude of the ringing: the sweep and the curve through it; then the "
+    "tolerances' share and eq. 4, where they apply; last how far the sweep's points are from it.",
     50,
     holding("gap_curve", "sweep"),
 )
 def curve(tree: xr.DataTree) -> Figure:
-    """δ on A with eq. 4 beside it, and both panels of relative departure from the curve."""
+    """δ on A, and relative departures from the curve: the sweep's, wide sources', eq. 4's."""
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 3.7)
     outer = layout.grid(figure, 1, 2, between=(0.0, 0.7), widths=(1.0, 1.0))
     whole = figure.add_subplot(outer[0, 0])
-    right = outer[0, 1].subgridspec(2, 1, hspace=0.42)
-    paper = figure.add_subplot(right[0, 0])
-    close = figure.add_subplot(right[1, 0], sharex=paper)
-    _draw_whole(whole, tree)
-    _draw_against_paper(paper, tree)
+    papers, wide = is_papers_bench(tree), any(s in source_bands(tree) for s in _WIDE_SOURCES)
+    right = outer[0, 1].subgridspec(2 if papers or wide else 1, 1, hspace=0.42)
+    _draw_whole(whole, tree, papers)
+    axes, titles = [whole], [""]
+    if papers or wide:
+        far = figure.add_subplot(right[0, 0])
+        _draw_far(far, tree, papers)
+        far.tick_params(labelbottom=False)
+        axes.append(far)
+        titles.append("eq. 4 of the paper (dashed)" if papers else "tolerances")
+    close = figure.add_subplot(right[-1, 0])
     _draw_close(close, tree)
+    axes.append(close)
+    titles.append("the sweep")
     amplitude = values(tree, "curve", "amplitude")
-    for panel in (paper, close):
+    for panel in axes[1:]:
         plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
         panel.yaxis.set_label_coords(-0.13, 0.5)
         panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.9, zorder=1.5)
-    paper.tick_params(labelbottom=False)
     close.set_xlabel("Amplitude of the ringing A (rpm)")
-    style.head_panels([whole, paper, close], ["", "eq. 4 (dashed)", "the sweep"])
+    style.head_panels(axes, titles)
     return figure
+
+
+def is_papers_bench(tree: xr.DataTree) -> bool:
+    """Whether the paper's bench was swept: eq. 4 says nothing about another."""
+    swept = parse_bench(tree.attrs["bench"], "bench of the sweep")
+    return swept.fingerprint() == reference_bench().fingerprint()
 
 
 def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -94,13 +109,12 @@ def departures_from_curve(tree: xr.DataTree) -> FloatArray:
     return np.asarray(100.0 * (sweep["gap_rad"].values[:, None] / nominal - 1.0))
 
 
-def _draw_whole(panel: Axes, tree: xr.DataTree) -> None:
+def _draw_whole(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     sweep, group = tree["sweep"].to_dataset(), tree["curve"].to_dataset()
     amplitude = group["amplitude"].values
-    level = 100.0 * float(group.attrs["level"])
     panel.fill_between(
         amplitude, 1e3 * group["low_rad"].values, 1e3 * group["high_rad"].values,
-        color="#c8c8c8", linewidth=0.0, label=f"its {level:g} % band, all sources",
+        color="#c8c8c8", linewidth=0.0, label=f"its {panels.band_in_words(group)}, all sources",
     )  # fmt: skip
     panel.plot(
         amplitude,
@@ -108,10 +122,11 @@ def _draw_whole(panel: Axes, tree: xr.DataTree) -> None:
         color=style.MODEL,
         label=f"curve: {_kind(tree)} with lack of fit",
     )
-    inside, eq4 = _paper(tree)
-    panel.plot(
-        inside, 1e3 * eq4, color=_PAPER, linestyle=(0.0, (4.0, 2.0)), label="eq. 4 of the paper"
-    )
+    if papers:
+        inside, eq4 = _paper(tree)
+        panel.plot(
+            inside, 1e3 * eq4, color=_PAPER, linestyle=(0.0, (4.0, 2.0)), label="eq. 4 of the paper"
+        )
     starts = sweep.sizes["start"]
     panel.plot(
         sweep["amplitude_rpm"].values.ravel(), 1e3 * np.repeat(sweep["gap_rad"].values, starts),
@@ -137,17 +152,18 @@ def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
     return inside, eq4.gap(inside)
 
 
-def _draw_against_paper(panel: Axes, tree: xr.DataTree) -> None:
-    """Eq. 4, and the sources of an order of magnitude with it."""
+def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
+    """Sources that are wide beside the sweep's own, and eq. 4 where it is of this bench."""
     knots = values(tree, "gap_curve", "knots_rpm")
     for source, (low, high) in source_bands(tree).items():
         if source in _WIDE_SOURCES:
             _draw_band(panel, knots, low, high, source)
-    inside, eq4 = _paper(tree)
-    nominal = curve_from_dataset(tree["gap_curve"].to_dataset(), "").gap(inside)
-    panel.plot(
-        inside, 100.0 * (eq4 / nominal - 1.0), color=_PAPER, linestyle=(0.0, (4.0, 2.0)),
-    )  # fmt: skip
+    if papers:
+        inside, eq4 = _paper(tree)
+        nominal = curve_from_dataset(tree["gap_curve"].to_dataset(), "").gap(inside)
+        panel.plot(
+            inside, 100.0 * (eq4 / nominal - 1.0), color=_PAPER, linestyle=(0.0, (4.0, 2.0)),
+        )  # fmt: skip
     panel.margins(y=0.1)
     panel.set_ylabel("Departure of δ (%)")
     if panel.get_legend_handles_labels()[0]:

@@ -24,7 +24,8 @@ _OTHER = "#d55e00"
 
 
 @stored_figure(
-    "The distribution of each gap, its Cramér-Rao bound, and the gap by the ringing's amplitude.",
+    "The distribution of each gap, a panel a snapshot; dashed: as wide as the Cramér-Rao bound; "
+    "the bar below: the interval by the ringing's amplitude.",
     20,
     holding("optimum/cramer_rao_sd"),
     name="gap",

@@ -15,7 +15,12 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 
-@stored_figure("The ringing as the gap grows.", 60, holding("examples", "sweep"))
+@stored_figure(
+    "The ringing as the gap grows: (a) one rotation of the load, (b) its positive and (c) its "
+    "negative pulse.",
+    60,
+    holding("examples", "sweep"),
+)
 def disturbance(tree: xr.DataTree) -> Figure:
     """Noise-free speed at some gaps over one load rotation; both pulses from nearby."""
     names = ("time_s", "motor_speed_rpm", "gap_rad")

@@ -28,7 +28,8 @@ from bayesbl.ringing.symbols import AMPLITUDE
 
 
 @stored_figure(
-    "Each gap on the curve it was read from, and the distribution of the change.",
+    "(a) Each gap on the curve it was read from, with the distributions of amplitude and gap; then "
+    "the distribution of the change, where there are two; last the whole curve.",
     20,
     holding("posterior/amplitude_rpm", "posterior/delta_rad", "curve/delta_rad"),
 )
@@ -101,7 +102,7 @@ def _draw_one_curve(main: Axes, curve: xr.Dataset, whose: str) -> None:
     )  # fmt: skip
     main.plot(
         amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
-        label=f"gap curve{whose} ({name}) with its {100.0 * float(curve.attrs['level']):g} % band",
+        label=f"gap curve{whose} ({name}), {panels.band_in_words(curve)}",
     )  # fmt: skip
 
 

@@ -13,18 +13,23 @@ from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WIN
 
 
 @stored_figure(
-    "What repeats every rotation and the model does not describe.", 110, holding("misfit/mean_rpm")
+    "What repeats every rotation and the model does not describe, a panel a snapshot; grey: the "
+    "windows of its pulses, by their signs.",
+    110,
+    holding("misfit/mean_rpm"),
 )
 def misfit(tree: xr.DataTree) -> Figure:
     """Rotation-averaged residual against load phase, ± one standard error, a panel a snapshot."""
     parts = snapshots(tree)
-    figure, axes = layout.one_panel_each(len(parts))
+    figure, axes = layout.one_panel_each(len(parts), above=layout.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw(panel, snapshot, style.look(index).colour)
     axes[0].set_ylabel("Repeating residual (rpm)")
     style.head_panels(
         axes, [f"{s.name}: {s.number('misfit', 'rms_rpm'):.2f} rpm RMS" for s in parts]
     )
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", ncols=3, columnspacing=1.0)
     return figure
 
 
@@ -34,7 +39,13 @@ def _draw(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     error = snapshot.values("misfit", "standard_error_rpm")
     for first, width, sign in _pulses(snapshot):
         for turn in (0.0, -panels.TURN):
-            panel.axvspan(first + turn, first + turn + width, color="#e6e6e6", linewidth=0.0)
+            panel.axvspan(
+                first + turn,
+                first + turn + width,
+                color="#e6e6e6",
+                linewidth=0.0,
+                label="window of a pulse" if sign == "+" and not turn else None,
+            )
         panel.annotate(
             sign,
             ((first + 0.5 * width) % panels.TURN, 0.97),
@@ -55,7 +66,6 @@ def _draw(panel: Axes, snapshot: Snapshot, colour: str) -> None:
     panel.plot(phase, mean, color=colour, linewidth=0.8, label="mean over rotations")
     panels.rotation_axis(panel, "Load phase since the start of the recording (rad)")
     panel.margins(y=0.18)
-    panel.legend(loc="lower left", ncols=2, columnspacing=1.0, borderaxespad=0.0)
 
 
 def _pulses(snapshot: Snapshot) -> list[tuple[float, float, str]]:

@@ -44,6 +44,12 @@ def reach(interval: Interval, scale: float = 1.0) -> list[list[float]]:
     return [[scale * below], [scale * above]]
 
 
+def band_in_words(curve: xr.Dataset) -> str:
+    """``90 % band ± 0.02 %``: of a curve, at its widest; too narrow to be seen, as a rule."""
+    reach = 0.5 * (curve["high_rad"].values - curve["low_rad"].values) / curve["delta_rad"].values
+    return f"{100.0 * float(curve.attrs['level']):g} % band ± {100.0 * float(reach.max()):.2g} %"
+
+
 def limit_line(panel: Axes, tree: xr.DataTree) -> None:
     """The limit across a panel whose vertical axis is the gap in mrad, if there is one."""
     if "limit_rad" in tree.attrs:

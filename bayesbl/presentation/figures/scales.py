@@ -73,6 +73,11 @@ def scale_of(name: str, draws: FloatArray) -> Scale:
     return Scale(text, unit, factor, reference, text_of_reference)
 
 
+def time_constant(decay_rate_per_s: FloatArray) -> str:
+    """``53 ms``: what a reader takes τ for, which is a rate."""
+    return f"{1e3 / float(np.median(decay_rate_per_s)):.3g} ms"
+
+
 def _mathtext(paper: str) -> str:
     """``T_w`` as T with a subscript."""
     letter, _, index = paper.partition("_")

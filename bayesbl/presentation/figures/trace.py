@@ -9,16 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.presentation.figures import layout, style
-from bayesbl.presentation.figures.scales import scale_of
+from bayesbl.presentation.figures.scales import scale_of, time_constant
 from bayesbl.presentation.figures.snapshots import GAP, Snapshot
 from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import DECAY
 
 _BINS = 30
 
 
 @stored_figure(
-    "The sampler's ensembles, step by step.",
+    "Draws of each parameter, a panel each, ensemble by ensemble, with their densities.",
     150,
     holding("posterior/amplitude_rpm"),
     parts=each_snapshot,
@@ -29,8 +30,9 @@ def trace(snapshot: Snapshot) -> Figure:
     names = snapshot.symbols
     rows = math.ceil(len(names) / 2)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.5 + 1.25 * rows)
-    spec = layout.grid(figure, rows, 2, left=0.6, top=0.45, between=(0.36, 0.75))
+    spec = layout.grid(figure, rows, 2, left=0.45, top=0.45, between=(0.36, 0.55))
     heads: list[Axes] = []
+    titles: list[str] = []
     for index, name in enumerate(names):
         inner = spec[divmod(index, 2)].subgridspec(1, 2, width_ratios=(3.4, 1.0), wspace=0.04)
         left = figure.add_subplot(inner[0, 0])
@@ -38,14 +40,14 @@ def trace(snapshot: Snapshot) -> Figure:
         draws = snapshot.values("posterior", name)
         scale = scale_of(name, draws)
         _draw(left, right, scale.shown(draws))
-        left.set_ylabel(scale.label("\n"), fontsize=7.0)
-        left.yaxis.set_label_coords(-0.15, 0.5)
         if index >= len(names) - 2:
             left.set_xlabel("Draw, ensembles one after the other")
         else:
             left.tick_params(labelbottom=False)
         heads.append(left)
-    style.head_panels(heads, [_title(snapshot, n) for n in names])
+        constant = f", 1/τ ≈ {time_constant(draws)}" if name == DECAY else ""
+        titles.append(f"{scale.label()}{constant}: {_diagnostics(snapshot, name)}")
+    style.head_panels(heads, titles)
     figure.text(0.99, 0.995, snapshot.name, ha="right", va="top")
     return figure
 
@@ -75,10 +77,9 @@ def _draw(left: Axes, right: Axes, draws: FloatArray) -> None:
     right.spines["bottom"].set_visible(False)
 
 
-def _title(snapshot: Snapshot, name: str) -> str:
+def _diagnostics(snapshot: Snapshot, name: str) -> str:
     """R̂ and effective sample size as stored; δ has none of its own."""
     if name == GAP:
-        return "δ, from A through the gap curve" + (" (withheld)" if snapshot.withheld else "")
+        return "from A through the gap curve" + (" (withheld)" if snapshot.withheld else "")
     one = snapshot.groups["diagnostics"].sel(symbol=name)
-    label = scale_of(name, np.zeros(1)).symbol
-    return f"{label}: $\\hat{{R}}$ {float(one['r_hat']):.3f}, ESS {float(one['ess_bulk']):.0f}"
+    return f"$\\hat{{R}}$ {float(one['r_hat']):.3f}, ESS {float(one['ess_bulk']):.0f}"

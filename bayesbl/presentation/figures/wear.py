@@ -33,14 +33,21 @@ _LONGEST_VIEW = 3.0
 """How far ahead is shown at most, in times since the first snapshot in use."""
 
 
-@stored_figure("The gap against the date, and when it reaches its limit.", 40, holding(WEAR.name))
+@stored_figure(
+    "(a) The gap against the date, with its path; (b) the probability that it reached the limit.",
+    5,
+    holding(WEAR.name),
+)
 def wear(tree: xr.DataTree) -> Figure:
     """δ of every dated snapshot with its path since the last repair; when the limit is reached."""
     group = tree[WEAR.name].to_dataset()
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group and not group.attrs["reason"]
     spec = layout.grid(figure, 1, 2 if limited else 1, top=0.6)
-    panels, titles = [figure.add_subplot(spec[0, 0])], ["gap and its mean path since repair"]
+    panels, titles = (
+        [figure.add_subplot(spec[0, 0])],
+        ["gap and its path" + (" since the repair" if np.any(group["used"] == 0.0) else "")],
+    )
     ahead = _years_ahead(group)
     _draw_gaps(panels[0], tree, group, ahead)
     if limited:
@@ -55,7 +62,7 @@ def wear(tree: xr.DataTree) -> Figure:
         panel.set_xlabel("Date")
     style.head_panels(panels, titles)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=3)
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
     return figure
 
 
@@ -140,6 +147,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
             markersize=3.0,
             capsize=2.5,
             zorder=3.0,
+            label=None if index else f"gap with its {interval_name(tree)}",
         )
         above = False  # on the side of the point where the path is not
         if has_rate and used[index]:

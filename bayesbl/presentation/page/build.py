@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ import xarray as xr
 
 from bayesbl.errors import UserError
 from bayesbl.presentation import answer, words
+from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex, citations
 from bayesbl.presentation.figures.answer_picture import answer_picture
 from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
@@ -27,6 +29,8 @@ from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.summary import summarise
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
+
     from bayesbl.measurement.summary_types import SnapshotSummary
 
 PAGE_FILE = "report.html"
@@ -71,13 +75,29 @@ def write_page(result: str | Path, draw: Draw) -> Path:
     result = Path(result)
     tree = read_result(result)
     folder = result if os.path.isdir(result) else result.parent
-    path = folder / PAGE_FILE
-    write_text(page(tree, _pictures(tree, folder / FIGURES, draw)), path)
+    return write_page_of(tree, folder / PAGE_FILE, draw, folder / FIGURES)
+
+
+def write_page_of(tree: xr.DataTree, path: Path, draw: Draw, figures: Path | None = None) -> Path:
+    """Write the page of a result that need not be stored; the figures of a folder, if it is."""
+    write_text(page(tree, _pictures(tree, figures, draw)), path)
     return path
 
 
 def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
     """The page as HTML; every text that a user may have given is escaped."""
+    environment = _environment()
+    style = environment.loader.get_source(environment, "page.css")[0]  # type: ignore[union-attr]
+    return environment.get_template("page.html").render(style=style, **_content(tree, pictures))
+
+
+def fragment(headline: str, blocks: Sequence[Block]) -> str:
+    """The answer as a piece of HTML without a style of its own, for a notebook."""
+    macros: Any = _environment().get_template("blocks.html").module
+    return f"<p><strong>{escape(words.glued(headline))}</strong></p>{macros.blocks(blocks)}"
+
+
+def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -88,8 +108,7 @@ def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
         lstrip_blocks=True,
     )
     environment.filters["glued"] = words.glued
-    style = environment.loader.get_source(environment, "page.css")[0]  # type: ignore[union-attr]
-    return environment.get_template("page.html").render(style=style, **_content(tree, pictures))
+    return environment
 
 
 def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
@@ -97,15 +116,16 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     subject = SUBJECTS[summary["kind"]]
     measured = summary if answer.is_measured(summary) else None
     gaps = answer.snapshots(measured) if measured else []
+    first = None if gaps else next(iter(pictures), None)
     return {
         "title": subject.title,
         "headline": subject.headline(summary),
         "advice": subject.advice(summary),
         "cards": list(subject.cards(summary)),
         "explained": answer.explained(measured) if measured else "",
-        "answer": _answer_picture(gaps) if gaps else next(iter(pictures), None),
-        "pictures": [picture for picture in pictures if not picture.special],
-        "special": [picture for picture in pictures if picture.special],
+        "answer": _answer_picture(gaps) if gaps else first,
+        "pictures": [p for p in pictures if not p.special and p is not first],
+        "special": [p for p in pictures if p.special and p is not first],
         "numbers": list(blocks(summary)),
         "details": list(subject.details(tree, summary)),
         "budget": [(name or "Gap", list(_shares(part["budget"]))) for name, part in gaps],
@@ -140,9 +160,9 @@ def _answer_picture(gaps: Sequence[tuple[str, SnapshotSummary]]) -> Picture | No
     return Picture(each, _address(buffer.getvalue(), "svg+xml"))
 
 
-def _pictures(tree: xr.DataTree, stored: Path, draw: Draw) -> list[Picture]:
+def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Picture]:
     """The stored figures, or fresh ones where there are none."""
-    files = {path.stem: path for path in stored.glob("*.png")}
+    files = {path.stem: path for path in stored.glob("*.png")} if stored else {}
     with tempfile.TemporaryDirectory() as folder:
         if not files:
             # A study's figure is drawn by its study file, which may be gone.

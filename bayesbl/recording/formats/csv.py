@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.formats import Format
+from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
 
 if TYPE_CHECKING:
+    from bayesbl.recording.columns import Table
     from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = ("\t", ";", ",")
@@ -81,6 +83,9 @@ class CsvTable:
 
     def unit(self, column: int) -> None:
         """A CSV file states no units but in its columns' names."""
+
+    def clock(self, column: int) -> None:
+        """Any column may be the time of any other."""
 
     def timestamps(self, column: int) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not begin with a date.
@@ -203,8 +208,8 @@ class CsvTable:
         return RecordingError(problem, file=self.file, where=where, found=found, expected=expected)
 
 
-def read_csv(file: Path, data: bytes) -> CsvTable:
-    """Split the bytes of a CSV file into header and lines.
+def read_csv(file: Path, data: bytes) -> Table:
+    """Split the bytes of a CSV file into header and lines, or read an export of TwinCAT Scope.
 
     Raises
     ------
@@ -212,6 +217,8 @@ def read_csv(file: Path, data: bytes) -> CsvTable:
         If they are not text, or not a table with a header, or hold no sample.
     """
     text = _decode(file, data).replace("\r\n", "\n").replace("\r", "\n")
+    if is_scope_export(text):
+        return read_scope_export(file, text)
     ends = array("q", _ends_of_lines(text))
     begins = array("q", [0])
     begins.extend(end + 1 for end in ends[:-1])

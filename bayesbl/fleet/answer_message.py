@@ -1,0 +1,157 @@
+"""A row of ``recordings.parquet`` as a message: written by ``watch``, checked by ``collect``.
+
+Whatever may come from a network is checked here: what is not a row that ``watch`` can have written
+is refused with its reason.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from datetime import date as Date
+from typing import Any, NoReturn
+
+from bayesbl.errors import shortened
+from bayesbl.fleet.inventory import is_joint_name
+from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
+
+SCHEMA = 1
+
+LARGEST_MESSAGE_BYTES = 64_000
+"""A row takes some 1,200 bytes, and more where its reason is long."""
+
+LONGEST_TEXT = 10_000
+
+OUTCOMES = frozenset({"converged", "usable", "withheld", "no_curve", "refused", "failed"})
+
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_REQUIRED = ("joint", "date", "file", "outcome")
+
+_GAP = (
+    *(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")),
+    *QUANTILE_COLUMNS,
+)
+_AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_median", "amplitude_rpm_high")
+
+
+def encoded_answer(row: Mapping[str, Any]) -> bytes:
+    """A row as JSON; columns without a value are left out."""
+    given = {name: value for name, value in row.items() if value is not None}
+    return json.dumps({"schema": SCHEMA, "recording": given}, allow_nan=False).encode()
+
+
+def decoded_answer(message: bytes) -> dict[str, Any]:
+    """The row of a message, every column in it.
+
+    Raises
+    ------
+    ValueError
+        If it is not such a message, with a reason that may be printed.
+    """
+    if len(message) > LARGEST_MESSAGE_BYTES:
+        raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
+    try:
+        content = json.loads(message, parse_constant=_no_number, object_pairs_hook=_once)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        raise ValueError("it is no JSON") from None
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ValueError(f"it is no answer of schema {SCHEMA}")
+    given = content.get("recording")
+    if content.keys() != {"schema", "recording"} or not isinstance(given, dict):
+        raise ValueError("it has other parts than schema and recording")
+    unknown = sorted(given.keys() - RECORDING_COLUMNS.keys())
+    if unknown:
+        raise ValueError(f"there is no column {shortened(unknown[0])!r}")
+    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
+    for name, value in given.items():
+        row[name] = _VALUES[RECORDING_COLUMNS[name][0]](name, value)
+    _require_names(row)
+    _require_gap(row)
+    return row
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("it gives a value twice")
+    return found
+
+
+def _text(name: str, value: object) -> str:
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or "\0" in value:
+        raise ValueError(f"{name} is no text of at most {LONGEST_TEXT} characters")
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise ValueError(f"{name} is no text") from None
+    return value
+
+
+def _flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is neither true nor false")
+    return value
+
+
+def _number(name: str, value: object) -> float:
+    """All numbers of a row are non-negative: gaps, amplitudes, probabilities."""
+    largest = 1.0 if name.startswith("probability") else math.pi
+    if name.startswith("amplitude"):
+        largest = 1e6
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name} is no number")
+    if not 0.0 <= value <= largest:
+        raise ValueError(f"{name} = {shortened(str(value))} is not within 0 and {largest:g}")
+    return float(value)
+
+
+_VALUES: Mapping[str, Callable[[str, object], object]] = {
+    "string": _text,
+    "bool": _flag,
+    "double": _number,
+}
+
+
+def _require_names(row: Mapping[str, Any]) -> None:
+    for name in _REQUIRED:
+        if not row[name]:
+            raise ValueError(f"{name} is missing")
+    if not is_joint_name(row["joint"]):
+        raise ValueError(f"{shortened(row['joint'])!r} is no name of a joint")
+    if row["outcome"] not in OUTCOMES:
+        raise ValueError(f"{shortened(row['outcome'])!r} is no outcome")
+    if row["sha256"] is not None and not _SHA256.fullmatch(row["sha256"]):
+        raise ValueError("sha256 is no digest")
+    if row["outcome"] == "refused":
+        return  # perhaps just for its date
+    if row["sha256"] is None:
+        raise ValueError("sha256 is missing")
+    try:
+        day = Date.fromisoformat(row["date"]).isoformat()
+    except ValueError:
+        day = ""
+    if day != row["date"]:
+        raise ValueError(f"{shortened(row['date'])!r} is no date")
+
+
+def _require_gap(row: Mapping[str, Any]) -> None:
+    """A gap, all of it, or a reason; bounds in their order."""
+    if row["reason"] is None:
+        lacking = [name for name in _GAP if row[name] is None]
+        if lacking:
+            raise ValueError(f"there is no {lacking[0]}, and no reason")
+        if row["outcome"] not in ("converged", "usable"):
+            raise ValueError("there is a gap, but its outcome says that there is none")
+    elif any(row[name] is not None for name in (*_GAP, "probability_above_limit")):
+        raise ValueError("there is a gap beside the reason why there is none")
+    for names in (("delta_rad_low", "delta_rad_high"), QUANTILE_COLUMNS, _AMPLITUDE):
+        values = [row[name] for name in names]
+        given = [value for value in values if value is not None]
+        if given != sorted(given) or len(given) not in (0, len(values)):
+            raise ValueError(f"{names[0]} to {names[-1]} are not in order, or not whole")

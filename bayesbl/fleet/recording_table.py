@@ -1,0 +1,175 @@
+"""A ``recordings.parquet`` that grows a row at a time, and survives a power cut at any moment.
+
+Its key is the joint and the SHA-256 of the recording: the same answer twice is one row. The same
+laws hold on the device that measures and where answers of many devices are collected, whatever the
+order in which they come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.errors import ResultError
+from bayesbl.fleet.inventory import file_of_another
+from bayesbl.fleet.joint_job import REFUSED
+from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, require_tables, schema_of
+from bayesbl.results.atomic import locked_sibling, replacing
+from bayesbl.results.folder import is_finished
+
+if TYPE_CHECKING:
+    import pyarrow
+
+Row = Mapping[str, Any]
+
+_BESIDE = ".growing"
+_OF_THE_RECORDING = ("joint", "date", "file", "sha256")
+
+
+@dataclass(slots=True)
+class RecordingTable:
+    """The rows in memory, some 300 bytes each, and their file.
+
+    Attributes
+    ----------
+    beside
+        Hidden folder for what whoever writes the table must not forget. It is locked.
+    """
+
+    path: Path
+    beside: Path
+    _rows: pyarrow.Table
+    _changed: bool = False
+
+    @classmethod
+    @contextmanager
+    def opened(cls, output: Path) -> Iterator[RecordingTable]:
+        """The table of an output folder, which is made, for one writer at a time.
+
+        Raises
+        ------
+        UserError
+            If the folder holds a fleet's result, which the next run of the fleet replaces; if what
+            is there is no such table, another writer has it, or pyarrow is missing.
+        """
+        require_tables()
+        if is_finished(output):
+            raise ResultError(
+                "This folder holds the result of a run, which would be mixed with other rows.",
+                file=output,
+                expected="another folder (--out)",
+            )
+        with locked_sibling(output, _BESIDE) as beside:
+            path = output / RECORDINGS_FILE
+            yield cls(path, beside, _read(path))
+
+    def __len__(self) -> int:
+        return int(self._rows.num_rows)
+
+    def has(self, joint: str, sha256: str) -> bool:
+        """Whether there is a row of this joint and these bytes."""
+        return bool(self._where(joint=joint, sha256=sha256))
+
+    def before(self, joint: str, date: str) -> str | None:
+        """Digest of the joint's last recording before a date."""
+        import pyarrow.compute as compute
+
+        rows = self._rows.filter(
+            (compute.field("joint") == joint)
+            & (compute.field("date") < date)
+            & compute.field("sha256").is_valid()
+        )
+        return None if not len(rows) else str(rows.column("sha256")[-1].as_py())
+
+    def knows(self, row: Row) -> bool:
+        """Whether a row is there already."""
+        if row["sha256"] is not None:
+            return self.has(row["joint"], row["sha256"])
+        return bool(self._where(joint=row["joint"], file=row["file"], reason=row["reason"]))
+
+    def put(self, row: Row) -> list[dict[str, Any]]:
+        """Add a row that is not known, and return what changed: it, and others that it concerns.
+
+        A row of the same joint and file is of what the file held before, and goes. A recording that
+        is there for another joint too is of neither.
+        """
+        if self.knows(row):
+            return []
+        old = self._where(joint=row["joint"], file=row["file"])
+        alike = self._where(sha256=row["sha256"]) if row["sha256"] is not None else []
+        others = [number for number in alike if number not in old]
+        new = [dict(row)]
+        if others:
+            strange = self._rows.take(others).to_pylist()
+            new = [_of_neither(row, strange[0]), *(_of_neither(one, row) for one in strange)]
+        gone = {*old, *others}
+        if gone:
+            self._rows = self._rows.filter([number not in gone for number in range(len(self))])
+        self._rows = _joined(self._rows, new)
+        self._changed = True
+        return new
+
+    def save(self) -> None:
+        """Have all rows on the disk.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written: the file is then as it was.
+        """
+        import pyarrow.parquet
+
+        if self._changed:
+            with replacing(self.path, durable=True) as temporary:
+                pyarrow.parquet.write_table(self._rows, temporary)
+            self._changed = False
+
+    def _where(self, **wanted: object) -> list[int]:
+        """Numbers of the rows that have these values."""
+        import pyarrow.compute as compute
+
+        found = None
+        for name, value in wanted.items():
+            this = compute.equal(self._rows.column(name), value)
+            found = this if found is None else compute.and_kleene(found, this)
+        return [int(number) for number in compute.indices_nonzero(found).to_pylist()]
+
+
+def _joined(rows: pyarrow.Table, new: list[dict[str, Any]]) -> pyarrow.Table:
+    """In the order of a fleet's table."""
+    import pyarrow
+
+    added = pyarrow.Table.from_pylist(new, schema=schema_of(RECORDING_COLUMNS))
+    whole = pyarrow.concat_tables([rows, added]).combine_chunks()
+    return whole.sort_by([(name, "ascending") for name in ("joint", "date", "file")])
+
+
+def _of_neither(row: Row, other: Row) -> dict[str, Any]:
+    """The row of a recording that another joint has too: nothing of its answer is left."""
+    empty = dict.fromkeys(RECORDING_COLUMNS)
+    own = {name: row[name] for name in _OF_THE_RECORDING}
+    reason = file_of_another(other["joint"], other["date"])
+    return {**empty, **own, "outcome": REFUSED, "reason": reason, "used": False}
+
+
+def _read(path: Path) -> pyarrow.Table:
+    import pyarrow
+    import pyarrow.parquet
+
+    schema = schema_of(RECORDING_COLUMNS)
+    if not path.exists():
+        return schema.empty_table()
+    try:
+        # Read into memory: the file is replaced while the table is in use.
+        found = pyarrow.parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
+        return found.select(schema.names).cast(schema)
+    except (pyarrow.ArrowException, KeyError, ValueError) as error:
+        raise ResultError(
+            "This is no table of recordings, or it is damaged.",
+            file=path,
+            found=str(error),
+            expected="a table that bayesbl wrote; to start a new one, move this file away",
+        ) from None

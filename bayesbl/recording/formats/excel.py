@@ -1,0 +1,104 @@
+"""Excel workbooks as a table: each sheet's first line that is not blank names its columns."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.formats import Format
+
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import AnyArray, ArrayTable
+
+_MOST_COLUMNS = 1000
+_LARGEST_PARTS_MB = 1000.0
+"""Of what a workbook packs, unpacked: a small file may hold any size."""
+
+
+def read_excel(file: Path, data: bytes) -> ArrayTable:
+    """Columns of all sheets, ``SHEET/NAME`` where two sheets have one of the same name.
+
+    Raises
+    ------
+    RecordingError
+        If it is no workbook, unpacks to too much, or openpyxl is not installed.
+    """
+    from bayesbl.recording.array_table import missing_library, readable
+    from bayesbl.recording.clocked_columns import Group, table_of_groups
+
+    try:
+        import openpyxl
+    except ImportError:
+        raise missing_library(file, "Excel", "openpyxl", "save the sheet as CSV") from None
+    with readable(file, "Excel", "or save the sheet as CSV"):
+        _check_size(file, data)
+        book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+        sheets = [(sheet.title, _columns(file, sheet)) for sheet in book.worksheets]
+    return table_of_groups(file, [Group(title, columns) for title, columns in sheets])
+
+
+def _check_size(file: Path, data: bytes) -> None:
+    with zipfile.ZipFile(io.BytesIO(data)) as parts:
+        size_mb = sum(part.file_size for part in parts.infolist()) / 1e6
+    if size_mb > _LARGEST_PARTS_MB:
+        raise RecordingError(
+            "This workbook is too large.",
+            file=file,
+            found=f"{size_mb:.4g} MB unpacked",
+            expected=f"at most {_LARGEST_PARTS_MB:g} MB",
+        )
+
+
+def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
+    rows = _rows(file, sheet)
+    header = next(rows, ())
+    places = {str(cell).strip(): i for i, cell in enumerate(header) if cell is not None}
+    if len(places) != sum(cell is not None for cell in header):
+        raise RecordingError(
+            "Two columns have the same name.",
+            file=file,
+            where=f'sheet "{sheet.title}"',
+            found=shortened(", ".join(str(cell) for cell in header)),
+            expected="a different name for each column",
+        )
+    values: list[list[object]] = [[] for _ in places]
+    for row in rows:
+        for held, place in zip(values, places.values(), strict=True):
+            held.append(row[place] if place < len(row) else None)
+    return {name: _array(held) for name, held in zip(places, values, strict=True)}
+
+
+def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
+    """Rows that are not blank. What the sheet says of its own size is not believed."""
+    sheet.reset_dimensions()
+    for row in sheet.iter_rows(values_only=True):
+        if len(row) > _MOST_COLUMNS:
+            raise RecordingError(
+                "The sheet has too many columns.",
+                file=file,
+                where=f'sheet "{sheet.title}"',
+                found=f"{len(row)}",
+                expected=f"at most {_MOST_COLUMNS}; a line for each sample",
+            )
+        if any(cell is not None for cell in row):
+            yield row
+
+
+def _array(cells: Sequence[Any]) -> AnyArray:
+    """Numbers with empty cells as NaN, dates as dates; anything else as it is."""
+    from datetime import datetime
+
+    import numpy as np
+
+    if all(cell is None or type(cell) in (int, float) for cell in cells):
+        return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
+    if all(cell is None or isinstance(cell, datetime) for cell in cells):
+        return np.array(cells, dtype="datetime64[us]")
+    return np.array(cells, dtype=object)
+
+
+FORMAT = Format("Excel", (".xlsx", ".xlsm"), read_excel)

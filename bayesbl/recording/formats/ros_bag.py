@@ -1,0 +1,176 @@
+"""ROS bags (MCAP, SQLite, ROS 1) as a table: joints by name, other topics by field."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.formats import Format
+
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import AnyArray, ArrayTable
+    from bayesbl.recording.clocked_columns import Group
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+"""Of a joint that turns, as the definition of JointState states them."""
+
+_LONGEST_ARRAY = 100
+_DEEPEST = 6
+_LARGEST_MESSAGES_MB = 1000.0
+"""Of what a bag packs, unpacked: a small file may hold any size."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Bytes:
+    """A file in memory, with as much of a path as rosbags asks for."""
+
+    name: str
+    data: bytes
+
+    @property
+    def suffix(self) -> str:
+        return Path(self.name).suffix
+
+    @property
+    def st_size(self) -> int:
+        return len(self.data)
+
+    def stat(self) -> _Bytes:
+        return self
+
+    def exists(self) -> bool:
+        return True
+
+    def is_dir(self) -> bool:
+        return False
+
+    def open(self, *_: object) -> io.BytesIO:
+        return io.BytesIO(self.data)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def read_bag(file: Path, data: bytes) -> ArrayTable:
+    """``JOINT/velocity`` of JointState, ``TOPIC/FIELD`` of others, each group with its clock.
+
+    Time is the header's stamp from the group's first; where messages have none, the column
+    ``received_s`` holds when they were recorded, which a network makes uneven.
+
+    Raises
+    ------
+    RecordingError
+        If it is no bag, holds no message of numbers, or rosbags is not installed.
+    """
+    from bayesbl.recording.array_table import missing_library, readable
+    from bayesbl.recording.clocked_columns import table_of_groups
+
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise missing_library(file, "ROS bags and MCAP", "rosbags") from None
+    path = _Bytes(file.name.removesuffix(".gz").lower(), data)
+    with readable(file, "ROS bag"):
+        # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        with AnyReader([path], default_typestore=store) as reader:
+            series = _series(file, reader)
+        groups = _groups(series)
+    return table_of_groups(file, groups, always_prefixed=True)
+
+
+_Row = tuple[int, int, Mapping[str, float]]
+"""Header's stamp (0 if none) and time of recording, in ns, and a message's numbers."""
+
+
+_Series = dict[tuple[str, str], list[_Row]]
+"""Topic and joint, empty but for JointState, to their messages."""
+
+
+def _series(file: Path, reader: Any) -> _Series:
+    series: _Series = defaultdict(list)
+    unpacked = 0
+    for connection, received_ns, raw in reader.messages():
+        unpacked += len(raw)
+        if unpacked > 1e6 * _LARGEST_MESSAGES_MB:
+            raise RecordingError(
+                "The messages of this bag are too large.",
+                file=file,
+                found=f"more than {_LARGEST_MESSAGES_MB:g} MB",
+                expected="less; record the joint's topics alone",
+            )
+        message = reader.deserialize(raw, connection.msgtype)
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        stamp_ns = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        if connection.msgtype == _JOINT_STATE:
+            for joint, numbers in _joints(message):
+                series[connection.topic, joint].append((stamp_ns, received_ns, numbers))
+        else:
+            numbers = dict(_fields(message))
+            if numbers:
+                series[connection.topic, ""].append((stamp_ns, received_ns, numbers))
+    return series
+
+
+def _joints(message: Any) -> Iterator[tuple[str, dict[str, float]]]:
+    """Each joint of a JointState, with those of its quantities that are given for all joints."""
+    given = {
+        quantity: values
+        for quantity in _JOINT_UNITS
+        if len(values := getattr(message, quantity)) == len(message.name)
+    }
+    for place, joint in enumerate(message.name):
+        yield str(joint), {quantity: float(values[place]) for quantity, values in given.items()}
+
+
+def _fields(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
+    """Every number of a message by the path to it, but the header's."""
+    import numpy as np
+
+    for name in getattr(message, "__dataclass_fields__", ()):
+        value = getattr(message, name)
+        if name == "header" or name.startswith("__"):
+            continue
+        if isinstance(value, (bool, int, float)):
+            yield prefix + name, float(value)
+        elif isinstance(value, np.ndarray) and value.size <= _LONGEST_ARRAY:
+            yield from ((f"{prefix}{name}[{i}]", float(v)) for i, v in enumerate(value.flat))
+        elif depth < _DEEPEST:
+            yield from _fields(value, f"{prefix}{name}.", depth + 1)
+
+
+def _groups(series: _Series) -> list[Group]:
+    """Joints by their names, with their topic in front where two topics have one of that name."""
+    times = Counter(joint for _, joint in series)
+    return [
+        _group(topic, rows, {})
+        if not joint
+        else _group(joint if times[joint] == 1 else f"{topic}/{joint}", rows, _JOINT_UNITS)
+        for (topic, joint), rows in series.items()
+    ]
+
+
+def _group(name: str, rows: list[_Row], units: Mapping[str, str]) -> Group:
+    import numpy as np
+
+    from bayesbl.recording.clocked_columns import Group
+
+    stamps_ns = np.array([row[0] for row in rows], dtype=np.int64)
+    received_ns = np.array([row[1] for row in rows], dtype=np.int64)
+    fields = dict.fromkeys(field for row in rows for field in row[2])
+    columns: dict[str, AnyArray] = {
+        field: np.array([row[2].get(field, np.nan) for row in rows]) for field in fields
+    }
+    columns["received_s"] = (received_ns - received_ns[0]) / 1e9
+    time = (stamps_ns - stamps_ns[0]) / 1e9 if stamps_ns.all() else None
+    return Group(name, columns, time, {**units, "received_s": "s"})
+
+
+FORMAT = Format("ROS bag, MCAP", (".mcap", ".db3", ".bag"), read_bag)

@@ -1,0 +1,37 @@
+"""The speed that a recording's controller was given, where nobody has stated it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bayesbl.bench.bench import Bench
+from bayesbl.errors import RecordingError
+from bayesbl.matching.observed import LARGEST_SPEED_ERROR
+from bayesbl.recording.types import Recording
+
+WHOLE_SPEED_RPM = 0.1
+"""How far a mean speed may be from a whole number of rpm that is taken for the reference: the
+integral of the controller keeps the mean there but for noise."""
+
+
+def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float | None, str]:
+    """The reference speed, rpm, with the reason for it; ``None`` for the bench's own.
+
+    Raises
+    ------
+    RecordingError
+        If the mean is neither the bench's speed nor a whole number.
+    """
+    mean = float(recording.motor_speed_rpm.mean())
+    own = bench.value("reference_speed_rpm")
+    if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
+        return None, ""
+    if abs(mean - round(mean)) > WHOLE_SPEED_RPM:
+        raise RecordingError(
+            "The recording was made at another speed than the bench's.",
+            file=file,
+            where="reference_speed_rpm",
+            found=f"{mean:.6g} rpm on average, no whole number",
+            expected="reference_speed_rpm under [[recordings]]: what the controller was given",
+        )
+    return float(round(mean)), f"its mean speed, {round(mean)} rpm, is taken for its reference"

@@ -1,0 +1,259 @@
+"""``bayesbl watch``: recordings measured as they appear, a row each, on a small device.
+
+Each is measured as ``bayesbl fleet`` measures it, and its answer is kept where a fleet of the same
+configuration looks for it. The order of steps makes a cut at any moment harmless: the answer is
+kept by its content, then lies in the outbox, then is a row. A recording without a row is taken up
+again from whichever of these is there, and the same answer sent twice is one row.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from bayesbl.config.fleet import FleetConfig
+from bayesbl.errors import ConfigError
+from bayesbl.fleet.answer_message import encoded_answer
+from bayesbl.fleet.broker import Address, Credentials, stays_known_by
+from bayesbl.fleet.inventory import Found, Joint, digest_of_file, find_recordings, read_joints
+from bayesbl.fleet.joint_job import REFUSED, JointJob, RecordingAnswer
+from bayesbl.fleet.measured_joint import fits_beside, measure_recording
+from bayesbl.fleet.outbox import Outbox
+from bayesbl.fleet.plant_tables import Level, recording_row
+from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.sender import Sender
+from bayesbl.results.atomic import sibling
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.fleet import KEPT, identity, job_maker
+
+SETTLED_S = 5.0
+"""For how long size and time of a file have to stay as they are before it is complete."""
+
+POLL_S = 1.0
+
+LARGEST_KEPT_BYTES = 500_000_000
+"""Of answers, and as much of finished fits; the oldest go."""
+
+LAST_SENT_WAIT_S = 30.0
+"""For which a run that ends by itself waits for the broker."""
+
+_OUTBOX = "outbox"
+
+Signature = tuple[int, int, int]
+"""A file's number, size and time: another one is another content."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """What to watch, and how.
+
+    Attributes
+    ----------
+    once
+        End when everything that is there is measured, and sent.
+    keep_latest
+        Of each joint as many measured recordings stay, the others are deleted; ``None``: all stay.
+    """
+
+    folder: Path
+    output: Path
+    publish: Address | None = None
+    credentials: Credentials = field(default_factory=Credentials)
+    once: bool = False
+    settled_s: float = SETTLED_S
+    keep_latest: int | None = None
+
+
+def watch(
+    config: FleetConfig,
+    asked: Watched,
+    say: Callable[[str], None],
+    tell: Callable[[Mapping[str, Any]], None],
+) -> None:
+    """Measure what appears, until interrupted or, ``once``, until nothing is left.
+
+    Parameters
+    ----------
+    tell
+        Called with each new row.
+
+    Raises
+    ------
+    UserError
+        If configuration, inventory, output folder or credentials cannot be used.
+    OSError
+        If nothing can be written: what was measured so far is safe.
+    """
+    config = _with_folder(config, asked.folder)
+    joints = {joint.name: joint for joint in read_joints(config.fleet)}
+    with RecordingTable.opened(asked.output) as table:
+        outbox = None
+        if asked.publish is not None:
+            outbox = Outbox(table.beside / _OUTBOX)
+            outbox.folder.mkdir(exist_ok=True)
+        store = WorkStore(sibling(config.run.output, KEPT))
+        measuring = _Measuring(config, joints, table, outbox, store, tell)
+        with _sending(asked, table.beside, outbox, say):
+            _watch(asked, config, list(joints.values()), measuring)
+
+
+def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
+    """The configuration with its pattern's own folder replaced."""
+    if not config.fleet.is_pattern:
+        raise ConfigError(
+            "Recordings that appear are found by a pattern, not by a table.",
+            where="[fleet] recordings",
+            found=config.fleet.recordings,
+            expected='a pattern such as "data/{joint}/{date}.csv"',
+        )
+    if not folder.is_dir():
+        raise ConfigError(
+            "There is no such folder.", where="FOLDER", found=folder, expected="an existing folder"
+        )
+    parts = Path(config.fleet.recordings).parts
+    first = next(n for n, part in enumerate(parts) if re.search(r"\{(joint|date)\}", part))
+    pattern = Path(os.path.abspath(folder), *parts[first:])
+    section = config.fleet.model_copy(update={"recordings": str(pattern)})
+    return config.model_copy(update={"fleet": section})
+
+
+@contextmanager
+def _sending(
+    asked: Watched, beside: Path, outbox: Outbox | None, say: Callable[[str], None]
+) -> Iterator[None]:
+    if asked.publish is None or outbox is None:
+        yield
+        return
+    sender = Sender(outbox, asked.publish, asked.credentials, stays_known_by(beside), say)
+    sender.start()
+    wait_s = 0.0
+    try:
+        yield
+        wait_s = LAST_SENT_WAIT_S
+    finally:
+        left = sender.stop(wait_s)
+        if left:
+            say(f"Answers that wait to be sent: {left}. They go the next time.")
+
+
+def _watch(
+    asked: Watched,
+    config: FleetConfig,
+    joints: list[Joint],
+    measuring: _Measuring,
+) -> None:
+    resting: dict[str, tuple[Signature, float]] = {}
+    done: dict[str, Signature] = {}
+    while True:
+        found = find_recordings(config.fleet, joints)
+        signatures = {one.file: signature for one in found if (signature := _signature(one.file))}
+        done = {file: seen for file, seen in done.items() if signatures.get(file) == seen}
+        now = time.monotonic()
+        resting = {
+            file: resting[file] if file in resting and resting[file][0] == seen else (seen, now)
+            for file, seen in signatures.items()
+            if file not in done
+        }
+        ready = [
+            one
+            for one in found
+            if one.file in resting and now - resting[one.file][1] >= asked.settled_s
+        ]
+        for one in ready:
+            before = _signature(one.file)
+            if before == signatures[one.file] and measuring.took(one):
+                done[one.file] = before
+        if asked.keep_latest is not None:
+            _delete(found, done, asked.keep_latest)
+        if asked.once and not resting.keys() - done.keys():
+            return
+        time.sleep(min(POLL_S, asked.settled_s) if asked.once else POLL_S)
+
+
+def _signature(file: str) -> Signature | None:
+    """``None`` where there is no file any more."""
+    try:
+        status = os.stat(file)
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _delete(found: list[Found], done: Mapping[str, Signature], keep: int) -> None:
+    """All but the latest of each joint that have a row, and are as they were when they got it."""
+    for joint in {one.joint for one in found if one.file in done}:
+        mine = sorted((one.date, one.file) for one in found if one.joint == joint)
+        measured = [file for _, file in mine if file in done]
+        for file in measured[: max(0, len(measured) - keep)]:
+            if _signature(file) == done[file]:
+                with suppress(OSError):
+                    os.unlink(file)
+
+
+@dataclass(frozen=True, slots=True)
+class _Measuring:
+    """From a recording that is complete to its row."""
+
+    config: FleetConfig
+    joints: Mapping[str, Joint]
+    table: RecordingTable
+    outbox: Outbox | None
+    store: WorkStore
+    tell: Callable[[Mapping[str, Any]], None]
+
+    def took(self, one: Found) -> bool:
+        """Whether a recording has a row now; one that changes meanwhile is left for later."""
+        sha256, problem = (None, None) if one.reason else digest_of_file(one.file)
+        if sha256 is None:
+            answer = RecordingAnswer(REFUSED, one.reason or problem)
+        elif self.table.has(one.joint, sha256):
+            return True
+        else:
+            answer = self._answer(one, sha256)
+            if digest_of_file(one.file)[0] != sha256:
+                return False
+        self._put(one, sha256, answer)
+        return True
+
+    def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
+        job = job_maker(self.config)(self.joints[one.joint], [one], [sha256])
+        before = self._before(job)
+        answer = self.store.get(
+            "recording",
+            job.problem_of(0, before),
+            lambda: measure_recording(job, 0, before),
+            RecordingAnswer,
+        )
+        optimum = replace(answer, gap_rad=None, bench=None)
+        self.store.keep("optimum", (one.joint, sha256), optimum)
+        for kept in (self.store, WorkStore(fits_beside(self.config.run.output))):
+            kept.keep_latest(LARGEST_KEPT_BYTES)
+        return answer
+
+    def _before(self, job: JointJob) -> RecordingAnswer | None:
+        """What the joint's recording before this one gave, where its search starts."""
+        (one,) = job.recordings
+        sha256 = self.table.before(one.joint, one.date) if job.by_amplitude else None
+        if sha256 is None:
+            return None
+        return self.store.recall("optimum", (one.joint, sha256), RecordingAnswer)
+
+    def _put(self, one: Found, sha256: str | None, answer: RecordingAnswer) -> None:
+        level = Level(self.config.interval.level, self.config.interval.kind)
+        used = False if answer.outcome == REFUSED else None
+        row = recording_row(answer, self.joints.get(one.joint), used, level)
+        row |= identity(one, sha256)
+        if self.table.knows(row):
+            return
+        if self.outbox is not None:
+            self.outbox.put(encoded_answer(row))
+        changed = self.table.put(row)
+        self.table.save()
+        for one_row in changed:
+            self.tell(one_row)

@@ -1,0 +1,85 @@
+"""What comes from a network is a row that watch can have written, or is refused with a reason."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesbl.fleet.answer_message import LARGEST_MESSAGE_BYTES, decoded_answer, encoded_answer
+from bayesbl.fleet.inventory import Joint
+from bayesbl.fleet.joint_job import RecordingAnswer
+from bayesbl.fleet.plant_tables import Level, recording_row
+
+JOINT = Joint("R1-J2", limit_rad=1.2e-3)
+WHICH = {"joint": "R1-J2", "date": "2025-01-01", "file": "a.csv", "sha256": "a" * 64}
+GAP = np.random.default_rng(1).normal(1e-3, 1e-5, 500)
+
+
+def row_of(answer: RecordingAnswer) -> dict[str, object]:
+    return recording_row(answer, JOINT, None, Level(0.9, "hdi")) | WHICH
+
+
+MEASURED = row_of(RecordingAnswer("usable", None, ("ä note",), "direct", True, GAP))
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        MEASURED,
+        row_of(RecordingAnswer("withheld", "Too noisy.", gap_rad=GAP)),
+        row_of(RecordingAnswer("no_curve", "No curve.", amplitude_rpm=(20.0, 19.0, 21.0))),
+        row_of(RecordingAnswer("refused", "No file.")) | {"sha256": None, "date": "spring"},
+    ],
+)
+def test_a_row_comes_as_it_went(row):
+    assert decoded_answer(encoded_answer(row)) == row
+
+
+def changed(**values):
+    return encoded_answer(MEASURED | values)
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        (b"\xff", "no JSON"),
+        (b"[" * 100_000, "bytes"),
+        (b"[" * 50_000, "no JSON"),
+        (b"[]", "schema 1"),
+        (b'{"schema": 1}', "other parts"),
+        (b'{"schema": 1, "schema": 1, "recording": {}}', "twice"),
+        (b'{"schema": 1, "recording": {"delta_rad_median": NaN}}', "NaN is no number"),
+        (b'{"schema": 1, "recording": {"delta_rad_sd": 1e999}}', "not within 0"),
+        (b'{"schema": 1, "recording": {"delta_rad_sd": 1' + b"0" * 4000 + b"}}", "not within 0"),
+        (b'{"schema": 1, "recording": {"joint": "\\ud800"}}', "no text"),
+        (b" " * (LARGEST_MESSAGE_BYTES + 1), "bytes, more than"),
+        (changed(joint="../../etc"), "no name of a joint"),
+        (changed(joint=""), "joint is missing"),
+        (changed(joint=3), "joint is no text"),
+        (changed(file="x" * 20_000), "file is no text"),
+        (changed(date="2025-13-01"), "no date"),
+        (changed(sha256="A" * 64), "no digest"),
+        (changed(sha256=None), "sha256 is missing"),
+        (changed(outcome="fine"), "no outcome"),
+        (changed(used=1), "neither true"),
+        (changed(more=1), "no column 'more'"),
+        (changed(delta_rad_median=-1e-3), "not within 0"),
+        (changed(delta_rad_median=True), "no number"),
+        (changed(delta_rad_low=2e-3), "not in order"),
+        (changed(delta_rad_q05=None), "no delta_rad_q05"),
+        (changed(amplitude_rpm_low=1.0), "not whole"),
+        (changed(probability_above_limit=1.5), "within 0 and 1"),
+        (changed(reason="No."), "beside the reason"),
+        (changed(outcome="withheld"), "outcome says"),
+    ],
+)
+def test_anything_else_is_refused_with_a_reason(message, told):
+    with pytest.raises(ValueError, match=told):
+        decoded_answer(message)
+
+
+def test_a_message_is_small():
+    assert len(encoded_answer(MEASURED)) < 1500
+    assert json.loads(encoded_answer(MEASURED))["schema"] == 1
