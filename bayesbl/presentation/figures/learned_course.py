@@ -20,7 +20,7 @@ LEVEL_SD = 1.645
 """Half-width of a 90 % interval in standard deviations."""
 
 _LABELS = {
-    "motor_angle": "Motor angle from where the first recording starts (turns)",
+    "motor_angle": "Motor angle from the first recording's start (turns)",
     "load_angle": "Load angle (°), 0 hangs down",
     "motor_speed": "Motor speed (rad/s)",
     "time": "Time from the start of the first recording (s)",
