@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.diagnosis import LearnedAnswer
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.recording.types import BoolArray, FloatArray
@@ -165,6 +166,10 @@ class LearnedFit(Protocol):
     @property
     def answer(self) -> LearnedAnswer:
         """What is told of the torque."""
+
+    @property
+    def bench(self) -> Bench | None:
+        """The bench with the torque and what was named, if a bench file can hold it."""
 
 
 def residuals_of_pieces(

@@ -154,6 +154,7 @@ def diagnose(
         problem.notes,
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
+        augmented_bench=None if learned is None else learned.bench,
         learned=None if learned is None else learned.answer,
     )
 

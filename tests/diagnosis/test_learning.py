@@ -110,9 +110,10 @@ def test_a_rigid_axis_shows_a_torque_over_its_position() -> None:
     assert {"motor_coulomb_friction", "motor_viscous_friction"} <= named(found)
     held_out = found.disagreement.overall["held_out"]
     assert held_out.closed_fraction > 0.98
-    with_torque = replace(bench(), learned_torque=torque)
-    again = answer_with(inverse(made, with_torque))
+    assert found.augmented_bench is not None
+    again = answer_with(inverse(made, found.augmented_bench))
     assert again.learned is None
+    assert not again.effects
     assert again.disagreement.overall["held_out"].after == pytest.approx(held_out.after, rel=0.05)
 
 

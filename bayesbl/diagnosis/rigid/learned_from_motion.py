@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.effect_declaration import PHASE
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned_torque import LearnedTorque, variable_of
 from bayesbl.diagnosis.comparison import EffectsFit
@@ -36,6 +39,21 @@ class LearnedFit:
     comparison: InverseComparison
     fit: EffectsFit
     answer: LearnedAnswer
+
+    @property
+    def bench(self) -> Bench | None:
+        """With what was named too; ``None`` if a phase of it belongs to a recording."""
+        effects = [
+            BenchEffect(name, {k: EffectParameterValue(v) for k, v in parameters.items()})
+            for name, parameters in self.fit.effects.items()
+        ]
+        own_phase = [
+            effect_named(e.name).is_periodic and PHASE not in e.parameters for e in effects
+        ]
+        if any(own_phase):
+            return None
+        bench = self.comparison.bench
+        return bench.with_parameters(**self.fit.bench).with_effects(*bench.effects, *effects)
 
 
 def learned_fit(
