@@ -223,8 +223,8 @@ def _unknowns(
         else:
             unknowns.append(start_angle_unknown(seen.name))
     learned = bench.learned_torque
-    known = config.comparison.motor_angle_known
-    if learned is not None and not (known and learned.variable == "motor_angle"):
+    told = config.comparison.motor_angle_known
+    if learned is not None and not (told and learned.variable == "motor_angle"):
         unknowns += shift_unknowns(learned, [seen.name for seen in used])
     toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
