@@ -170,17 +170,26 @@ def identify(
     named = effects if effects is None or effects == "catalogue" else list(effects)
     given: dict[str, Any] = {"bench": bench, "effects": named, "level": level}
     given |= {"seed": seed, "workers": workers}
-    loaded = config_from_options("identify", recordings, config, dates, **given)
-    assert isinstance(loaded, IdentifyConfig)
+    made = config_from_options("identify", recordings, config, dates, **given)
+    loaded = _checked(made, IdentifyConfig)
     with _shown(progress) as tell:
         found: IdentificationResult = _as_object(run_identify(loaded, tell))
     return found
 
 
 def diagnose(
-    config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
+    *recordings: File,
+    config: File | None = None,
+    bench: File | None = None,
+    level: float | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    progress: bool = False,
 ) -> DiagnosisResult:
-    """Say what a bench lacks that recordings show, by a configuration; nothing is written.
+    """Say what a bench lacks that recordings show; nothing is written.
+
+    How they are compared is guessed from bench and recordings where ``config`` does not say it.
+    Without recordings, those of ``config`` are used, as it says.
 
     Raises
     ------
@@ -188,9 +197,15 @@ def diagnose(
         If configuration, bench or recordings cannot be used.
     """
     from bayesbl.config.diagnose import DiagnoseConfig
+    from bayesbl.config.loading import config_from_options
     from bayesbl.runs.diagnose import run_diagnose
+    from bayesbl.runs.diagnosis_file import diagnosis_of
 
-    loaded = _load(config, "diagnose", DiagnoseConfig, seed, workers)
+    given: dict[str, Any] = {"bench": bench, "level": level, "seed": seed, "workers": workers}
+    if recordings:
+        loaded, _ = diagnosis_of(recordings, config, **given)
+    else:
+        loaded = _checked(config_from_options("diagnose", (), config, **given), DiagnoseConfig)
     with _shown(progress) as tell:
         found: DiagnosisResult = _as_object(run_diagnose(loaded, tell))
     return found
@@ -206,10 +221,12 @@ def sweep(
     UserError
         If configuration or bench cannot be used, or the curve is not monotone.
     """
+    from bayesbl.config.loading import config_from_options
     from bayesbl.config.sweep import SweepConfig
     from bayesbl.runs.sweep import run_sweep
 
-    loaded = _load(config, "sweep", SweepConfig, seed, workers)
+    given: dict[str, Any] = {"seed": seed, "workers": workers}
+    loaded = _checked(config_from_options("sweep", (), config, **given), SweepConfig)
     with _shown(progress) as tell:
         found: SweepResult = _as_object(run_sweep(loaded, tell))
     return found
@@ -320,18 +337,15 @@ def _measure(
     from bayesbl.config.measurement import SnapshotConfig
     from bayesbl.measurement.routes import measure
 
-    loaded = config_from_options(kind, recordings, config, dates, **given)
-    assert isinstance(loaded, SnapshotConfig)
+    made = config_from_options(kind, recordings, config, dates, **given)
+    loaded = _checked(made, SnapshotConfig)
     with _shown(progress) as tell:
         return _as_object(measure(loaded, tell))
 
 
-def _load(config: File, kind: str, model: type[C], seed: int | None, workers: int | None) -> C:
-    from bayesbl.runs.run import load_run
-
-    loaded = load_run(config, kind=kind, seed=seed, workers=workers)
-    assert isinstance(loaded, model)
-    return loaded
+def _checked(config: RunConfig, model: type[C]) -> C:
+    assert isinstance(config, model)
+    return config
 
 
 def _as_object(tree: xr.DataTree) -> Any:

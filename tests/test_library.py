@@ -12,7 +12,7 @@ from places import ROOT
 
 import bayesbl
 from bayesbl import cli
-from bayesbl.cli.identifying import identify_command
+from bayesbl.cli.identifying import diagnose_command, identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.presentation.citations import all_bibtex, citations
 
@@ -69,9 +69,10 @@ def test_the_python_of_the_documentation_runs(page, monkeypatch, tmp_path):
 def test_functions_take_what_their_commands_take():
     taken = {
         name: set(inspect.signature(getattr(bayesbl, name)).parameters)
-        for name in ("fit", "compare", "identify")
+        for name in ("fit", "compare", "identify", "diagnose")
     }
-    commands = {"fit": fit_command, "compare": compare_command, "identify": identify_command}
+    commands = {"fit": fit_command, "compare": compare_command}
+    commands |= {"identify": identify_command, "diagnose": diagnose_command}
     for name, command in commands.items():
         options = set(inspect.signature(command).parameters) - {"out", "force", "json", "inputs"}
         assert taken[name] - options <= {"recordings", "progress"}

@@ -25,6 +25,7 @@ from bayesbl.cli.identifying import diagnose_command, identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
+from bayesbl.cli.volume import VOLUME, brought_forward
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
@@ -83,8 +84,17 @@ def _common(
             "--version", callback=_print_version, is_eager=True, help="Print version and commit."
         ),
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Print the answer's first sentence alone.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Print parameters, diagnostics and origin too.")
+    ] = False,
 ) -> None:
-    """Options before the command."""
+    """Options of every command."""
+    if quiet and verbose:
+        raise typer.BadParameter("--quiet and --verbose exclude each other.")
+    VOLUME.set("quiet" if quiet else "verbose" if verbose else "normal")
 
 
 def main() -> None:
@@ -119,7 +129,8 @@ def status(arguments: Sequence[str] | None = None) -> int:
     spell_what_cannot_be_printed()
     try:
         # --help, --version and Ctrl-C end inside typer, with the status as value.
-        code = app(arguments, prog_name="bayesbl", standalone_mode=False)
+        given = brought_forward(sys.argv[1:] if arguments is None else arguments)
+        code = app(given, prog_name="bayesbl", standalone_mode=False)
     except _UsageError as usage:
         usage.message = plain(usage.message)
         usage.show()

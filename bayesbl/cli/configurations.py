@@ -107,7 +107,7 @@ def init_command(
         _init_bench(recordings, out, force)
         return
     if diagnose:
-        _init_diagnosis(recordings or [], out, force)
+        _init_diagnosis(recordings or [], out, joint, force)
         return
     if not recordings:
         raise ConfigError(
@@ -128,7 +128,7 @@ def init_command(
     _print_findings(plan)
 
 
-def _init_diagnosis(given: list[Path], out: Path | None, force: bool) -> None:
+def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, force: bool) -> None:
     from bayesbl.presentation.first_configuration import chosen, guessed
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.diagnosis_file import start_diagnosis
@@ -142,7 +142,7 @@ def _init_diagnosis(given: list[Path], out: Path | None, force: bool) -> None:
             expected="bayesbl init --diagnose BENCH RECORDING …, best forward, reverse and at "
             "another speed; `bayesbl init --bench` writes a bench to fill in",
         )
-    path, columns, guess = start_diagnosis(given[0], given[1:], out, force=force)
+    path, columns, guess = start_diagnosis(given[0], given[1:], out, joint=joint, force=force)
     plan = check(path)
     print_blocks(guessed(columns), make_console())
     print_blocks(chosen(guess), make_console())

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl.cli import options
-from bayesbl.cli.running import given_files, guessing_columns, run_config, run_file
+from bayesbl.cli.running import given_files, guessing_columns, notes_console, run_config, run_file
 from bayesbl.errors import ConfigError
 
 DataSheet = Annotated[
@@ -91,13 +91,12 @@ def diagnose_command(
         return
     if bench is None and config is None:
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
-    from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.diagnosis_file import diagnosis_of
 
     files = given_files([*([bench] if bench else []), *inputs])
     with guessing_columns(f"init --diagnose {files}", config):
         loaded, guess = diagnosis_of(inputs, config, **given)
-    console = make_console(stderr=True)
+    console = notes_console()
     for choice in guess:
         console.print(f"Guessed: {choice.told}", markup=False, highlight=False)
     run_config(loaded, force, json, config)

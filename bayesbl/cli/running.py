@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayesbl.cli.statuses import WITHHELD
+from bayesbl.cli.volume import VOLUME
 from bayesbl.errors import ConfigError, RecordingError, ResultError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from bayesbl.config.sections import RunConfig
 
 
@@ -29,21 +32,35 @@ def run_file(
         run_config(load_run(config, kind=kind, **options), force, json, config)
 
 
+def notes_console() -> Console:
+    """Standard error, for progress and what is noted on the way; silent with ``--quiet``."""
+    from bayesbl.presentation.terminal import make_console
+
+    console = make_console(stderr=True)
+    console.quiet = VOLUME.get() == "quiet"
+    return console
+
+
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
-    from bayesbl.presentation.console import print_result
+    from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.progress import progress
     from bayesbl.presentation.terminal import make_console, say
+    from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.run import run
 
-    console = make_console(stderr=True)
+    console, volume = notes_console(), VOLUME.get()
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
     if json:
         print_json(config.run.output)
+    elif volume == "quiet":
+        print_headline(summary, make_console())
     else:
         print_result(summary, config.run.output, make_console())
+        if volume == "verbose" and config.kind != "fleet":
+            print_details(read_result(config.run.output), summary, make_console())
     if summary["outcome"] == "withheld":
         if json:
             say(f"Withheld: {summary['reason']}", err=True)

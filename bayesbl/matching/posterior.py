@@ -19,7 +19,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import CHECKED_DRAWS, Progress, SamplerSettings, Walk, thinned, walk
+from bayesbl.sampling.chains import Progress, SamplerSettings, Walk, thinned, walk
 from bayesbl.sampling.convergence import (
     Diagnostics,
     judge,
@@ -237,7 +237,7 @@ def _walk(
     tail = 0.5 - 0.5 * settings.level
 
     def bounds(chains: Sequence[FloatArray]) -> FloatArray:
-        pooled = np.concatenate([thinned(chain, CHECKED_DRAWS)[:, gaps] for chain in chains])
+        pooled = np.concatenate([thinned(chain)[:, gaps] for chain in chains])
         return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
 
     return walk(ensembles, settings, bounds, np.sqrt(np.diag(covariance))[gaps], progress)

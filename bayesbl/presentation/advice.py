@@ -44,7 +44,7 @@ def of_sweep(_: SweepSummary) -> Advice:
         "note",
         "Use this curve for recordings of this joint.",
         (
-            "Give it to a comparison: bayesbl compare FIRST SECOND --curve result.nc. "
+            "Give it to a comparison: `bayesbl compare FIRST SECOND --curve result.nc`. "
             "It holds for a joint like the simulated bench, and for no other.",
         ),
     )
@@ -59,7 +59,7 @@ def of_plan(summary: PlanSummary) -> Advice:
         "Record the first motion of the table.",
         (
             "With the motor's speed and current, and the speed or position that the controller was "
-            "asked for, at 1 kHz or so. Then: bayesbl fit RECORDING --bench FILE.",
+            "asked for, at 1 kHz or so. Then: `bayesbl fit RECORDING --bench FILE`.",
         ),
     )
 
@@ -252,10 +252,10 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
         return
     yield (
         "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
-        f'(bench = "…/{AUGMENTED_BENCH}"), run bayesbl sweep on it, and give its result to a '
-        "comparison: --curve …/result.nc"
+        f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on it, and give its result to a '
+        "comparison: `--curve …/result.nc`"
     )
     yield (
-        "To measure without a curve: bayesbl compare FIRST SECOND --route direct --bench "
-        f"{AUGMENTED_BENCH}"
+        "To measure without a curve: `bayesbl compare FIRST SECOND --route direct --bench "
+        f"{AUGMENTED_BENCH}`"
     )

@@ -22,21 +22,31 @@ if TYPE_CHECKING:
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
     """The answer in words, its table, and everything that limits the answer."""
-    withheld = summary["outcome"] == "withheld"
-    headline = SUBJECTS[summary["kind"]].headline(summary)
-    print_blocks([Sentence(headline, "withheld" if withheld else "answer")], console)
+    print_headline(summary, console)
     print_blocks(blocks(summary), console)
     if folder is not None:
         # Not wrapped: a path is there to be copied.
         console.print(f"Written to {folder}", soft_wrap=True)
 
 
+def print_headline(summary: Summary, console: Console) -> None:
+    """The answer in a sentence."""
+    withheld = summary["outcome"] == "withheld"
+    headline = SUBJECTS[summary["kind"]].headline(summary)
+    print_blocks([Sentence(headline, "withheld" if withheld else "answer")], console)
+
+
+def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
+    """Parameters, diagnostics, and where a result comes from."""
+    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
+    print_blocks(_origin(tree, summary), console)
+
+
 def print_summary(tree: xr.DataTree, console: Console) -> None:
     """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
     summary = summarise(tree)
     print_result(summary, None, console)
-    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
-    print_blocks(_origin(tree, summary), console)
+    print_details(tree, summary, console)
 
 
 def _origin(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:

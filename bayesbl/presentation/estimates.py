@@ -88,7 +88,7 @@ def _time_constant(part: SnapshotSummary) -> tuple[str, ...]:
     from bayesbl.ringing.symbols import DECAY
 
     best, found = 1e3 / part["optimum"][DECAY], part["parameters"].get(DECAY)
-    name = "  time constant, its inverse"
+    name = "  as a time constant"
     if found is None:
         return name, f"{best:.3g}", "", "fixed", "ms"
     inverse: Interval = {

@@ -23,6 +23,8 @@ def guessed(guess: Guess) -> Iterator[Block]:
     if guess.unused:
         yield Sentence(", ".join(guess.unused), label="Not used")
     for column in guess.columns:
+        if column.doubted:
+            yield Sentence(f"{column.name} is {column.reason}", "warning", "Check")
         if not column.sure:
             why = "" if column.reason == NO_UNIT else f" ({column.reason})"
             unit = f"the unit of {column.name} is not stated{why}."

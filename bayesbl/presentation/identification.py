@@ -87,8 +87,8 @@ def advice(summary: IdentificationSummary) -> Advice:
     if summary["outcome"] == "withheld":
         return Advice("watch", "Do not use this bench.", (summary["reason"] or "",))
     sentences = (
-        "Measure later recordings with it: bayesbl compare FIRST SECOND --bench with the folder "
-        "of this result, which keeps what is known of the parameters together.",
+        "Measure later recordings with it: `bayesbl compare FIRST SECOND --bench RESULT`, the "
+        "folder of this result, which keeps what is known of the parameters together.",
         "bench.toml, beside this page, is the same bench as a file, with a tolerance for each "
         "parameter alone: the gap is then known less sharply.",
     )

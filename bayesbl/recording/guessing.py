@@ -45,6 +45,8 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output arm"
 _MOTOR = "motor mot m"
+_SIDES = f"{_REFERENCE} {_MOTOR} load"
+"""What groups of one joint's columns are called: none of them is a joint."""
 
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
@@ -60,13 +62,17 @@ _AGREEMENT = 0.02
 
 @dataclass(frozen=True, slots=True)
 class GuessedColumn:
-    """A column, the channel it may be, and why; ``sure`` if the file itself says all of it."""
+    """A column, the channel it may be, and why; ``sure`` if the file itself states the unit.
+
+    ``doubted``: the reason is a question about the channel.
+    """
 
     channel: str
     name: str
     unit: str
     reason: str
     sure: bool
+    doubted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +167,9 @@ def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]
     joints = dict.fromkeys(
         group
         for group, column in zip(groups, inner, strict=True)
-        if group and _channel(column) == MOTOR_SPEED
+        if group
+        and _channel(column) in (MOTOR_SPEED, MOTOR_POSITION)
+        and _words(group).isdisjoint(_SIDES.split())
     )
     known = shortened(", ".join(joints), 200)
     if joint is not None and joint not in joints:
@@ -214,19 +222,27 @@ def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
     if not column.sure or rpm >= _USUAL_SPEEDS_RPM[0]:
         return column
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    return replace(column, reason=reason, sure=False)
+    return replace(column, reason=reason, doubted=True)
 
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:
     """Words of a name in small letters, and the unit that it or the file states."""
     bare, in_name = split_unit(name)
-    bare = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", bare)
-    parts = [part for part in re.split(r"[\W_]+", bare) if part]
+    parts = _split(bare)
     unit = _known_unit(table.unit(index)) or in_name
     if unit is None and len(parts) > 1:
         unit = _known_unit(parts[-1], also_small=True)
-    words = frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in parts)
-    return words, unit
+    return _words(bare), unit
+
+
+def _split(text: str) -> list[str]:
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return [part for part in re.split(r"[\W_]+", spaced) if part]
+
+
+def _words(text: str) -> frozenset[str]:
+    """Words in small letters, without the numbers at their ends."""
+    return frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
 
 
 def _known_unit(text: str | None, *, also_small: bool = False) -> str | None:

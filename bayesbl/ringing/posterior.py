@@ -19,7 +19,7 @@ from bayesbl.ringing.covariance import Covariance, signal_to_noise
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
-from bayesbl.sampling.chains import CHECKED_DRAWS, Progress, SamplerSettings, thinned, walk
+from bayesbl.sampling.chains import Progress, SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import (
     Contender,
     Diagnostics,
@@ -150,7 +150,7 @@ def _other_answer(
 
 def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:
     """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([thinned(chain, CHECKED_DRAWS) for chain in chains])
+    points = np.concatenate([thinned(chain) for chain in chains])
     amplitude = objective.solve(points).coefficients[:, -1]
     return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 

@@ -51,7 +51,12 @@ def diagnosis_of(
 
 
 def start_diagnosis(
-    bench: Path, recordings: Sequence[Path], out: Path | None = None, *, force: bool = False
+    bench: Path,
+    recordings: Sequence[Path],
+    out: Path | None = None,
+    *,
+    joint: str | None = None,
+    force: bool = False,
 ) -> tuple[Path, Guess, list[Choice]]:
     """Write a commented configuration of a diagnosis; its path, and what was guessed.
 
@@ -61,6 +66,8 @@ def start_diagnosis(
         A bench file, or the result of an identification.
     recordings
         Files with the same columns; the first one is looked at for these.
+    joint
+        Which one, where a file holds several.
 
     Raises
     ------
@@ -70,7 +77,8 @@ def start_diagnosis(
     path = out or Path(DEFAULT_FILE)
     bench = bench / RESULT_FILE if bench.is_dir() else bench
     require_writable(path, [*recordings, bench], force)
-    columns = guess_columns(recordings[0], read_table(recordings[0]), position_will_do=True)
+    table = read_table(recordings[0])
+    columns = guess_columns(recordings[0], table, joint, position_will_do=True)
     specs = {c.channel: ColumnSpec(c.name, c.unit) for c in columns.columns}
     names = names_of(recordings)
     read = [

@@ -15,9 +15,6 @@ from bayesbl.sampling.ensemble import Ensemble
 STEPS_BETWEEN_CHECKS = 250
 BURN_IN_AUTOCORRELATIONS = 5.0
 DRAWS_KEPT = 1000
-CHECKED_DRAWS = 4000
-"""Of each chain, whose intervals are compared: of four chains a 5 % quantile scatters by 0.016
-standard deviations, well below the tolerance."""
 BOUND_TOLERANCE_SD = 0.05
 """Interval bounds count as stable when they move less than this many standard deviations."""
 

@@ -9,44 +9,13 @@ import numpy as np
 
 from bayesbl.recording.types import FloatArray
 
-Proposal = Callable[[FloatArray, np.random.RandomState], tuple[FloatArray, FloatArray]]
-
 FEWEST_WALKERS = 32
 START_SPREAD = 1.5
 """Scatter of the walkers at the start, in standard deviations of the local covariance."""
 
-FREEDOM = 5.0
-"""Degrees of freedom of proposals that forget: heavier in the tails than what is sampled. They and
-moves by differences take turns: where the posterior is nearly normal the chains forget four times
-as fast, where it is cut off by its ranges a third more slowly."""
-
 START_ROUNDS = 200
 """Walkers outside the ranges are drawn again so often, and only then moved to their ends: one that
 is moved along one coordinate leaves the valley of several, and may not find back."""
-
-
-def anew(centre: FloatArray, root: FloatArray) -> Proposal:
-    """Proposals that forget where a walker is: Student's t around a point.
-
-    ``root``: Cholesky root of its scale. The proposals take points (m, d) and NumPy's old random
-    state, and return new points and ln of q(old)/q(new), shape (m,).
-    """
-
-    def proposal(
-        points: FloatArray, random: np.random.RandomState
-    ) -> tuple[FloatArray, FloatArray]:
-        steps = random.standard_normal(points.shape)
-        steps /= np.sqrt(random.chisquare(FREEDOM, len(points)) / FREEDOM)[:, None]
-        away = np.asarray(np.linalg.solve(root, (points - centre).T).T, dtype=float)
-        return centre + steps @ root.T, _log_t(away) - _log_t(steps)
-
-    return proposal
-
-
-def _log_t(away: FloatArray) -> FloatArray:
-    """Up to a constant, of standardised points (m, d)."""
-    square = (away**2).sum(axis=1)
-    return np.asarray(-0.5 * (FREEDOM + away.shape[1]) * np.log1p(square / FREEDOM))
 
 
 class Ensemble:
@@ -80,7 +49,7 @@ class Ensemble:
         d = centre.size
         walkers = max(FEWEST_WALKERS, 4 * d)
         generator = np.random.default_rng(start_seed)
-        root = np.asarray(np.linalg.cholesky(local_covariance), dtype=float)
+        root = np.linalg.cholesky(local_covariance)
         low, high = box
         margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
         low, high = low + margin, high - margin
@@ -97,10 +66,7 @@ class Ensemble:
             walkers,
             d,
             target,
-            moves=[
-                (emcee.moves.DEMove(), 0.5),  # DESnookerMove of 3.1.6 is biased
-                (emcee.moves.MHMove(anew(centre, root)), 0.5),
-            ],
+            moves=emcee.moves.DEMove(),  # DESnookerMove of 3.1.6 is biased
             vectorize=True,
         )
         bits = np.random.MT19937(walk_seed)

@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 from fresh_process import loaded_by
 from places import AFTER, BEFORE, CONFIGS, RECORDINGS
+from quick import two_ensembles, without_figures
 
 from bayesbl import cli
+from bayesbl.cli.volume import brought_forward
 
 ROTATION_SAMPLES = 3600
 
@@ -412,3 +414,21 @@ def test_a_closed_pipe_is_quiet(compared):
     errors = process.stderr.read()
     process.wait(timeout=30)
     assert errors == b""
+
+
+def test_quiet_says_the_answer_alone_wherever_it_stands(tmp_path, capsys):
+    base = two_ensembles(tmp_path, "fit")
+    recording = cut(BEFORE, tmp_path / "two.csv", 2 * ROTATION_SAMPLES + 100)
+    command = ["fit", str(recording), "--config", str(base), "--curve", "published"]
+    with without_figures():
+        assert cli.status([*command, "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert " ".join(printed.out.split()).endswith("mrad).")
+    assert printed.out.count(". ") == 0
+    assert cli.status(["--quiet", "cite", "--verbose"]) == 2
+
+
+def test_only_options_before_two_dashes_are_brought_forward():
+    given = ["fit", "a.csv", "--verbose", "--", "--quiet"]
+    assert brought_forward(given) == ["--verbose", "fit", "a.csv", "--", "--quiet"]

@@ -22,7 +22,7 @@ from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
-from bayesbl.presentation.page.build import page
+from bayesbl.presentation.page.build import _prose, page
 from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.provenance import provenance
@@ -293,7 +293,7 @@ def compared_undated(change, above, limit=1.2e-3):
     ("change", "above", "told"),
     [
         ((1e-4, 3e-4), 0.0, "0.9 mrad, still below the limit of 1.2 mrad"),
-        ((4e-4, 6e-4), 0.0, "1.2 mrad, close to the limit of 1.2 mrad"),
+        ((4e-4, 6e-4), 0.0, "bring the gap close to its limit of 1.2 mrad."),
         ((5e-4, 7e-4), 0.0, "1.3 mrad, beyond the limit of 1.2 mrad"),
         ((1e-4, 3e-4), 0.99, None),
         ((-3e-4, -1e-4), 0.0, None),
@@ -473,8 +473,8 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
 def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
     text = re.search(r'<section id="figures">.*?</section>', written, re.S)[0]
     shown, folded = text.split("<details>")
-    assert "ensembles, step by step" not in shown
-    assert "ensembles, step by step" in folded
+    assert "ensemble by ensemble" not in shown
+    assert "ensemble by ensemble" in folded
     assert "The measured motor speed" in shown
     numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", text)]
     assert numbers == list(range(1, len(numbers) + 1))
@@ -529,3 +529,10 @@ def test_a_notebook_shows_names_of_others_as_text(tree):
     html = result_of(hostile(tree))._repr_html_()
     assert HOSTILE not in html
     assert Reader(html).open == []
+
+
+def test_commands_are_code_and_no_option_is_broken_or_brings_markup():
+    assert str(_prose("Then `bayesbl fit A --bench <b>`; (--limit-rad) a--b")) == (
+        'Then <code>bayesbl fit A <span class="option">--bench</span> &lt;b&gt;</code>; '
+        '(<span class="option">--limit-rad</span>) a--b'
+    )

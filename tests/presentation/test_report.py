@@ -380,7 +380,7 @@ def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
         assert ("fixed" in row) == symbol.name.startswith("window")
     for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
         assert told in text
-    assert text.startswith(answer.headline(_summary(stored)).split(" (")[0])
+    assert flat(text).startswith(answer.headline(_summary(stored)))
 
 
 def test_noise_is_told_with_its_evidence():

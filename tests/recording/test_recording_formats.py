@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import sys
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -240,7 +241,11 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
     path = write_bag(tmp_path / "slow.mcap", slow, TIME)
     speed = guess_columns(path, read_table(path)).columns[1]
     assert "behind the gearbox" in speed.reason
-    assert not speed.sure
+    assert speed.doubted
+    sides = {"t": TIME, "motor/speed": SPEED, "ref/speed": SPEED, "load/angle": TIME}
+    path = write_csv(tmp_path / "sides.csv", sides)
+    found = {column.channel for column in guess_columns(path, read_table(path)).columns}
+    assert found == {"time_s", "motor_speed_rpm", "reference_speed_rpm", "load_position_rad"}
     plain = write_csv(tmp_path / "log.csv", {"t": TIME, "axis 1/speed [rad/s]": SPEED})
     assert guess_columns(plain, read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
 
@@ -265,6 +270,34 @@ def test_units_of_mdf_are_used_and_a_packed_file_is_the_same(tmp_path: Path) -> 
         np.testing.assert_array_equal(speed, SPEED * RPM_PER_RAD_PER_S)
 
 
+@pytest.mark.parametrize(("suffix", "version"), [("mf4", "4.10"), ("mdf", "3.30")])
+def test_a_formula_in_an_mdf_file_is_not_run(tmp_path: Path, suffix: str, version: str) -> None:
+    import asammdf
+
+    path = tmp_path / f"log.{suffix}"
+    signals = [
+        asammdf.Signal(SPEED, TIME, name="linear", conversion={"a": 2.0, "b": 1.0}),
+        asammdf.Signal(SPEED, TIME, name="formula", conversion={"formula": "2 * X1"}),
+    ]
+    with asammdf.MDF(version=version) as file:
+        file.append(signals)
+        file.save(path)
+    table = read_table(path)
+    assert table.columns == ("time_s", "linear")
+    np.testing.assert_array_equal(table.numbers([1])[:, 0], 2.0 * SPEED + 1.0)
+
+
+def test_a_line_far_down_in_a_workbook_is_refused_at_once(tmp_path: Path) -> None:
+    good = write_excel(tmp_path / "good.xlsx", PLAIN)
+    path = tmp_path / "far.xlsx"
+    with zipfile.ZipFile(good) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            text = old.read(name).replace(b'<row r="9">', b'<row r="999999999999">')
+            new.writestr(name, text)
+    with pytest.raises(RecordingError, match="too large"):
+        read_recording(path)
+
+
 def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) -> None:
     header = (
         "Name\tA\nStarttime of export\t1\n\nName\tn\tName\tslow\nUnit\trad/s (Speed)\tUnit\tA\n"
@@ -281,6 +314,20 @@ def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) 
     filled = "".join(f"{i}\t{i % 7}\t{2 * (i // 2)}\t{i // 2}\n" for i in range(40))
     path.write_text(header + "\n" + filled)
     np.testing.assert_array_equal(read_table(path).numbers([3])[:, 0], np.arange(20))
+
+
+def test_a_channel_of_text_in_a_scope_export_is_left_and_text_among_numbers_refused(
+    tmp_path: Path,
+) -> None:
+    header = "Name\tA\nStarttime of export\t1\n\nName\tn\tName\ton\nData-Type\tREAL64\n\n"
+    path = tmp_path / "scope.csv"
+    path.write_text(header + "".join(f"{i}\t{i % 7}\t{i}\tTrue\n" for i in range(20)))
+    table = read_table(path)
+    assert table.columns == ("time_s", "n", "on")
+    assert np.isnan(table.numbers([2])).all()
+    path.write_text(path.read_text().replace("\n5\t5\t", "\n5\tbad\t"))
+    with pytest.raises(RecordingError, match=r"line 12.*text among the samples.*'bad'"):
+        read_table(path)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(
 
 
 def test_a_chain_too_short_is_withheld(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    reason = withheld(clean(), tmp_path, capsys, "[posterior]\nmax_steps = 40\n")
+    reason = withheld(clean(), tmp_path, capsys, "[posterior]\nmax_steps = 100\n")
     assert "The chain is short" in reason
 
 

@@ -57,7 +57,7 @@ def curve(tree: xr.DataTree) -> Figure:
     papers, wide = is_papers_bench(tree), any(s in source_bands(tree) for s in _WIDE_SOURCES)
     right = outer[0, 1].subgridspec(2 if papers or wide else 1, 1, hspace=0.42)
     _draw_whole(whole, tree, papers)
-    axes, titles = [whole], [""]
+    axes, titles = [whole], ["gap and amplitude"]
     if papers or wide:
         far = figure.add_subplot(right[0, 0])
         _draw_far(far, tree, papers)

@@ -20,7 +20,7 @@ from bayesbl.presentation.figures.snapshots import (
 )
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 
-_OTHER = "#d55e00"
+_OTHER = "#009e73"  # neither of the first two snapshots'
 
 
 @stored_figure(

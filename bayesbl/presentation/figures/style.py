@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -92,9 +93,19 @@ def publication_style() -> Iterator[None]:
         yield
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows, whether or not it has a backend of its own."""
+
+    def _repr_png_(self) -> bytes:
+        image = io.BytesIO()
+        with publication_style():
+            self.savefig(image, format="png", dpi=PNG_DPI / 2)
+        return image.getvalue()
+
+
 def new_figure(width_in: float, height_in: float) -> Figure:
     """An empty figure that belongs to no window and no global list."""
-    figure = Figure(figsize=(width_in, height_in))
+    figure = ShownFigure(figsize=(width_in, height_in))
     FigureCanvasAgg(figure)
     return figure
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import base64
+import html
 import io
 import json
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
+from markupsafe import Markup
 
 from bayesbl.errors import UserError
 from bayesbl.presentation import answer, words
@@ -94,7 +96,7 @@ def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
 def fragment(headline: str, blocks: Sequence[Block]) -> str:
     """The answer as a piece of HTML without a style of its own, for a notebook."""
     macros: Any = _environment().get_template("blocks.html").module
-    return f"<p><strong>{escape(words.glued(headline))}</strong></p>{macros.blocks(blocks)}"
+    return f"<p><strong>{_prose(headline)}</strong></p>{macros.blocks(blocks)}"
 
 
 def _environment() -> Environment:
@@ -107,8 +109,15 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["glued"] = words.glued
+    environment.filters["glued"] = _prose
     return environment
+
+
+def _prose(sentence: str) -> Markup:
+    """A sentence as HTML: commands as code, no break inside a quantity or an option."""
+    text = html.escape(words.glued(sentence), quote=False)
+    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
+    return Markup(re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="option">\g<0></span>', text))
 
 
 def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
 
 _MOST_COLUMNS = 1000
+_MOST_LINES = 2**20
+"""Excel's own. A damaged file may number a line as it likes, and those before it would be made."""
+
 _LARGEST_PARTS_MB = 1000.0
 """Of what a workbook packs, unpacked: a small file may hold any size."""
 
@@ -75,14 +78,14 @@ def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
     """Rows that are not blank. What the sheet says of its own size is not believed."""
     sheet.reset_dimensions()
-    for row in sheet.iter_rows(values_only=True):
-        if len(row) > _MOST_COLUMNS:
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        if len(row) > _MOST_COLUMNS or number > _MOST_LINES:
             raise RecordingError(
-                "The sheet has too many columns.",
+                "The sheet is too large.",
                 file=file,
                 where=f'sheet "{sheet.title}"',
-                found=f"{len(row)}",
-                expected=f"at most {_MOST_COLUMNS}; a line for each sample",
+                found=f"{len(row)} columns in line {number}",
+                expected=f"at most {_MOST_COLUMNS} columns and {_MOST_LINES} lines",
             )
         if any(cell is not None for cell in row):
             yield row

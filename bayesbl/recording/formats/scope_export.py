@@ -77,29 +77,49 @@ def read_scope_export(file: Path, text: str) -> ArrayTable:
 def _numbers(
     file: Path, lines: Sequence[str], begin: int, separator: str, width: int
 ) -> FloatArray:
-    """The samples, shape (lines, width); NaN where a slower group has none."""
+    """The samples, shape (lines, width); NaN where a slower group has none, and in a text channel.
+
+    Raises
+    ------
+    RecordingError
+        At the first text in a column that holds numbers too.
+    """
     import numpy as np
 
-    rows = []
+    places: list[int] = []
+    rows: list[list[str]] = []
     for index in range(begin, len(lines)):
         line = lines[index].strip("\r\n ")
         if line == "EOF":
             break
-        if not line.strip(separator):
-            continue
-        cells = (line if separator == "," else line.replace(",", ".")).split(separator)
-        try:
-            row = [float(cell) if cell.strip() else float("nan") for cell in cells[:width]]
-        except ValueError:
+        if line.strip(separator):
+            cells = (line if separator == "," else line.replace(",", ".")).split(separator)
+            rows.append([*cells[:width], *[""] * (width - len(cells))])
+            places.append(index + 1)
+    values = np.full((len(rows), width), np.nan)
+    for column in range(width):
+        texts = [row[column].strip() for row in rows]
+        held = [(row, _number(text)) for row, text in enumerate(texts) if text]
+        bad = next((row for row, number in held if number is None), None)
+        if bad is None:
+            for row, number in held:
+                values[row, column] = number
+        elif any(number is not None for _, number in held):
             raise RecordingError(
                 "There is text among the samples of this export of TwinCAT Scope.",
                 file=file,
-                where=f"line {index + 1}",
-                found=repr(shortened(line)),
-                expected="numbers",
-            ) from None
-        rows.append(row + [float("nan")] * (width - len(row)))
-    return np.array(rows).reshape(-1, width)
+                where=f"line {places[bad]}",
+                found=repr(shortened(texts[bad])),
+                expected="a number",
+            )
+    return values
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _groups(
