@@ -64,8 +64,6 @@ SAME_IDEA = {
     "groups": "what result.nc holds: of a diagnosis, of an identification",
     "identify": "the kind identify: its configuration, the numbers, its run",
     "joint_check": "whether it is the same joint: what was found, its words",
-    "learned": "what naming leaves is learned: in a closed loop, on a rigid bench",
-    "learned_torque": "a learned torque: its law on the bench, its figure",
     "measurement": "a measurement: its configuration, what every route returns",
     "method": "a method of diagnosis behind the protocol, one in each of its rooms",
     "misfit": "what repeats and the model lacks: the numbers, their figure",

@@ -9,6 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench
+from bayesbl.diagnosis.diagnosis import LearnedAnswer
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.recording.types import BoolArray, FloatArray
 
@@ -148,6 +150,26 @@ class Comparison(Protocol):
 
     def folds(self) -> Sequence[Comparison]:
         """The used pieces alone, some to fit on and some to predict, each predicted once."""
+
+
+class LearnedFit(Protocol):
+    """The comparison with a learned torque in its bench, and its fit."""
+
+    @property
+    def comparison(self) -> Comparison:
+        """With the torque in its bench."""
+
+    @property
+    def fit(self) -> EffectsFit:
+        """With the same effects as before."""
+
+    @property
+    def answer(self) -> LearnedAnswer:
+        """What is told of the torque."""
+
+    @property
+    def bench(self) -> Bench | None:
+        """The bench with the torque and what was named, if a bench file can hold it."""
 
 
 def residuals_of_pieces(

@@ -38,7 +38,6 @@ coefficient would be thirty times as uncertain as alone."""
 
 _ROUNDS = 4
 _FINER = 16
-_RIDGE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +91,8 @@ class Trial:
         say nothing that is not fitted anyway.
     coefficients
         Shape (2 orders + 1,), fitted on all groups; 0 where not free.
+    left_out
+        The same fitted without each group, shape (groups, 2 orders + 1).
     shifts
         Of the variable in every group, relative to the first.
     gains
@@ -103,6 +104,7 @@ class Trial:
     hypothesis: Hypothesis
     free: tuple[int, ...]
     coefficients: FloatArray
+    left_out: FloatArray
     shifts: FloatArray
     gains: FloatArray
     trials: float
@@ -139,7 +141,7 @@ def learn(
     tried = len(found) * len(ORDERS)
     every = []
     for hypothesis, groups in found:
-        trials = sorted(_trials(hypothesis, groups, precision, tried), key=lambda t: -t.gain)
+        trials = tried_orders(hypothesis, groups, precision, tried)
         every += [min(alike(trials, false_alarm), key=lambda t: t.orders)] if trials else []
     sure = [trial for trial in every if trial.is_sure(false_alarm)]
     return sorted(sure, key=lambda trial: -trial.gain)
@@ -149,6 +151,13 @@ def alike(trials: Sequence[Trial], false_alarm: float) -> list[Trial]:
     """Those that the groups do not tell from the best, it included."""
     enough = 2.0 * math.log(1.0 / false_alarm)
     return [trial for trial in trials if trials[0].gain - trial.gain < enough]
+
+
+def tried_orders(
+    hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
+) -> list[Trial]:
+    """A hypothesis with each number of orders, what predicts best first; ``tried``: how many."""
+    return sorted(_trials(hypothesis, groups, precision, tried), key=lambda trial: -trial.gain)
 
 
 def _trials(
@@ -164,13 +173,13 @@ def _trials(
         problem = _Problem(chosen, precision, hypothesis, orders, len(free))
         everyone = range(len(chosen))
         z, _, shifts = problem.fitted(everyone)
-        gains = np.array([problem.gain(k) for k in everyone])
+        gains, without = zip(*(problem.predicted(k) for k in everyone), strict=True)
         # Where a shift is sought on the group itself, as many places are tried as there are waves.
         trials = tried * (2.0 * orders if hypothesis.own_zero else 1.0)
         places = tuple(p if p <= orders else p - LEARNED_HARMONICS + orders for p in free)
-        complete = np.zeros(2 * orders + 1)
-        complete[list(places)] = z
-        yield Trial(hypothesis, places, complete, shifts, gains, trials)
+        complete = np.zeros((1 + len(chosen), 2 * orders + 1))
+        complete[:, list(places)] = [z, *without]
+        yield Trial(hypothesis, places, complete[0], complete[1:], shifts, np.array(gains), trials)
 
 
 def _free(groups: Sequence[Group], hypothesis: Hypothesis, orders: int) -> list[int]:
@@ -223,14 +232,15 @@ class _Problem:
         shifts[list(members)] -= shifts[members[0]]
         return self._solved(members, shifts)[0], u, shifts
 
-    def gain(self, left_out: int) -> float:
-        """χ² by which a group is predicted better with z than without it, from the others."""
+    def predicted(self, left_out: int) -> tuple[float, FloatArray]:
+        """χ² by which a group is predicted better with z than without it; z of the others."""
         others = [k for k in range(len(self._groups)) if k != left_out]
         z, u, _ = self.fitted(others)
         nothing = np.zeros_like(z)
         without = self._solved(others, np.zeros(len(self._groups)), waves=False)[1]
         shift = self._best_shift(left_out, z, u) if self._hypothesis.own_zero else 0.0
-        return self._loss(left_out, nothing, without, 0.0) - self._loss(left_out, z, u, shift)
+        before = self._loss(left_out, nothing, without, 0.0)
+        return before - self._loss(left_out, z, u, shift), z
 
     def _solved(
         self, members: Sequence[int], shifts: FloatArray, waves: bool = True
@@ -240,7 +250,8 @@ class _Problem:
         w = self._waves
         matrix = np.array(total[:-1, :-1])
         matrix[w:, w:] += self._prior
-        matrix[np.diag_indices(w)] *= 1.0 + _RIDGE
+        # Prior of a coefficient: that it alone makes all that is left, one standard deviation.
+        matrix[np.diag_indices(w)] *= 1.0 + 1.0 / max(float(total[-1, -1]), 1.0)
         first = 0 if waves else w
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         normal = matrix / np.outer(scale, scale)

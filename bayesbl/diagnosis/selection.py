@@ -27,7 +27,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 from scipy.stats import chi2
@@ -36,6 +35,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import (
     Comparison,
     EffectsFit,
+    LearnedFit,
     TestedEffect,
     residuals,
     residuals_of_pieces,
@@ -43,7 +43,6 @@ from bayesbl.diagnosis.comparison import (
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
-    LearnedAnswer,
     NamedEffect,
     ParameterError,
     PieceSignals,
@@ -90,22 +89,6 @@ class Problem:
     remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
     notes: tuple[str, ...] = ()
     learn: Callable[[EffectsFit, float], LearnedFit | None] = lambda fit, false_alarm: None
-
-
-class LearnedFit(Protocol):
-    """The comparison with a learned torque in its bench, and its fit."""
-
-    @property
-    def comparison(self) -> Comparison:
-        """With the torque in its bench."""
-
-    @property
-    def fit(self) -> EffectsFit:
-        """With the same effects as before."""
-
-    @property
-    def answer(self) -> LearnedAnswer:
-        """What is told of the torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +154,7 @@ def diagnose(
         problem.notes,
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
+        augmented_bench=None if learned is None else learned.bench,
         learned=None if learned is None else learned.answer,
     )
 

@@ -122,7 +122,7 @@ def of_diagnosis(summary: DiagnosisSummary) -> Advice:
                 title = f"Go on with {AUGMENTED_BENCH}."
                 return Advice("note", title, (*wrong, *_go_on(summary)))
             return Advice("note", "Correct the bench before you rely on it.", wrong)
-        case "unexplained" if "learned_torque" in summary:
+        case "unexplained" if diagnosis.has_augmented_bench(summary):
             return Advice("watch", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "unexplained":
             return Advice(
@@ -242,12 +242,14 @@ def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
 def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     """What to do with the bench that the diagnosis wrote."""
     yield (
-        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was named, a bench file like "
+        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was found, a bench file like "
         "any other."
     )
     if any(effect["indistinguishable_from"] for effect in summary["effects"]):
         yield "These recordings cannot tell all of it apart."
         yield from diagnosis.suggestion(summary)
+    if "learned_torque" in summary and summary["delta_rad_after"] is None:
+        return
     yield (
         "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
         f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on it, and give its result to a '

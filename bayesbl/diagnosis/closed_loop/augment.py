@@ -52,7 +52,11 @@ def torque_of(fit: SimulatedFit) -> LearnedTorque:
         float(fit.point[places[name]]) if name in places else known
         for name, known in zip(learned.names, learned.coefficients, strict=True)
     ]
-    sds = [float(spread[places[name]]) if name in places else 0.0 for name in learned.names]
+    held = learned.sd_nm or (0.0,) * len(learned.names)
+    sds = [
+        float(spread[places[name]]) if name in places else sd
+        for name, sd in zip(learned.names, held, strict=True)
+    ]
     period = places.get(f"{LEARNED_TORQUE}__period")
     orders = len(learned.cosine_nm)
     return replace(

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned import Learned, answer_of, learned_torque
+from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_torque
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     residuals_of,
@@ -46,6 +46,9 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress
 
 MOST_EFFECTS = 3
+
+LEAST_LEARNED = 0.5
+"""Of what repeats: what removes less than half of it is not what repeats."""
 
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
@@ -151,11 +154,13 @@ def search(
     if naming.repeats or remaining:
         learned = learned_torque(final, remaining, settings.false_alarm, settings.motor_angle_known)
     if learned is not None:
-        final = learned.explanation
-        naming = _with_candidates(naming, final)
-        pairs = simulated_pairs(naming.nominal, final, held_out)
-        after = _analysis(pairs, final, "after")
-        remaining = describe_unexplained(after)
+        with_it = simulated_pairs(naming.nominal, learned.explanation, held_out)
+        explained = _analysis(with_it, learned.explanation, "after")
+        if _share_closed(after, explained) < LEAST_LEARNED:
+            learned = None
+        else:
+            final, pairs, after = learned.explanation, with_it, explained
+            naming, remaining = _with_candidates(naming, final), describe_unexplained(after)
     return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
 
 

@@ -13,7 +13,7 @@ from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.learned import learned_fit
+from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,

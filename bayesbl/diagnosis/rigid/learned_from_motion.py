@@ -10,21 +10,26 @@ way.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.effect_declaration import PHASE
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned_torque import LearnedTorque, variable_of
 from bayesbl.diagnosis.comparison import EffectsFit
 from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
-from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
+from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn, tried_orders
 from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.recording.types import FloatArray
 
 CURVE_POINTS = 181
+
+_NOTHING_ELSE = np.zeros((0, 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +39,21 @@ class LearnedFit:
     comparison: InverseComparison
     fit: EffectsFit
     answer: LearnedAnswer
+
+    @property
+    def bench(self) -> Bench | None:
+        """With what was named too; ``None`` if a phase of it belongs to a recording."""
+        effects = [
+            BenchEffect(name, {k: EffectParameterValue(v) for k, v in parameters.items()})
+            for name, parameters in self.fit.effects.items()
+        ]
+        own_phase = [
+            effect_named(e.name).is_periodic and PHASE not in e.parameters for e in effects
+        ]
+        if any(own_phase):
+            return None
+        bench = self.comparison.bench
+        return bench.with_parameters(**self.fit.bench).with_effects(*bench.effects, *effects)
 
 
 def learned_fit(
@@ -46,16 +66,17 @@ def learned_fit(
     """
     if comparison.load or comparison.bench.learned_torque is not None:
         return None
-    found = [(h, _groups(comparison, fit, h)) for h in _hypotheses(comparison)]
-    if min(len(groups) for _, groups in found) < 2:
+    tables = {h: _tables(comparison, fit, h) for h in _hypotheses(comparison)}
+    if min(map(len, tables.values())) < 2:
         return None
-    trials = learn(found, np.zeros((0, 0)), false_alarm)
+    scales = _noise(tables)
+    found = [(h, _groups(parts, scales)) for h, parts in tables.items()]
+    trials = learn(found, _NOTHING_ELSE, false_alarm)
     if not trials:
         return None
     best, *others = alike(trials, false_alarm)
     torque = best.hypothesis.torque(best.coefficients)
-    groups = dict(found)[best.hypothesis]
-    torque = replace(torque, sd_nm=_deviations(groups, best))
+    torque = replace(torque, sd_nm=_deviations(dict(found)[best.hypothesis], best))
     bench = replace(comparison.bench, learned_torque=torque)
     with_torque = replace(comparison, bench=bench, seen=())
     return LearnedFit(
@@ -83,25 +104,52 @@ def _hypotheses(comparison: InverseComparison) -> Iterator[Hypothesis]:
     yield Hypothesis("motor", "motor_speed", 4.0 * top)
 
 
-def _groups(comparison: InverseComparison, fit: EffectsFit, hypothesis: Hypothesis) -> list[Group]:
-    """Products of the columns of every recording; of the halves of one that is alone.
+def _tables(
+    comparison: InverseComparison, fit: EffectsFit, hypothesis: Hypothesis
+) -> list[FloatArray]:
+    """Columns and what is left, of every recording; of the halves of one that is alone.
 
-    What is named keeps its size: the torque is what naming leaves. In units of the noise where it
-    is strongest: p'Σp ≤ s² p'p for whatever is predicted, so that no smooth prediction gains by
-    noise that is as smooth.
+    What is named keeps its size: the torque is what naming leaves.
     """
     tables: dict[str, list[FloatArray]] = {}
     for i, piece in enumerate(comparison.pieces):
-        if piece.use != "used" or not piece.shown:
-            continue
-        left = piece.kept(piece.measured - fit.predictions[i])
-        columns = piece.kept(_columns(comparison, i, hypothesis))
-        table = np.column_stack([columns, left]) / ResidualNoise.of(left).strongest
-        tables.setdefault(piece.name, []).append(table)
+        if piece.use == "used" and piece.shown:
+            left = piece.kept(piece.measured - fit.predictions[i])
+            columns = piece.kept(_columns(comparison, i, hypothesis))
+            tables.setdefault(piece.name, []).append(np.column_stack([columns, left]))
     parts = [np.vstack(own) for own in tables.values()]
-    if len(parts) == 1:
-        parts = np.array_split(parts[0], 2)
-    return [Group(part.T @ part, ()) for part in parts]
+    return np.array_split(parts[0], 2) if len(parts) == 1 else parts
+
+
+def _noise(tables: Mapping[Hypothesis, list[FloatArray]]) -> list[float]:
+    """Of each recording, from what the best prediction of it leaves, where it is strongest.
+
+    With s² the largest density of its spectrum, p'Σp ≤ s² p'p for whatever is predicted: no smooth
+    prediction gains by noise that is as smooth.
+    """
+    best: Trial | None = None
+    for hypothesis, parts in tables.items():
+        groups = _groups(parts, [ResidualNoise.of(part[:, -1]).strongest for part in parts])
+        for trial in tried_orders(hypothesis, groups, _NOTHING_ELSE, 1)[:1]:
+            if best is None or trial.gain > best.gain:
+                best = trial
+    assert best is not None
+    scales = []
+    for part, z in zip(tables[best.hypothesis], best.left_out, strict=True):
+        left = part[:, -1]
+        if best.gain > 0.0:
+            left = left - part[:, _places(best)] @ z[list(best.free)]
+        scales.append(ResidualNoise.of(left).strongest)
+    return scales
+
+
+def _groups(parts: Sequence[FloatArray], scales: Sequence[float]) -> list[Group]:
+    return [Group(part.T @ part / s**2, ()) for part, s in zip(parts, scales, strict=True)]
+
+
+def _places(trial: Trial) -> list[int]:
+    """Of its coefficients among the columns."""
+    return [k if k <= trial.orders else k - trial.orders + LEARNED_HARMONICS for k in trial.free]
 
 
 def _columns(comparison: InverseComparison, i: int, hypothesis: Hypothesis) -> FloatArray:
@@ -118,7 +166,8 @@ def _columns(comparison: InverseComparison, i: int, hypothesis: Hypothesis) -> F
 def _deviations(groups: list[Group], trial: Trial) -> tuple[float, ...]:
     """Standard deviation of every coefficient; 0 where it is not fitted."""
     total = np.sum([group.products for group in groups], axis=0)
-    waves = [k if k <= trial.orders else k - trial.orders + LEARNED_HARMONICS for k in trial.free]
+    waves = _places(trial)
+    total[np.diag_indices(len(total))] *= 1.0 + 1.0 / max(float(total[-1, -1]), 1.0)
     covariance = np.linalg.pinv(total[np.ix_(waves, waves)], 1e-12, True)
     found = np.zeros(trial.coefficients.size)
     found[list(trial.free)] = np.sqrt(np.diag(covariance))

@@ -22,7 +22,7 @@ from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
 from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
 from bayesbl.errors import BenchError
-from bayesbl.matching.alignment import remaining_noise
+from bayesbl.matching.alignment import aligned_starts, remaining_noise, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places
@@ -97,7 +97,10 @@ def learned_torque(
     trials = alike(learn(found, fit.model.prior_precision(), false_alarm), false_alarm)
     for trial in trials:
         with suppress(BenchError):
-            explanation = _without_idle(_fitted(base, trial), false_alarm)
+            fitted = _fitted(base, trial)
+            if fitted is None:
+                continue
+            explanation = _without_idle(fitted, false_alarm)
             fit = explanation.fit
             others = tuple(t.hypothesis.torque(t.coefficients) for t in trials if t is not trial)
             torque = torque_of(fit)
@@ -167,30 +170,38 @@ def _bases(
 ) -> list[float]:
     """Orders or frequencies that what is left could be made of, at most a few.
 
-    Its lines, the smallest distance between two of them and, of whole orders, one. Of those that
-    hold as many lines as multiples, the largest first: it needs the fewest orders.
+    Its lines, the smallest distance between two of them and, of whole orders, one. First those
+    whose multiples hold most of the lines' power; of equal ones the largest: it needs the fewest
+    orders.
     """
-    lines: list[float] = []
-    for entry in sorted(remaining, key=lambda entry: -entry.amplitude):
+    powers = {
+        channel: sum(e.amplitude**2 for e in remaining if e.channel == channel)
+        for channel in {entry.channel for entry in remaining}
+    }
+    lines: dict[float, float] = {}
+    for entry in remaining:
         if entry.dependence in (dependence, "angle or time") and value(entry) > 0.0:
             line = value(entry)
             if dependence == "motor angle" and abs(line - round(line)) < 0.1 * WHOLE:
                 line = float(round(line))
-            if all(abs(line / other - 1.0) > SAME_ORDER for other in lines):
-                lines.append(line)
+            line = next((x for x in lines if abs(line / x - 1.0) <= SAME_ORDER), line)
+            share = entry.amplitude**2 / powers[entry.channel]
+            lines[line] = lines.get(line, 0.0) + share
     between = [abs(a - b) for a in lines for b in lines if abs(a - b) > WHOLE]
     bases = [*lines, *sorted(between)[:1]]
     if dependence == "motor angle" and any(line == round(line) for line in lines):
         bases.append(1.0)
 
-    def held(base: float) -> int:
-        multiples = [line / base for line in lines]
+    def held(base: float) -> float:
         return sum(
-            abs(m - round(m)) < WHOLE and 1 <= round(m) <= LEARNED_HARMONICS for m in multiples
+            power
+            for line, power in lines.items()
+            if abs(line / base - round(line / base)) < WHOLE
+            and 1 <= round(line / base) <= LEARNED_HARMONICS
         )
 
     found: list[float] = []
-    for base in sorted(bases, key=lambda base: (-held(base), -base)):
+    for base in sorted(bases, key=lambda base: (-round(held(base), 2), -base)):
         if all(abs(base / other - 1.0) > WHOLE for other in found):
             found.append(base)
     return found[:MOST_BASES]
@@ -250,7 +261,7 @@ def _with_torque(
     )
 
 
-def _fitted(base: Explanation, trial: Trial) -> Explanation:
+def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
     """All unknowns jointly with the coefficients, twice, the noise estimated again between."""
     hypothesis, model = trial.hypothesis, base.fit.model
     reach = RANGE * float(np.abs(trial.coefficients).max())
@@ -268,8 +279,17 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation:
             unknowns.append(Unknown(SHIFT, -1.5 * period, 1.5 * period, recording=seen.name))
             start.append((shift + 0.5 * period) % period - 0.5 * period)
     extended = _with_torque(model, hypothesis, trial.orders, unknowns)
-    begin = np.concatenate([base.fit.point, start])
+    own = base.fit.point.size
+    starts = [np.concatenate([base.fit.point, start])]
+    # What was missing may have drawn the gap away: also from where it is with the torque known.
+    for aligned in aligned_starts(extended):
+        aligned[own:] = start
+        starts.append(with_shifts(extended, aligned))
+    left = [float(z @ z) for z in extended.whitened(np.stack(starts))]
+    begin = starts[int(np.argmin(np.nan_to_num(left, nan=np.inf)))]
     fit = fit_simulated(extended, begin, base.fit.steps, ROUGHLY_CONVERGED)
+    if fit.chi_square >= base.fit.chi_square:
+        return None
     explanation = replace(base, fit=fit)
     return with_noise(explanation, remaining_noise(fit))
 

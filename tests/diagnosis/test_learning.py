@@ -1,0 +1,179 @@
+"""A torque of no known law is learned where there is one, over what it depends on, else nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigid_machine import bench, recording
+from test_rigid import inverse, named
+
+from bayesbl.bench.kernel import LEARNED_HARMONICS
+from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.config.bench import reference_bench
+from bayesbl.diagnosis.closed_loop.augment import augmented_bench
+from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_torque
+from bayesbl.diagnosis.closed_loop.prediction import predicted
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.learning import Group, Hypothesis, learn
+from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
+from bayesbl.diagnosis.selection import Problem, Settings, diagnose
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import observed
+from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
+from bayesbl.naming.explanation import nominal_explanation
+from bayesbl.recording.types import MOTOR_TORQUE
+
+TURN = 2.0 * math.pi
+BENCH = reference_bench()
+GAP_RAD = 8e-4
+FALSE_ALARM = 0.01
+
+OVER_MOTOR = Hypothesis("motor", "motor_angle", TURN, own_zero=True)
+OVER_LOAD = Hypothesis("load", "load_angle", TURN)
+
+
+def groups(
+    rng: np.random.Generator, hypothesis: Hypothesis, size: float, over: Hypothesis, groups: int = 3
+) -> list[Group]:
+    """Recordings of white noise with a torque ``over`` something, in the columns of a hypothesis.
+
+    Each turns by another part of the load's rotation; the motor's angle begins anywhere.
+    """
+    found = []
+    for _ in range(groups):
+        load = rng.uniform(-math.pi, math.pi) + np.linspace(0.0, 2.0 * TURN, 2000)
+        zero = rng.uniform(-math.pi, math.pi)
+        motor = 7.3 * load
+        x = load if over is OVER_LOAD else motor - zero
+        signal = size * (np.cos(x + 0.4) - 0.5 * np.sin(3.0 * x))
+        x = load if hypothesis is OVER_LOAD else motor - motor[0]
+        waves = [f(k * x) for f in (np.cos, np.sin) for k in range(1, LEARNED_HARMONICS + 1)]
+        left = signal + rng.standard_normal(x.size)
+        table = np.column_stack([np.ones(x.size), *waves, left])
+        found.append(Group(table.T @ table, ()))
+    return found
+
+
+def answer_with(comparison: InverseComparison) -> Diagnosis:
+    problem = Problem(
+        comparison,
+        lambda fit: (),
+        learn=lambda fit, false_alarm: learned_fit(comparison, fit, false_alarm),
+    )
+    return diagnose(problem, comparison.bench, Settings(3))
+
+
+def trials(seed: int, size: float, over: Hypothesis):
+    found = []
+    for hypothesis in (OVER_LOAD, OVER_MOTOR):
+        rng = np.random.default_rng(seed)
+        found.append((hypothesis, groups(rng, hypothesis, size, over)))
+    return learn(found, np.zeros((0, 0)), FALSE_ALARM)
+
+
+@pytest.mark.parametrize("over", [OVER_LOAD, OVER_MOTOR], ids=["load angle", "motor angle"])
+def test_what_predicts_best_is_what_the_torque_depends_on(over: Hypothesis) -> None:
+    for seed in range(2):
+        best = trials(seed, 0.3, over)[0]
+        assert best.hypothesis is over
+        assert best.orders == 3
+        size = np.hypot(best.coefficients[1:4], best.coefficients[4:7])
+        assert size == pytest.approx([0.3, 0.0, 0.15], abs=4.0 * math.sqrt(2.0 / 6000.0))
+
+
+def test_nothing_is_learned_where_nothing_is() -> None:
+    # At a rate of 0.01, three of twenty or more come by chance once in a thousand.
+    assert sum(bool(trials(seed, 0.0, OVER_LOAD)) for seed in range(20)) < 3
+
+
+def test_a_rigid_axis_shows_a_torque_over_its_position() -> None:
+    made = []
+    for seed in range(4):
+        seen = recording(f"r{seed}", seed, coulomb=0.4, viscous=2e-3, noise=0.05)
+        angle = seen.channels["motor_position_rad"] / 100.0
+        channels = dict(seen.channels)
+        channels[MOTOR_TORQUE] = channels[MOTOR_TORQUE] + 0.3 * np.exp(-((angle / 0.15) ** 2))
+        made.append(replace(seen, channels=channels))
+    found = answer_with(inverse(made, bench()))
+    assert found.learned is not None
+    torque = found.learned.torque
+    assert (torque.variable, torque.reverses, torque.side) == ("load_angle", False, "motor")
+    x = np.linspace(-0.4, 0.4, 50)
+    bump = 0.3 * np.exp(-((x / 0.15) ** 2))
+    learned = torque.over(x)
+    assert np.std(learned - bump) < 0.2 * np.std(bump)
+    assert found.verdict == "named"
+    assert {"motor_coulomb_friction", "motor_viscous_friction"} <= named(found)
+    held_out = found.disagreement.overall["held_out"]
+    assert held_out.closed_fraction > 0.98
+    assert found.augmented_bench is not None
+    again = answer_with(inverse(made, found.augmented_bench))
+    assert again.learned is None
+    assert not again.effects
+    assert again.disagreement.overall["held_out"].after == pytest.approx(held_out.after, rel=0.05)
+
+
+def test_a_rigid_axis_that_is_understood_learns_nothing() -> None:
+    # The false-alarm rate of 0.01 is far above what is seen, as all that is left counts as noise.
+    for seed in range(0, 9, 3):
+        made = [recording(f"r{k}", seed + k, coulomb=0.4, viscous=2e-3) for k in range(3)]
+        assert answer_with(inverse(made, bench())).learned is None
+
+
+def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independent) -> None:
+    believed = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
+    hidden = {
+        "outside__position_friction_nm": 10.0,
+        "outside__position_friction_phase_rad": 0.7,
+    }
+    rng = np.random.default_rng(18)
+    seen = []
+    for speed in (2000.0, -2000.0, 1200.0, 1600.0):
+        run = {
+            "gap_rad": GAP_RAD,
+            "reference_speed_rpm": speed,
+            "start_angle_rad": rng.uniform(-math.pi, math.pi),
+        }
+        made = independent.simulate(
+            independent.plant(believed | run | hidden),
+            rng,
+            name=f"{speed:g} rpm",
+            rotations=3.0,
+            sampling_hz=500.0,
+        )
+        seen.append(observed(made.recording, BENCH, speed))
+    used, held_out = seen[:-1], seen[-1]
+    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(r.name) for r in used)]
+    nominal = nominal_explanation(fit_aligned(BENCH, used, unknowns))
+    found = learned_torque(nominal, [], FALSE_ALARM, motor_angle_known=False)
+    assert found is not None
+    torque = found.torque
+    assert (torque.side, torque.variable, torque.reverses) == ("load", "load_angle", True)
+    # 10 (1 + 0.5 cos(θ + 0.7) + 0.25 sin(2θ + 1.4))
+    truth = {
+        "constant": 10.0,
+        "cosine 1": 5.0 * math.cos(0.7),
+        "sine 1": -5.0 * math.sin(0.7),
+        "cosine 2": 2.5 * math.sin(1.4),
+        "sine 2": 2.5 * math.cos(1.4),
+    }
+    orders = len(torque.cosine_nm)
+    places = dict(zip(truth, (0, 1, 1 + orders, 2, 2 + orders), strict=True))
+    for name, place in places.items():
+        error = torque.coefficients[place] - truth[name]
+        assert abs(error) < 4.0 * torque.sd_nm[place] + 0.1, name  # the simulators smooth apart
+    fit = found.explanation.fit
+    assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
+    before = abs(math.log(nominal.fit.value(GAP) / GAP_RAD)) / nominal.fit.sd(GAP)
+    assert before > 10.0, "without it the gap is wrong"
+    assert 0.0 < gap_share(fit) < 1.0
+    assert augmented_bench(found.explanation).learned_torque == torque
+    left = held_out.left_by(predicted(found.explanation, held_out))
+    without = held_out.left_by(predicted(nominal, held_out))
+    noise = np.array([1.5, 0.05])
+    excess = [float(np.mean((x.T / noise) ** 2)) - 1.0 for x in (without, left)]
+    assert excess[1] < 0.05 * excess[0]
