@@ -86,18 +86,18 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     generator = np.random.default_rng(truth_seed)
     round_, which = divmod(index, len(row.dates))
     dates, last = row.dates[which], LAST_AT[round_ % len(LAST_AT)]
-    grown = _law(row.law, generator)
+    grown = law_of(row.law, generator)
     while grown(np.array(last)) >= 1.0:  # irregular wear can be ahead of its time
-        grown = _law(row.law, generator)
+        grown = law_of(row.law, generator)
     new_rad, life_years = generator.uniform(4e-4, 8e-4), generator.uniform(2.0, 6.0)
     way_rad = generator.uniform(3e-4, 8e-4)
     if row.law == "quadratic":  # 0.6 + 0.05 t + 0.07 t² mrad, doubled at the end
         new_rad = way_rad = 6e-4
     ages = np.linspace(generator.uniform(0.0, 0.2), last, dates)
     ages[1:-1] += generator.uniform(-0.25, 0.25, dates - 2) * (ages[1] - ages[0])
-    draws = _measured(new_rad + way_rad * grown(ages), generator)
+    draws = measured(new_rad + way_rad * grown(ages), generator)
     found = wear(draws, life_years * ages, wear_seed, limit_rad=new_rad + way_rad)
-    remaining = _reached(grown, last) - last
+    remaining = reached(grown, last) - last
     case = {"dates": float(dates), "last_at": last, "remaining": remaining}
     if found is None:
         return case | dict.fromkeys(set(COLUMNS) - set(case), np.nan) | {"withheld": 1.0}
@@ -163,7 +163,7 @@ def _horizon(cases: xr.Dataset) -> float:
     return horizon
 
 
-def _measured(gaps_rad: FloatArray, generator: np.random.Generator) -> FloatArray:
+def measured(gaps_rad: FloatArray, generator: np.random.Generator) -> FloatArray:
     """Joint draws of the gaps as a measurement gives them, shape (date, chain, draw)."""
     shared, own = generator.choice(SHARED_SD), generator.choice(OWN_SD)
     dates = gaps_rad.size
@@ -173,13 +173,13 @@ def _measured(gaps_rad: FloatArray, generator: np.random.Generator) -> FloatArra
     return np.asarray(gaps_rad[:, None, None] * np.exp(off[:, None, None] + draws))
 
 
-def _reached(grown: Growth, last: float) -> float:
+def reached(grown: Growth, last: float) -> float:
     """Age at which the limit is reached, in expected lives."""
     ages = np.linspace(last, 5.0, 200_001)
     return float(ages[np.argmax(grown(ages) >= 1.0 - 1e-12)])
 
 
-def _law(law: str, generator: np.random.Generator) -> Growth:
+def law_of(law: str, generator: np.random.Generator) -> Growth:
     """Growth of one joint by a law; those without chance are 1 at the age 1."""
     if law == "running_in":
         share, duration = generator.uniform(0.3, 0.8), generator.uniform(0.02, 0.3)

@@ -76,8 +76,8 @@ def simulated(
             rates,
             rates,
             np.maximum(1.2e-3 - gaps[used[-1]], 0.0) / rates,
+            np.zeros(DRAWS),
             1.0,
-            {"linear": 1.0},
         )
         dates = tuple(day.isoformat() for day in days)
         yield Measured(joint, found, dates, tuple(outcomes)), rows

@@ -20,6 +20,15 @@ DataSheet = Annotated[
     ),
 ]
 
+BelievedBench = Annotated[
+    Path | None,
+    typer.Option(
+        "--bench",
+        metavar="FILE|RESULT",
+        help="The bench that should describe them: its file, or what identify found.",
+    ),
+]
+
 Effects = Annotated[
     str | None,
     typer.Option(
@@ -74,7 +83,7 @@ def diagnose_command(
             help="A configuration, or recordings: best in both directions and at two speeds.",
         ),
     ],
-    bench: options.BenchFile = None,
+    bench: BelievedBench = None,
     config: options.BaseConfig = None,
     out: options.Out = None,
     seed: options.Seed = None,

@@ -89,6 +89,32 @@ class PieceSignals:
 
 
 @dataclass(frozen=True, slots=True)
+class OrderSize:
+    """The line at one order of the motor in one piece, as the torque that it would take.
+
+    Attributes
+    ----------
+    law
+        ``torque``, ``angle`` (an error of the encoder), ``both``, or ``none`` that it follows.
+    speed_rpm
+        Mean of the motor.
+    torque_nm, sd_nm
+        As measured, and its standard deviation.
+    by_law_nm
+        What its law gives at this speed; NaN without one.
+    """
+
+    order: float
+    law: str
+    recording: str
+    use: Use
+    speed_rpm: float
+    torque_nm: float
+    sd_nm: float
+    by_law_nm: float
+
+
+@dataclass(frozen=True, slots=True)
 class Suggestion:
     """A recording worth making.
 
@@ -157,6 +183,8 @@ class Diagnosis:
         δ (rad) with the bench as believed and with what was named; ``None`` where the gap is known.
     signals
         Of every piece, where that is what a figure shows best.
+    order_sizes
+        Of every order and piece, where a speed loop was looked at.
     residuals_before, residuals_after
         What the simulation leaves, in steady rotation.
     ranking
@@ -179,6 +207,7 @@ class Diagnosis:
     suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
     signals: tuple[PieceSignals, ...] = ()
+    order_sizes: tuple[OrderSize, ...] = ()
     residuals_before: ResidualAnalysis | None = None
     residuals_after: ResidualAnalysis | None = None
     ranking: tuple[RankedCandidate, ...] = ()

@@ -1,11 +1,11 @@
 """Groups of ``result.nc`` by which a diagnosis is stored, each where there is something to store.
 
 ``disagreement``: RMS before and after, for every piece (a channel of a recording, or of a part of
-it). ``signals``: measured and predicted, for every piece. ``posterior``: draws of everything
-unknown, with what was named added. ``ranking``: every candidate added alone. ``residuals_before``,
-``residuals_after``: what the simulation does not explain, over load angle, order and time.
-``learned_torque``: a torque of no known law over what it depends on. The
-answer in the words of ``summary.json`` is JSON in the attribute ``diagnosis`` of the root, the
+it). ``signals``: measured and predicted, for every piece. ``order_sizes``: lines of a speed loop.
+``posterior``: draws of everything unknown, with what was named added. ``ranking``: every candidate
+added alone. ``residuals_before``, ``residuals_after``: what the simulation does not explain, over
+load angle, order and time. ``learned_torque``: a torque of no known law over what it depends on.
+The answer in the words of ``summary.json`` is JSON in the attribute ``diagnosis`` of the root, the
 bench with what was named in it a bench file in the attribute ``augmented_bench``.
 """
 
@@ -71,6 +71,24 @@ def _unknown(name: str) -> Variable:
     )
 
 
+ORDER_SIZES = Group(
+    "order_sizes",
+    table("""
+        speed_rpm (line) | rpm | mean speed of the motor
+        torque_nm (line) | N m | torque that would make the line at this order
+        sd_nm (line) | N m | its standard deviation
+        by_law_nm (line) | N m | what the order's law gives at this speed
+    """),
+    table("""
+        order (line) | 1 | order of the motor's turning
+        law (line) | text | torque, angle, both or none
+        recording (line) | text | recording
+        use (line) | text | fitted on (used) or predicted (held_out)
+    """),
+    optional=True,
+)
+
+
 POSTERIOR = Group("posterior", coordinates=(CHAIN, DRAW), named=_unknown, optional=True)
 
 RANKING = Group(
@@ -98,7 +116,8 @@ LEARNED = Group(
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of a diagnosis."""
     of_pieces = (disagreement_group(""), signals_group(""))
-    return (*of_pieces, POSTERIOR, RANKING, LEARNED, *map(residuals_group, STAGES))
+    named = (ORDER_SIZES, POSTERIOR, RANKING, LEARNED)
+    return (*of_pieces, *named, *map(residuals_group, STAGES))
 
 
 def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
@@ -114,6 +133,8 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     if found.signals:
         group = signals_group(unit_of(found.signals[0].channel))
         groups["signals"] = of_rows(group, found.signals)
+    if found.order_sizes:
+        groups["order_sizes"] = of_rows(ORDER_SIZES, found.order_sizes)
     if found.posterior is not None:
         groups["posterior"] = posterior_dataset(found.posterior)
     if found.learned is not None:

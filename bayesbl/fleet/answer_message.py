@@ -24,6 +24,8 @@ LARGEST_MESSAGE_BYTES = 64_000
 
 LONGEST_TEXT = 10_000
 
+LARGEST_RPM = 1e6
+
 OUTCOMES = frozenset({"converged", "usable", "withheld", "no_curve", "refused", "failed"})
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -33,12 +35,12 @@ _GAP = (
     *(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")),
     *QUANTILE_COLUMNS,
 )
-_AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_median", "amplitude_rpm_high")
+_AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
 
 
 def encoded_answer(row: Mapping[str, Any]) -> bytes:
-    """A row as JSON; columns without a value are left out."""
-    given = {name: value for name, value in row.items() if value is not None}
+    """A row as JSON; columns without a value, or with none that is finite, are left out."""
+    given = {name: value for name, value in row.items() if _is_given(value)}
     return json.dumps({"schema": SCHEMA, "recording": given}, allow_nan=False).encode()
 
 
@@ -72,6 +74,10 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
     return row
 
 
+def _is_given(value: object) -> bool:
+    return value is not None and not (isinstance(value, float) and not math.isfinite(value))
+
+
 def _no_number(text: str) -> NoReturn:
     raise ValueError(f"{text} is no number")
 
@@ -100,14 +106,14 @@ def _flag(name: str, value: object) -> bool:
 
 
 def _number(name: str, value: object) -> float:
-    """All numbers of a row are non-negative: gaps, amplitudes, probabilities."""
-    largest = 1.0 if name.startswith("probability") else math.pi
+    """Within what it can be: noise alone may ring with a negative amplitude, gaps are positive."""
+    low, largest = 0.0, 1.0 if name.startswith("probability") else math.pi
     if name.startswith("amplitude"):
-        largest = 1e6
+        low, largest = -LARGEST_RPM, LARGEST_RPM
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} is no number")
-    if not 0.0 <= value <= largest:
-        raise ValueError(f"{name} = {shortened(str(value))} is not within 0 and {largest:g}")
+    if not low <= value <= largest:
+        raise ValueError(f"{name} = {shortened(str(value))} is not within {low:g} and {largest:g}")
     return float(value)
 
 
@@ -151,7 +157,6 @@ def _require_gap(row: Mapping[str, Any]) -> None:
     elif any(row[name] is not None for name in (*_GAP, "probability_above_limit")):
         raise ValueError("there is a gap beside the reason why there is none")
     for names in (("delta_rad_low", "delta_rad_high"), QUANTILE_COLUMNS, _AMPLITUDE):
-        values = [row[name] for name in names]
-        given = [value for value in values if value is not None]
-        if given != sorted(given) or len(given) not in (0, len(values)):
+        given = [row[name] for name in names if row[name] is not None]
+        if given != sorted(given) or len(given) not in (0, len(names)):
             raise ValueError(f"{names[0]} to {names[-1]} are not in order, or not whole")

@@ -75,6 +75,9 @@ class JointAnswer:
         Their gaps, paired by draw, shape (used, draw).
     rate_rad_per_year, rate_now_rad_per_year, years_to_limit
         Draws, shape (draw,), paired; empty where there are none.
+    kind
+        Of the law of each of these draws, its number in
+        :data:`bayesbl.measurement.wear_laws.KINDS`.
     """
 
     reason: str | None
@@ -84,8 +87,8 @@ class JointAnswer:
     rate_rad_per_year: FloatArray | None = None
     rate_now_rad_per_year: FloatArray | None = None
     years_to_limit: FloatArray | None = None
+    kind: FloatArray | None = None
     probability_wear: float | None = None
-    law: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

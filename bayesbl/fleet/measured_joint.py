@@ -38,7 +38,7 @@ from bayesbl.measurement.measurement import NO_CURVE, Snapshot
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored_snapshot import stored_snapshots
 from bayesbl.measurement.verdict import Verdict
-from bayesbl.measurement.wear_laws import LAWS
+from bayesbl.measurement.wear_laws import SHAPES, kinds
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
@@ -237,7 +237,7 @@ def _of_group(
     rows = {str(name): group[name].values for name in group.data_vars}
     dates = [day for day, chosen in zip(rows["date"], rows["used"], strict=True) if chosen]
     first, last = (Date.fromisoformat(str(day)) for day in (dates[0], dates[-1]))
-    shares = np.bincount(rows["law"].astype(int).ravel(), minlength=len(LAWS))
+    law = rows["law"].astype(int).ravel()
     return replace(
         answer,
         rate_rad_per_year=_flat(
@@ -245,8 +245,8 @@ def _of_group(
         ),
         rate_now_rad_per_year=_flat(rows["rate_now_rad_per_year"]),
         years_to_limit=_flat(rows["years_to_limit"]) if "years_to_limit" in rows else None,
+        kind=_flat(kinds(law, rows["law_shape"].reshape(SHAPES, -1)).astype(float)),
         probability_wear=float(np.mean(rows["trend_rad_per_year"] > 0.0)),
-        law={law.name: float(n / shares.sum()) for law, n in zip(LAWS, shares, strict=True)},
     )
 
 

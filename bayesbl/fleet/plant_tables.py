@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
@@ -17,6 +17,7 @@ from bayesbl.fleet.joint_job import JointAnswer, RecordingAnswer
 from bayesbl.fleet.pooled_rates import Pooled, TypeRates, alarms, pooled
 from bayesbl.measurement.dated_wear import date_after, years_between
 from bayesbl.measurement.wear import probability_before
+from bayesbl.measurement.wear_laws import KINDS
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import IntervalKind, interval
 
@@ -77,7 +78,7 @@ JOINT_COLUMNS = {
     "rate_alone_rad_per_year_low": ("double", "rad/year"),
     "rate_alone_rad_per_year_high": ("double", "rad/year"),
     "pooled": ("bool", "whether joints of its type count in rate and date"),
-    "law": ("string", "likeliest law of wear"),
+    "law": ("string", "likeliest law of wear; pooled where that is so"),
     "limit_date_median": ("string", "when the gap reaches the limit; null: not in 1000 years"),
     "limit_date_low": ("string", "lower bound of the interval"),
     "limit_date_high": ("string", "upper bound"),
@@ -146,10 +147,10 @@ def pool(
     types: dict[str, TypeRates] = {}
     chosen: dict[str, Any] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        rates = [
-            m.answer.rate_rad_per_year for m in members if m.answer.rate_rad_per_year is not None
-        ]
-        found: Pooled | None = pooled(rates, np.random.default_rng([seed, place]))
+        answers = [member.answer for member in members]
+        rates = [one.rate_rad_per_year for one in answers if one.rate_rad_per_year is not None]
+        kinds = [one.kind.astype(int) for one in answers if one.kind is not None]
+        found: Pooled | None = pooled(rates, kinds, np.random.default_rng([seed, place]))
         if found is not None:
             types[name] = found.rates
             chosen |= {m.joint.name: c for m, c in zip(members, found.chosen, strict=True)}
@@ -214,8 +215,9 @@ def _joint_row(
         return row
     row |= level.of(rate, "rate_alone_rad_per_year")
     row["probability_wear"] = answer.probability_wear
-    row["law"] = max(answer.law, key=lambda name: answer.law[name])
     own = slice(None) if chosen is None else chosen
+    if answer.kind is not None:
+        row["law"] = _likeliest_law(answer.kind[own])
     row |= level.of(rate[own], "rate_rad_per_year")
     row["rate_rad_per_year_sd"] = float(rate[own].std())
     if answer.years_to_limit is not None:
@@ -223,6 +225,13 @@ def _joint_row(
             answer.years_to_limit[own], Date.fromisoformat(dates[-1]), level, decide_before
         )
     return row
+
+
+def _likeliest_law(kind: FloatArray) -> str:
+    shares: Counter[str] = Counter()
+    for number, count in enumerate(np.bincount(kind.astype(int), minlength=len(KINDS))):
+        shares[KINDS[number].law] += int(count)
+    return shares.most_common(1)[0][0]
 
 
 def _forecast(

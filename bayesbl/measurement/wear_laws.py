@@ -103,6 +103,37 @@ LAWS = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A law, or a third of it, that joints may share."""
+
+    law: str
+    probability: float
+
+
+POWERS = 3
+"""Kinds of the power law, by its exponent, which means the same for every joint: the other shapes
+count in spans of the joint's own snapshots."""
+
+KINDS = tuple(
+    Kind(law.name, law.probability / parts)
+    for law in LAWS
+    for parts in (POWERS if law.name == "power" else 1,)
+    for _ in range(parts)
+)
+
+
+def kinds(law: NDArray[np.int_], shape: FloatArray) -> NDArray[np.int_]:
+    """Number of the kind of each draw, shapes (draw,) and (``SHAPES``, draw)."""
+    first = {each.name: [k.law for k in KINDS].index(each.name) for each in LAWS}
+    found = np.array([first[each.name] for each in LAWS])[law]
+    exponent = LAWS[[each.name for each in LAWS].index("power")].shapes[0]
+    share = (shape[0] - exponent.low) / (exponent.high - exponent.low)
+    of = found == first["power"]
+    found[of] += np.clip(POWERS * share[of], 0, POWERS - 1).astype(int)
+    return np.asarray(found)
+
+
 def shapes(law: NDArray[np.int_], normal: FloatArray, age: float | None = None) -> FloatArray:
     """Shape parameters from standard normal numbers, shape (``SHAPES``, particle); unused are 1.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.presentation import words
 from bayesbl.presentation.advice import Advice
 from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
-from bayesbl.presentation.wear import median_in_mrad, month
+from bayesbl.presentation.wear import LAWS, median_in_mrad, month
 
 if TYPE_CHECKING:
     from bayesbl.runs.fleet import FleetSummary
@@ -37,10 +37,12 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
         rate = found["median_rad_per_year"]
         spread = found["spread"]["median"]
         factor = words.significant(math.exp(spread))
+        law = max(found["law"], key=lambda name: found["law"][name])
         yield (
             f"{name}: half of the joints wear by more than {median_in_mrad(rate)} mrad a year "
             f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two in three lie within a "
-            f"factor of {factor} of that ({found['joints']} joints)."
+            f"factor of {factor} of that ({found['joints']} joints). "
+            f"Likeliest law: {LAWS[law]} ({words.probability(found['law'][law])})."
         )
 
 
@@ -113,7 +115,10 @@ def assumptions(summary: FleetSummary) -> Iterator[str]:
     """What is taken for granted of the fleet as a whole."""
     yield "Each recording belongs to the joint and the date that its name or its table says."
     if summary["types"]:
-        yield f"Joints of one {summary['pool_by']} wear at rates of one log-normal distribution."
+        yield (
+            f"Joints of one {summary['pool_by']} wear by laws of the same kinds, at rates of one "
+            "log-normal distribution."
+        )
 
 
 def _count(number: int, what: str) -> str:

@@ -50,10 +50,11 @@ def moves(recording: Recording) -> bool:
 def is_one_speed(speed_rpm: FloatArray, period_s: float) -> bool:
     """Whether a motor turns at one speed: no part of the recording is slower or faster.
 
-    Parts of a turn or more, over which torque that repeats averages out. ``speed_rpm``: shape (n,).
+    Parts of a turn or more, if there are so many: torque that repeats averages out over them.
+    ``speed_rpm``: shape (n,).
     """
-    turns = abs(float(speed_rpm.mean())) / 60.0 * speed_rpm.size * period_s
-    parts = np.array_split(speed_rpm, max(1, min(PARTS, int(turns))))
+    turns = float(np.mean(np.abs(speed_rpm))) / 60.0 * speed_rpm.size * period_s
+    parts = np.array_split(speed_rpm, max(2, min(PARTS, int(turns))))
     means = np.array([part.mean() for part in parts])
     return bool(np.ptp(means) <= VARIES * abs(float(means.mean())))
 

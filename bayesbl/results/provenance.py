@@ -55,7 +55,7 @@ def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[s
         "config": config_toml,
         "input_sha256": json.dumps(dict(inputs), sort_keys=True),
         "python_version": platform.python_version(),
-        "dependency_versions": json.dumps(dependency_versions()),
+        "dependency_versions": json.dumps(dict(dependency_versions())),
     }
 
 
@@ -90,7 +90,8 @@ def code_sha256() -> str:
     return digest.hexdigest()
 
 
-def dependency_versions() -> dict[str, str]:
+@cache
+def dependency_versions() -> Mapping[str, str]:
     """Version of each of :data:`DEPENDENCIES`."""
     return {name: _version(name) for name in DEPENDENCIES}
 

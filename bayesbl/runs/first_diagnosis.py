@@ -16,6 +16,7 @@ from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.free_motion.method import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
+from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.predictive_check import ROUNDING
@@ -190,6 +191,14 @@ def _method(
             "the bench is rigid, neither torque nor current is recorded, and each speed is "
             "constant: the controller's gains say what torque the speed's ripple takes"
         )
+    driven = [recording for recording in recordings if moves(recording)]
+    if driven:
+        raise RecordingError(
+            MOTION_ALONE,
+            file=driven[0].place,
+            found=", ".join(driven[0].channels),
+            expected="one of " + ", ".join(INVERSE),
+        )
     return "free_motion", (
         "the bench is rigid, and nothing drives the motor that is recorded: taken for let go with "
         "the motor off"
@@ -291,9 +300,11 @@ def _spare(speeds: Sequence[float]) -> int | None:
         if same and len(left) >= FEWEST_SETTINGS:
             possible.append(i)
     middle = float(np.median(np.abs(speeds)))
-    ends = min(map(abs, speeds)), max(map(abs, speeds))
-    return min(
-        possible,
-        key=lambda i: (abs(speeds[i]) in ends, abs(abs(speeds[i]) - middle), -i),
-        default=None,
-    )
+    sizes = np.abs(speeds)
+
+    def preference(i: int) -> tuple[bool, float, int]:
+        ends = np.array([sizes.min(), sizes.max()])
+        at_end = bool(np.any(np.abs(sizes[i] / ends - 1.0) <= SAME_SPEED))
+        return at_end, abs(float(sizes[i]) - middle), -i
+
+    return min(possible, key=preference, default=None)

@@ -383,6 +383,7 @@ def summary_of(
             "joints": found.joints,
             "median_rad_per_year": interval(found.median_rad_per_year, level.level, level.kind),
             "spread": interval(found.spread, level.level, level.kind),
+            "law": dict(found.law),
         }
         for name, found in types.items()
     }

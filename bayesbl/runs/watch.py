@@ -210,6 +210,8 @@ class _Measuring:
     def took(self, one: Found) -> bool:
         """Whether a recording has a row now; one that changes meanwhile is left for later."""
         sha256, problem = (None, None) if one.reason else digest_of_file(one.file)
+        if problem is not None and _signature(one.file) is None:
+            return False  # it has been taken away
         if sha256 is None:
             answer = RecordingAnswer(REFUSED, one.reason or problem)
         elif self.table.has(one.joint, sha256):

@@ -26,7 +26,7 @@ def test_a_true_law_never_falls_and_one_without_chance_ends_at_the_limit(study, 
     generator = np.random.default_rng(1)
     ages = np.linspace(0.0, 1.0, 101)
     for _ in range(20):
-        grown = study.module._law(law, generator)(ages)
+        grown = study.module.law_of(law, generator)(ages)
         assert np.all(np.diff(grown) >= 0.0)
         assert grown[0] == pytest.approx(0.0, abs=1e-12)
         if law not in ("gamma", "steps"):

@@ -30,6 +30,7 @@ MEASURED = row_of(RecordingAnswer("usable", None, ("ä note",), "direct", True, 
         MEASURED,
         row_of(RecordingAnswer("withheld", "Too noisy.", gap_rad=GAP)),
         row_of(RecordingAnswer("no_curve", "No curve.", amplitude_rpm=(20.0, 19.0, 21.0))),
+        row_of(RecordingAnswer("withheld", "Too weak.", amplitude_rpm=(0.1, -0.2, 0.4))),
         row_of(RecordingAnswer("refused", "No file.")) | {"sha256": None, "date": "spring"},
     ],
 )
@@ -78,6 +79,11 @@ def changed(**values):
 def test_anything_else_is_refused_with_a_reason(message, told):
     with pytest.raises(ValueError, match=told):
         decoded_answer(message)
+
+
+def test_what_is_not_finite_is_left_out():
+    row = row_of(RecordingAnswer("withheld", "Odd.", amplitude_rpm=(np.nan, 1.0, np.inf)))
+    assert "amplitude_rpm_median" not in json.loads(encoded_answer(row))["recording"]
 
 
 def test_a_message_is_small():

@@ -7,6 +7,7 @@ import pytest
 from pooled_coverage import case, fleet
 
 from bayesbl.fleet.pooled_rates import alarms, pooled
+from bayesbl.measurement.wear_laws import KINDS
 
 
 @pytest.mark.parametrize(("spread", "error"), [(0.2, 0.6), (0.4, 0.15)])
@@ -23,7 +24,7 @@ def test_intervals_hold_the_truth_as_often_as_said(spread, error):
 def test_what_is_measured_well_stays_as_it_is():
     generator = np.random.default_rng(7)
     rates = [generator.normal(m, 1e-6, 1000) for m in (1e-4, 2e-4, 4e-4, 8e-4)]
-    found = pooled(rates, generator)
+    found = pooled(rates, [np.zeros(1000, int)] * 4, generator)
     assert found is not None
     for own, which in zip(rates, found.chosen, strict=True):
         assert which is not None
@@ -34,7 +35,30 @@ def test_what_is_measured_well_stays_as_it_is():
 def test_two_joints_are_no_type():
     generator = np.random.default_rng(8)
     _, rates = fleet(generator, 2, 0.3, 0.5)
-    assert pooled(rates, generator) is None
+    assert pooled(rates, [np.zeros(1000, int)] * 2, generator) is None
+
+
+def test_joints_of_a_type_share_its_law_and_those_that_show_another_keep_it():
+    """Ten joints show that they wear evenly, one shows nothing, one that it speeds up."""
+    generator = np.random.default_rng(10)
+    prior = [kind.probability for kind in KINDS]
+    even = [kind.law for kind in KINDS].index("linear")
+    fast = [kind.law for kind in KINDS].index("exponential")
+    rates = [generator.normal(3e-4, 2e-5, 2000) for _ in range(12)]
+    laws = [
+        np.where(generator.uniform(size=2000) < 0.6, even, generator.choice(7, 2000, p=prior))
+        for _ in range(10)
+    ]
+    laws.append(generator.choice(7, 2000, p=prior))
+    laws.append(np.where(generator.uniform(size=2000) < 0.999, fast, even))
+    found = pooled(rates, laws, generator)
+    assert found is not None
+    nothing, other = found.chosen[-2:]
+    assert nothing is not None
+    assert np.mean(laws[-2][nothing] == even) > 0.6
+    assert other is None or np.mean(laws[-1][other] == fast) > 0.8
+    assert found.rates.law["linear"] > 0.6
+    assert sum(found.rates.law.values()) == pytest.approx(1.0)
 
 
 def test_of_the_joints_called_no_more_are_wrong_than_said():

@@ -151,8 +151,19 @@ def forward_problem(
         else:
             (used if entry.use == "fit" else held_out).append(seen)
     unknowns = _unknowns(config, bench, used, recordings)
-    notes = notes_of(recordings) + ([] if MOTOR_CURRENT in channels else [SPEED_ALONE])
+    notes = [*notes_of(recordings), *_counted_twice(bench, recordings)]
+    notes += [] if MOTOR_CURRENT in channels else [SPEED_ALONE]
     return used, held_out, unknowns, notes
+
+
+def _counted_twice(bench: Bench, recordings: Sequence[Recording]) -> Iterator[str]:
+    known = () if bench.identified is None else bench.identified.sources
+    names = [r.name for r in recordings if r.source is not None and r.source.sha256 in known]
+    if names:
+        yield (
+            f"The bench was identified from {', '.join(names)} too: it was fitted to what it is "
+            "compared with here, and may hide what is missing. Later recordings would tell."
+        )
 
 
 def _notes_on(posterior: DirectPosterior) -> Iterator[str]:

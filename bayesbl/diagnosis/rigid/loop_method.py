@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
 
-from bayesbl.diagnosis.comparison import TestedEffect
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
     NamedEffect,
+    OrderSize,
     ParameterError,
     PieceSignals,
     probability_of,
@@ -22,6 +20,13 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.rigid.loop_setting import (
+    ECCENTRICITY,
+    GAINS,
+    RIPPLE,
+    Setting,
+    loop_setting,
+)
 from bayesbl.diagnosis.rigid.order_laws import (
     Free,
     Law,
@@ -30,66 +35,29 @@ from bayesbl.diagnosis.rigid.order_laws import (
     chosen_laws,
     fit_laws,
     generalises,
+    line_size,
     with_both,
     z_between,
 )
-from bayesbl.diagnosis.rigid.order_lines import (
-    OrderLine,
-    Turning,
-    find_orders,
-    noise_sd,
-    turned,
-)
-from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
-from bayesbl.diagnosis.rigid.speed_loop import (
-    LOOP_EFFECTS,
-    LOOP_PARAMETERS,
-    loop_values,
-    speed_of_torque,
-)
+from bayesbl.diagnosis.rigid.order_lines import OrderLine, Turning, find_orders, noise_sd
+from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS, torque_of_angle
 from bayesbl.diagnosis.selection import MOST_EFFECTS, SURE_PARAMETER
-from bayesbl.diagnosis.task import Task, notes_of, piece_of, refused, wanted
-from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.diagnosis.task import Task
 from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
-from bayesbl.recording.moving import VARIES, is_one_speed
-from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, FloatArray
-
-RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
-GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
-CANDIDATES = (
-    TestedEffect(RIPPLE, "torque_nm"),
-    TestedEffect(ECCENTRICITY, "angle_rad"),
-    *(TestedEffect(name, amplitude) for name, amplitude in LOOP_EFFECTS.items()),
-)
-CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_friction")
-"""Effects of a bench that are no line at one speed, or are known to the loop."""
+from bayesbl.recording.moving import VARIES
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 LAWS: Mapping[Law, str] = {"torque": RIPPLE, "angle": ECCENTRICITY}
 
 MOST_LINES = 12
+"""Looked at: what is beyond them is weaker."""
 
-HIDDEN = (
-    "From the speed alone the controller's integral hides what friction is on average: only what "
-    "repeats, and what changes how the loop answers, can be named. Its sizes are known as well as "
-    "the gains and the inertia are."
-)
 ONE_SPEED = (
     "All recordings are at one speed: a torque that repeats and an error of the encoder look the "
     "same. A recording at another speed tells them apart."
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """Pieces to fit on and to predict, what of the loop is free, what may be named, and notes."""
-
-    used: tuple[Turning, ...]
-    held_out: tuple[Turning, ...]
-    values: dict[str, float]
-    free: Free
-    candidates: tuple[str, ...]
-    notes: tuple[str, ...]
 
 
 class RigidLoop:
@@ -117,97 +85,6 @@ class RigidLoop:
 METHOD = RigidLoop()
 
 
-def loop_setting(task: Task) -> Setting:
-    """What a configuration asks for.
-
-    Raises
-    ------
-    UserError
-        If bench, recordings or unknowns do not suit the method.
-    """
-    require_rigid(task)
-    task.require_no_known_torque("The speed alone is compared, without any torque.")
-    config, bench = task.config, task.bench
-    if not set(config.comparison.channels) <= {MOTOR_SPEED}:
-        raise refused(
-            "A rigid drive in its closed loop is compared by its speed.",
-            "[comparison] channels",
-            ", ".join(config.comparison.channels),
-            f'["{MOTOR_SPEED}"]; or method = "inverse", which compares torque or current; or '
-            'drive = "two_mass" in the bench, with its shaft and gap',
-        )
-    missing = [name for name in GAINS if name in bench.assumed]
-    if missing:
-        raise ConfigError(
-            "What the speed shows of a torque is decided by the controller's gains.",
-            file=config.bench,
-            where="[parameters]",
-            found=f"no {' and no '.join(missing)}",
-            expected=" and ".join(f"{name} = {{value = …}}" for name in missing),
-        )
-    known = {*LOOP_EFFECTS, *CONSTANT}
-    others = [effect.name for effect in bench.effects if effect.name not in known]
-    if others:
-        raise ConfigError(
-            "What repeats with the motor is named afresh here, not beside what the bench has.",
-            file=config.bench,
-            where="[[effects]]",
-            found=", ".join(others),
-            expected="a bench without them",
-        )
-    task.require_channels_of([MOTOR_SPEED])
-    used, held_out = [], []
-    recordings = even_recordings(task, [(MOTOR_SPEED,)] * len(task.recordings), (MOTOR_SPEED,))
-    values = loop_values(bench)
-    response = partial(speed_of_torque, values)
-    load_order = 1.0 / bench.value("gear_ratio") if bench.value("gravity_torque_nm") else None
-    for entry, recording in zip(config.recordings, recordings, strict=True):
-        if not is_one_speed(recording.motor_speed_rpm, recording.sampling_period_s):
-            raise RecordingError(
-                "The speed alone is compared in recordings of one speed each.",
-                file=recording.place,
-                where=MOTOR_SPEED,
-                found=f"a mean of {recording.motor_speed_rpm.mean():.4g} rpm, and parts that "
-                "depart from it by more than noise and ripple do",
-                expected="one speed; or torque or current beside the motion (inverse)",
-            )
-        whole = piece_of(recording, MOTOR_SPEED, "used")
-        angle = recording.channels.get(MOTOR_POSITION)
-        made = Turning(whole, turned(whole) if angle is None else angle, response, load_order)
-        if entry.use == "split":
-            used.append(_half(made, False))
-            held_out.append(_half(made, True))
-        elif entry.use == "fit":
-            used.append(made)
-        else:
-            held_out.append(_as_held_out(made))
-    unknown = config.unknowns.bench_parameters
-    for name in unknown:
-        if name not in LOOP_PARAMETERS or not bench.tolerances.get(name):
-            raise refused(
-                "A parameter of the loop is free within its tolerance, and this one is none or "
-                "has none.",
-                "[unknowns] bench_parameters",
-                name,
-                "one with a tolerance of " + ", ".join(LOOP_PARAMETERS),
-            )
-    priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
-    names = tuple(candidate.name for candidate in wanted(config, bench, CANDIDATES))
-    notes = (*notes_of(recordings), HIDDEN)
-    return Setting(tuple(used), tuple(held_out), values, Free(priors), names, notes)
-
-
-def _half(item: Turning, second: bool) -> Turning:
-    middle = item.angle.size // 2
-    angle = item.angle[middle:] if second else item.angle[:middle]
-    half = replace(item, piece=item.piece.half(second), angle=angle, made={})
-    return _as_held_out(half) if second else half
-
-
-def _as_held_out(item: Turning) -> Turning:
-    return replace(item, piece=replace(item.piece, use="held_out"))
-
-
 @dataclass(frozen=True, slots=True)
 class _Added:
     """What the loop must have besides: an effect or a wrong parameter, and what looks the same."""
@@ -224,10 +101,11 @@ class _Answer:
     task: Task
     setting: Setting
     found: list[OrderLine]
+    true_angle: bool = False
 
     def diagnosis(self) -> Diagnosis:
         """Name what follows a law, describe the rest."""
-        setting, alarm = self.setting, self.task.config.candidates.false_alarm
+        setting = self.setting
         lines = lines_of(setting.used, [line.order for line in self.found])
         laws = [law for law, name in LAWS.items() if name in setting.candidates]
         notes = list(setting.notes)
@@ -240,18 +118,21 @@ class _Answer:
             first = [k for k, line in enumerate(self.found) if line.order == 1.0 and len(laws) > 1]
             fit = chosen_laws(lines, laws, values, free)
             for place in first:
-                fit = with_both(lines, fit, place, values, free, alarm)
+                fit = with_both(lines, fit, place, values, free)
             # What follows no law must not bend the loop of what does.
             kept = {k: law for k, law in fit.laws.items() if generalises(lines, fit, k)}
             fit = fit_laws(lines, kept, values, free) if kept else None
             if fit is not None:
-                fit, free, added = self._with_loop(lines, fit, alarm)
+                fit, free, added = self._with_loop(lines, fit)
                 for place in set(first) & fit.laws.keys():
-                    fit = with_both(lines, fit, place, values, free, alarm)
+                    fit = with_both(lines, fit, place, values, free)
+                most = self.task.config.candidates.max_effects or MOST_EFFECTS
+                fit = _strongest(lines, fit, max(0, most - len(added)))
+        if fit is not None and (again := self._by_true_angle(fit)) is not None:
+            return again.diagnosis()
         named, remaining = self._named(lines, fit, notes)
-        most = self.task.config.candidates.max_effects or MOST_EFFECTS
         effects, errors = self._of_loop(fit, added)
-        effects = (*named, *effects)[:most]
+        effects = (*named, *effects)
         pieces, signals = self._compared(fit)
         return Diagnosis(
             verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
@@ -262,11 +143,37 @@ class _Answer:
             tuple(notes),
             bench_parameters=_fitted(fit, setting.free.priors) if fit else {},
             signals=tuple(signals),
+            order_sizes=tuple(self._sizes(fit)),
         )
 
-    def _with_loop(
-        self, lines: Lines, fit: LawFit, alarm: float
-    ) -> tuple[LawFit, Free, list[_Added]]:
+    def _by_true_angle(self, fit: LawFit) -> _Answer | None:
+        """The same over the angle without the encoder's error, once it is named beside torques.
+
+        Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
+        """
+        first = [k for k in fit.laws if fit.laws[k] != "torque" and self.found[k].order == 1.0]
+        if self.true_angle or not first or len(fit.laws) == 1:
+            return None
+
+        def without_error(item: Turning) -> Turning:
+            (line,), _ = item.fit([1.0])
+            if not np.isfinite(line):
+                return item
+            torque, angle, phase = fit.sizes[first[0]]
+            like = angle * torque_of_angle(fit.values, np.full(1, item.speed_rad_per_s))[0]
+            turn = line / (torque * np.exp(1j * phase) + like)
+            error = angle * np.real(turn / abs(turn) * np.exp(1j * item.angle))
+            return replace(item, angle=item.angle - error, made={})
+
+        setting = replace(
+            self.setting,
+            used=tuple(map(without_error, self.setting.used)),
+            held_out=tuple(map(without_error, self.setting.held_out)),
+        )
+        alarm = self.task.config.candidates.false_alarm
+        return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
+
+    def _with_loop(self, lines: Lines, fit: LawFit) -> tuple[LawFit, Free, list[_Added]]:
         """The fit with what else the loop must have, and what of it is then free."""
         effects = [name for name in LOOP_EFFECTS if name in self.setting.candidates]
         wrong = [name for name in ("motor_inertia_kg_m2", *GAINS) if self.setting.values[name]]
@@ -289,14 +196,13 @@ class _Answer:
                 made = fit_laws(lines, fit.laws, self.setting.values, more)
                 if made.freedom > 0:
                     trials[name] = more, made
-            gains = {n: (fit.cost - made.cost) / made.scatter**2 for n, (_, made) in trials.items()}
-            best = max(gains, key=lambda name: gains[name], default="")
-            if not best or chi2.sf(gains[best], 1) * len(trials) > alarm:
+            gains = {name: z_between(made, fit) for name, (_, made) in trials.items()}
+            good = [name for name in trials if gains[name] >= ALIKE]
+            if not good:
                 return fit, free, found
-            top = trials[best][1]
-            alike = [name for name, (_, made) in trials.items() if z_between(top, made) < ALIKE]
-            first, *rivals = alike
-            found.append(_Added(first, tuple(rivals), math.sqrt(gains[first])))
+            top = trials[max(good, key=lambda name: gains[name])][1]
+            first, *rivals = [name for name in good if z_between(top, trials[name][1]) < ALIKE]
+            found.append(_Added(first, tuple(rivals), gains[first]))
             free, fit = trials[first]
             if not set(wrong) - free.priors.keys():
                 return fit, free, found  # only ratios of inertia and gains show
@@ -402,6 +308,30 @@ class _Answer:
                 errors.append(ParameterError(name, believed.value, believed.tolerance, estimate))
         return tuple(effects), tuple(errors)
 
+    def _sizes(self, fit: LawFit | None) -> Iterator[OrderSize]:
+        """Every line as the torque that would make it."""
+        values = self.setting.values if fit is None else fit.values
+        for item in (*self.setting.used, *self.setting.held_out):
+            lines = lines_of([item], [line.order for line in self.found])
+            for place, line in enumerate(self.found):
+                if not math.isfinite(lines.size[0, place]):
+                    continue
+                law = None if fit is None else fit.laws.get(place)
+                one = float(line_size(values, line.order, lines.speeds, 1.0, 0.0, 0.0)[0])
+                made = math.nan
+                if fit is not None and law is not None:
+                    made = float(fit.predicted(place, line.order, lines.speeds)[0]) / one
+                yield OrderSize(
+                    line.order,
+                    law or "none",
+                    item.piece.name,
+                    item.piece.use,
+                    float(lines.speeds[0]) * RPM_PER_RAD_PER_S,
+                    float(lines.size[0, place]) / one,
+                    float(lines.sd[0, place]) / one,
+                    made,
+                )
+
     def _compared(self, fit: LawFit | None) -> tuple[list, list]:  # type: ignore[type-arg]
         """Residuals and signals of every piece, with a mean alone and with all laws."""
         laws = {} if fit is None else fit.laws
@@ -466,6 +396,12 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
         deviations.append(sd)
     speeds = np.array([item.speed_rad_per_s for item in turning])
     return Lines(tuple(orders), speeds, np.array(sizes), np.array(deviations))
+
+
+def _strongest(lines: Lines, fit: LawFit, most: int) -> LawFit:
+    """The laws of the largest lines; the others are left to be described."""
+    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(lines.size[:, place])))[:most]
+    return replace(fit, laws={place: fit.laws[place] for place in sorted(kept)})
 
 
 def _one_speed(speeds: FloatArray) -> bool:

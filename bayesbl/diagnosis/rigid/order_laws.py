@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import chi2
 
 from bayesbl.diagnosis.rigid.speed_loop import speed_of_torque, torque_of_angle
+from bayesbl.naming.criteria import ALIKE
 from bayesbl.recording.types import FloatArray
 
 Law = Literal["torque", "angle", "both"]
@@ -220,12 +220,7 @@ def chosen_laws(
 
 
 def with_both(
-    lines: Lines,
-    fit: LawFit,
-    place: int,
-    believed: Mapping[str, float],
-    free: Free,
-    false_alarm: float,
+    lines: Lines, fit: LawFit, place: int, believed: Mapping[str, float], free: Free
 ) -> LawFit:
     """A fit in which one order's line is of a torque and an angle, if it must be; else of one."""
     singles = [
@@ -235,8 +230,7 @@ def with_both(
     if np.unique(np.round(lines.speeds)).size < FEWEST_FOR_BOTH:
         return best
     both = fit_laws(lines, {**fit.laws, place: "both"}, believed, free)
-    gain = (best.cost - both.cost) / both.scatter**2
-    return both if chi2.sf(gain, 2) < false_alarm else best
+    return both if z_between(both, best) >= ALIKE else best
 
 
 def generalises(lines: Lines, fit: LawFit, place: int) -> bool:

@@ -25,7 +25,10 @@ FINER = 4
 LEVEL_ORDERS = 40
 """Resolved orders over which the noise around a line is taken, by its median."""
 
-WHOLE = 3.0
+RESOLVED_CYCLES = 2.0
+"""By which an order must differ from a stronger one in a piece that is to show it."""
+
+WHOLE = 4.0
 """Standard deviations within which an order is a whole one."""
 
 
@@ -157,7 +160,10 @@ class OrderLine:
 
 
 def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[OrderLine]:
-    """Orders that stand out of the noise of all pieces together, strongest first."""
+    """Orders that stand out of the noise of all pieces together, strongest first.
+
+    The rate of false alarms is that of the whole list: half of what is left goes to each order.
+    """
     found: list[OrderLine] = []
     top = max(item.highest_order for item in turning)
     turns = max(item.turns for item in turning)
@@ -170,13 +176,15 @@ def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> li
             _, left = item.fit([line.order for line in found])
             orders, power, level = item.spectrum(left)
             seen = (grid < item.highest_order) & (grid * item.turns >= FEWEST_CYCLES)
+            for line in found:  # what a piece does not resolve belongs to the stronger line
+                seen &= np.abs(grid - line.order) * item.turns >= RESOLVED_CYCLES
             score += np.where(seen, np.interp(grid, orders, 2.0 * power / level), 0.0)
             pieces += seen
             levels.append((item, left, orders, level))
         rarity = _log_rarity(score, pieces)
         k = int(np.argmin(rarity))
         rise = trials * math.sqrt(max(1.0, 0.5 * float(score[k])))  # Baluev 2008
-        if rarity[k] + math.log(rise) > math.log(false_alarm):
+        if rarity[k] + math.log(rise) > math.log(false_alarm * 0.5 ** (len(found) + 1)):
             break
         order, sd = _refined(float(grid[k]), 1.0 / turns, levels)
         found.append(OrderLine(order, sd, float(score[k]), rise))
@@ -201,7 +209,7 @@ def _refined(
 ) -> tuple[float, float]:
     """The order of the highest score nearby, and its standard deviation by the curvature.
 
-    A whole order within the errors is the whole one.
+    A whole order within the errors is the whole one, unless every order is near one.
     """
     parts = [
         (item.piece.kept(item.angle), left, float(np.interp(order, orders, level)))
@@ -225,7 +233,9 @@ def _refined(
     # The logarithm of the likelihood is the score over the level: its second derivative.
     sd = 1.0 / math.sqrt(bend) if bend > 0.0 else width
     whole = round(best)
-    return (float(whole) if whole and abs(best - whole) < WHOLE * sd else best), sd
+    # By the likelihood itself: of a weak line it has several peaks, and a bend of each.
+    near = 2.0 * (misfit(float(whole)) - misfit(best)) < WHOLE**2
+    return (float(whole) if near and whole > 0 and WHOLE * sd < 0.5 else best), sd
 
 
 def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatArray:

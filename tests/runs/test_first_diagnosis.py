@@ -1,0 +1,177 @@
+"""A diagnosis without a file: what is guessed of recordings and bench, and that a file says it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench
+from bayesbl.cli import status
+from bayesbl.config.bench import dump_bench, load_bench, reference_bench
+from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.loading import load_config
+from bayesbl.errors import RecordingError
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    MOTOR_TORQUE,
+    REFERENCE_SPEED,
+    Recording,
+)
+from bayesbl.runs.diagnosis_file import diagnosis_of
+from bayesbl.runs.first_diagnosis import guess_diagnosis
+
+RIGID = """
+schema = 1
+kind = "bench"
+drive = "rigid"
+[parameters]
+gear_ratio = {value = 100.0}
+motor_inertia_kg_m2 = {value = 2e-3, relative_tolerance = 0.1}
+load_inertia_kg_m2 = {value = 60.0, relative_tolerance = 0.1}
+speed_gain_nm_s_per_rad = {value = 0.2, relative_tolerance = 0.1}
+integral_gain_nm_per_rad = {value = 5.0}
+"""
+
+
+@pytest.fixture
+def rigid(tmp_path: Path) -> Bench:
+    (tmp_path / "rigid.toml").write_text(RIGID)
+    return load_bench(tmp_path / "rigid.toml")
+
+
+def turning(rpm: float, *channels: str, lasting_s: float = 30.0) -> Recording:
+    """One speed, and other channels that vary."""
+    rng = np.random.default_rng(int(abs(rpm)))
+    time = np.arange(round(500.0 * lasting_s)) / 500.0
+    values = {name: rng.standard_normal(time.size) for name in channels}
+    values[MOTOR_SPEED] = rpm + rng.standard_normal(time.size)
+    return Recording(f"{rpm:g}".replace("-", "reverse "), time, values)
+
+
+def swinging(name: str, *channels: str) -> Recording:
+    """A motion that comes to rest, and other channels that vary."""
+    rng = np.random.default_rng(1)
+    time = np.arange(4000) / 500.0
+    values = {channel: rng.standard_normal(time.size) for channel in channels}
+    values[MOTOR_POSITION] = np.exp(-0.3 * time) * np.cos(6.0 * time)
+    return Recording(name, time, values)
+
+
+def guessed(bench: Bench, *recordings: Recording) -> dict[tuple[str, str], object]:
+    found = guess_diagnosis(bench, recordings)
+    assert all(choice.reason for choice in found)
+    return {choice.place: choice.value for choice in found}
+
+
+def test_a_joint_with_a_gap_is_compared_in_its_closed_loop() -> None:
+    three = [turning(rpm, MOTOR_CURRENT) for rpm in (2000.0, -2000.0, 1200.0)]
+    found = guessed(reference_bench(), *three)
+    assert found["comparison", "method"] == "forward"
+    assert found["comparison", "channels"] == (MOTOR_SPEED, MOTOR_CURRENT)
+    assert {found[r.name, "use"] for r in three} == {"split"}
+    assert found["1200", "reference_speed_rpm"] == 1200.0
+    assert ("2000", "reference_speed_rpm") not in found  # the bench's own
+
+
+def test_one_of_four_speeds_is_held_out_and_it_lies_between_the_others() -> None:
+    four = [turning(rpm) for rpm in (2000.0, -2000.0, 1200.0, 1600.0)]
+    found = guessed(reference_bench(), *four)
+    assert {r.name: found[r.name, "use"] for r in four} == {
+        "2000": "fit", "reverse 2000": "fit", "1200": "fit", "1600": "hold_out"
+    }  # fmt: skip
+    assert found["comparison", "channels"] == (MOTOR_SPEED,)
+
+
+def test_what_is_too_short_for_two_halves_is_not_split() -> None:
+    two = [turning(rpm, lasting_s=8.0) for rpm in (2000.0, -2000.0)]
+    found = guessed(reference_bench(), *two)  # 2.2 load rotations
+    assert [found[r.name, "use"] for r in two] == ["fit", "hold_out"]
+
+
+@pytest.mark.parametrize(
+    ("channels", "method", "compared", "unknown"),
+    [
+        ((MOTOR_TORQUE, LOAD_POSITION), "inverse", (MOTOR_TORQUE,), ("load_inertia_kg_m2",)),
+        ((MOTOR_CURRENT,), "inverse", (MOTOR_CURRENT,), ("load_inertia_kg_m2",)),
+        ((LOAD_POSITION,), "inverse", (LOAD_POSITION,), None),
+        ((), "free_motion", (MOTOR_POSITION,), ("load_inertia_kg_m2",)),
+    ],
+)
+def test_a_rigid_machine_s_method_follows_from_its_channels(
+    rigid: Bench, channels, method, compared, unknown
+) -> None:
+    found = guessed(rigid, swinging("a", *channels), swinging("b", *channels))
+    assert found["comparison", "method"] == method
+    assert found["comparison", "channels"] == compared
+    assert found.get(("unknowns", "bench_parameters")) == unknown
+    assert (found["a", "use"], found["b", "use"]) == ("fit", "hold_out")
+
+
+def test_a_torque_that_never_changes_is_none(rigid: Bench) -> None:
+    swing = swinging("a")
+    swing.channels[MOTOR_TORQUE] = np.zeros(swing.samples)
+    found = guessed(rigid, swing)
+    assert found["comparison", "method"] == "free_motion"
+    assert found["a", "use"] == "split"
+
+
+def test_a_driven_motion_without_its_torque_is_not_taken_for_a_free_one(rigid: Bench) -> None:
+    swing = swinging("a")
+    swing.channels[REFERENCE_SPEED] = np.gradient(swing.channels[MOTOR_POSITION], swing.time_s)
+    with pytest.raises(RecordingError, match="From motion alone"):
+        guess_diagnosis(rigid, [swing])
+
+
+def test_the_speed_alone_at_constant_speeds_shows_the_loop(rigid: Bench) -> None:
+    found = guessed(rigid, turning(300.0), turning(600.0))
+    assert found["comparison", "method"] == "forward"
+    assert found["unknowns", "bench_parameters"] == (
+        "motor_inertia_kg_m2", "load_inertia_kg_m2", "speed_gain_nm_s_per_rad"
+    )  # fmt: skip
+
+
+def test_a_motion_of_a_joint_with_a_gap_is_refused_with_what_to_do() -> None:
+    moving = turning(2000.0)
+    moving.channels[MOTOR_SPEED] *= np.linspace(-1.0, 1.0, moving.samples)
+    with pytest.raises(RecordingError) as refused:
+        guess_diagnosis(reference_bench(), [moving])
+    assert "bayesbl fit" in str(refused.value.expected)
+
+
+def test_the_file_says_what_the_command_does(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bench.toml").write_text(dump_bench(reference_bench()))
+    for name, rpm in (("forward", 2000.0), ("back", -1200.0)):
+        made = turning(rpm, MOTOR_CURRENT)
+        columns = [made.time_s, *(made.channels[c] for c in (MOTOR_SPEED, MOTOR_CURRENT))]
+        header = f"time_s,{MOTOR_SPEED},{MOTOR_CURRENT}"
+        np.savetxt(f"{name}.csv", np.column_stack(columns), "%.6g", ",", "\n", header, "", "")
+    files = [Path("forward.csv"), Path("back.csv")]
+    direct, guess = diagnosis_of(files, bench=Path("bench.toml"))
+    assert status(["init", "--diagnose", "bench.toml", *map(str, files)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    written = load_config("diagnose.toml")
+    assert isinstance(written, DiagnoseConfig)
+    for choice in guess:
+        assert choice.told in told
+    assert written.comparison == direct.comparison
+    assert written.unknowns == direct.unknowns
+    assert written.recordings == direct.recordings
+    assert status(["init", "--diagnose", "bench.toml", *map(str, files)]) == 2  # not written over
+
+
+def test_what_is_missing_is_asked_for(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("a.csv", np.ones((300, 2)), delimiter=",", header="t,x", comments="")
+    assert status(["diagnose", "a.csv"]) == 2
+    assert "bayesbl init --bench" in capsys.readouterr().err
+    assert status(["init", "--diagnose", "a.csv"]) == 2
+    assert "BENCH RECORDING" in capsys.readouterr().err
+    Path("bench.toml").write_text(dump_bench(reference_bench()))
+    assert status(["diagnose", "a.csv", "--bench", "bench.toml"]) == 2
+    assert "`bayesbl init --diagnose bench.toml a.csv`" in capsys.readouterr().err
