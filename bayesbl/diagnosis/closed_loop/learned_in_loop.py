@@ -338,6 +338,12 @@ def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
             f"The learned torque removes {100.0 * closed:.0f} % of what repeats; from "
             f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
         )
+    elif learned.explanation.candidates:
+        withheld = (
+            "Beside a torque of no known law a name of the catalogue may be wrong and draw the gap "
+            "away, so no gap is given. Add what is known of the joint to the bench, and diagnose "
+            "again."
+        )
     size = values if torque.reverses else values - values.mean()
     return LearnedAnswer(
         torque,
