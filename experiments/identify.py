@@ -56,7 +56,7 @@ SLOWEST_DECAY_PER_S = 1.0
 """Of the linear loop in contact: slower ones do not settle between two impacts."""
 LARGEST_CURRENT_SHARE = 0.6
 """Of the drive's limit, that gravity takes at most: impacts need the rest."""
-FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
+FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=8000)
 
 
 class Row(BaseModel):

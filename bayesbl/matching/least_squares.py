@@ -10,6 +10,9 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
+IDLE = 1e-100
+"""Root of a curvature below which nothing depends on a coordinate: no unit is that large."""
+
 STEP_CHANGE = 4.0
 """Change of the whitened signals, in standard deviations, that derivatives are taken over."""
 MOST_ROUNDS = 30
@@ -187,11 +190,13 @@ def _bounded_step(
 ) -> FloatArray:
     """Damped Gauss-Newton step; coordinates that would leave their range stop at its end.
 
+    What nothing depends on (the torque constant where there is no current) stays where it is.
+
     ``gradient`` is Jᵀr with r = recording − simulation and J the derivative of the simulation,
     less the prior's pull: the direction to go.
     """
-    scale = np.sqrt(np.diag(curvature).clip(1e-300))
-    free = np.ones(point.size, dtype=bool)
+    scale = np.sqrt(np.diag(curvature))
+    free = scale > IDLE
     move = np.zeros(point.size)
     for _ in range(point.size + 1):
         index = np.flatnonzero(free)

@@ -76,6 +76,22 @@ def test_a_phase_that_nothing_tells_keeps_the_prior_of_an_angle() -> None:
     assert fit.sd("start_angle_rad", "one") < 0.01
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_no_signal_depends_on_stays_where_it_is() -> None:
+    """The torque constant, where the speed alone is compared: its tolerance decides."""
+    asked = model(reference_bench())
+    seen = asked.recordings[0]
+    speed = replace(seen, signals=seen.signals[:1])
+    alone = estimate_channel_noise(speed.signals, speed.lag)
+    believed = reference_bench().value("torque_constant_nm_per_a")
+    low, high = math.log(0.75 * believed), math.log(1.25 * believed)
+    constant = Unknown("torque_constant_nm_per_a", low, high, logarithmic=True, flat_in_value=True)
+    free = SimulatedSignals(asked.bench, [speed], (*asked.unknowns, constant), [alone])
+    fit = fit_simulated(free, np.array([math.log(8.2e-4), 1.0, math.log(believed)]))
+    assert fit.value(constant.name) == pytest.approx(believed, rel=1e-12)
+    assert fit.sd(constant.name) == pytest.approx(constant.prior_sd, rel=1e-3)
+
+
 def test_what_was_simulated_is_neither_made_nor_changed_again() -> None:
     asked: list[int] = []
 
