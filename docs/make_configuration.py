@@ -157,6 +157,9 @@ def _kind(whole: Schema, value: Schema) -> str:
 def _default(key: str, value: Schema, section: Schema) -> str:
     if key == "name" and "file" in section["properties"]:
         return "made of the file's"
+    either = [kind["required"] for kind in section.get("anyOf", ())]
+    if [key] in either:
+        return "required, or " + " or ".join(f"`{k}`" for (k,) in either if k != key)
     if key in section.get("required", ()):
         return "required"
     if value.get("default") is None:

@@ -14,7 +14,14 @@ from datetime import date as Date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from bayesbl.config.fields import (
     ChannelName,
@@ -89,6 +96,12 @@ class Column(Section):
 ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
 
 
+def _file_or_files(schema: dict[str, Any]) -> None:
+    """What a validator adds of itself is not asked for."""
+    del schema["required"]
+    schema["anyOf"] = [{"required": ["file"]}, {"required": ["files"]}]
+
+
 class SnapshotRecording(Section):
     """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
 
@@ -97,6 +110,8 @@ class SnapshotRecording(Section):
     what is known to have been another value than the bench file's when it was made, a bench
     parameter or ``"effect.parameter"``.
     """
+
+    model_config = ConfigDict(json_schema_extra=_file_or_files)
 
     name: Name
     file: InputPath
