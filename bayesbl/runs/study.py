@@ -250,6 +250,8 @@ def _finish(
     for job, case in ended:
         row = by_name[job.row]
         work.keep("case", row.address(case.index), case)
+        if case.message and not any(other.message for other in row.cases.values()):
+            options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
         row.cases[case.index] = case
         if options.progress is not None:
             options.progress(row.name, len(row.cases), row.count)

@@ -142,7 +142,11 @@ def test_a_case_that_is_refused_is_counted_and_its_reason_kept(folder):
         "partly": "draws = 3\nrefuse = 2",
         "never": "draws = 3\ncases = 1\nrefuse = 0",
     }
-    summary, _ = run(configure(folder, rows))
+    summary, said = run(configure(folder, rows))
+    assert sorted(said) == [
+        'Row "never": case 0 failed: This case is refused.',
+        'Row "partly": case 2 failed: This case is refused.',
+    ]
     assert [(row["cases"], row["failed"]) for row in summary["rows"]] == [(6, 0), (6, 1), (1, 1)]
     partly = read_tree(folder / "out")["row_2"]
     assert partly["message"].values[2] == "This case is refused."
