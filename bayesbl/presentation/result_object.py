@@ -125,9 +125,14 @@ class Result:
 
         return write_page_of(self._tree, Path(path), draw_all)
 
-    def __getitem__(self, group: str) -> xr.DataTree:
-        found: xr.DataTree = self._tree.children[group]
-        return found
+    @property
+    def attrs(self) -> dict[Any, Any]:
+        """Kind, outcome and origin, as the tree has them."""
+        return self._tree.attrs
+
+    def __getitem__(self, path: str) -> xr.DataTree | xr.DataArray:
+        """A group or a variable of the tree: ``result["posterior"]``, ``result["posterior/…"]``."""
+        return self._tree[path]
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self._headline}>"

@@ -506,6 +506,8 @@ def test_a_result_as_an_object_says_what_the_command_prints_and_the_page_shows(
     assert [text for text in shown.texts if text.strip() not in texts] == []
     rows = result.to_dataframe()
     change = result["change"].to_dataset()["change_rad"]
+    assert result["change/change_rad"].identical(change)
+    assert result.attrs["kind"] == "compare"
     assert list(rows["name"]) == ["wear_before", "wear_after"]
     assert rows["delta_rad"].diff().iloc[-1] == pytest.approx(float(change.median()), abs=1e-5)
     assert list(rows["delta_rad_low"]) == [
