@@ -18,7 +18,7 @@ from bayesbl.diagnosis.diagnosis import (
     probability_of,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
+from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.loop_setting import (
     ECCENTRICITY,
@@ -332,7 +332,7 @@ class _Answer:
                     made,
                 )
 
-    def _compared(self, fit: LawFit | None) -> tuple[list, list]:  # type: ignore[type-arg]
+    def _compared(self, fit: LawFit | None) -> tuple[list[PieceResiduals], list[PieceSignals]]:
         """Residuals and signals of every piece, with a mean alone and with all laws."""
         laws = {} if fit is None else fit.laws
         orders = [self.found[place].order for place in laws]
