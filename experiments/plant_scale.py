@@ -77,6 +77,7 @@ def simulated(
             rates,
             np.maximum(1.2e-3 - gaps[used[-1]], 0.0) / rates,
             np.zeros(DRAWS),
+            np.full(DRAWS, 1e-6),
             1.0,
         )
         dates = tuple(day.isoformat() for day in days)
@@ -96,9 +97,9 @@ def main(folder: Path, joints: int = 1000, recordings: int = 24) -> None:
         print(f"{what}: {time.process_time() - clock:.2f} s")
         clock = time.process_time()
 
-    types, chosen = pool(measured, "gearbox", 1)
+    types, borrowed = pool(measured, "gearbox", 1)
     took("pooling")
-    of_joints = joint_rows(measured, chosen, LEVEL, date(2027, 1, 1))
+    of_joints = joint_rows(measured, borrowed, LEVEL, date(2027, 1, 1))
     took("rows of joints")
     write_table(rows, RECORDING_COLUMNS, folder / "recordings.parquet")
     write_table(of_joints, JOINT_COLUMNS, folder / "joints.parquet")

@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import truncnorm
 
-from bayesbl.fleet.pooled_rates import pooled
+from bayesbl.fleet.pooled_rates import Draws, pooled
+from bayesbl.measurement.wear import SCATTER
+from bayesbl.measurement.wear_laws import KINDS
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.provenance import git_commit
 
@@ -44,6 +46,13 @@ def fleet(
     return truth, draws
 
 
+def of_rate(rate: FloatArray, generator: np.random.Generator) -> Draws:
+    """Draws of a joint that tells nothing of laws and jumps: these are of the prior."""
+    kind = generator.choice(len(KINDS), rate.size, p=[one.probability for one in KINDS])
+    scatter = SCATTER[0] * (SCATTER[1] / SCATTER[0]) ** generator.uniform(size=rate.size)
+    return Draws(rate, kind, rate * scatter**2)
+
+
 def bounds(draws: list[FloatArray]) -> FloatArray:
     """Of the interval of each joint, shape (joint, 2)."""
     return np.array([np.quantile(one, LEVELS) for one in draws])
@@ -53,10 +62,9 @@ def case(seed: int, spread: float, error: float) -> dict[str, float]:
     """One fleet: shares held, and the width of pooled intervals over those alone."""
     generator = np.random.default_rng(seed)
     truth, rates = fleet(generator, JOINTS, spread, error)
-    # Nothing is told of laws here.
-    found = pooled(rates, [np.zeros(len(draws), int) for draws in rates], generator)
+    found = pooled([of_rate(draws, generator) for draws in rates], generator)
     assert found is not None
-    chosen = zip(rates, found.chosen, strict=True)
+    chosen = zip(rates, (one.chosen for one in found.joints), strict=True)
     together = bounds([own if which is None else own[which] for own, which in chosen])
     alone = bounds(rates)
     of_type = np.quantile(found.rates.median_rad_per_year, LEVELS)
@@ -65,7 +73,7 @@ def case(seed: int, spread: float, error: float) -> dict[str, float]:
         "held_alone": float(np.mean((alone[:, 0] <= truth) & (truth <= alone[:, 1]))),
         "median_held": float(of_type[0] <= MEDIAN <= of_type[1]),
         "width_over_alone": float(np.median(np.diff(together)) / np.median(np.diff(alone))),
-        "stay_alone": float(np.mean([which is None for which in found.chosen])),
+        "stay_alone": float(np.mean([one.chosen is None for one in found.joints])),
     }
 
 

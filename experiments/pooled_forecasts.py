@@ -25,7 +25,7 @@ import numpy as np
 from forecasts import ALPHA, HORIZON_ALPHA, LAST_AT, LEVEL, law_of, measured, reached
 from numpy.typing import NDArray
 
-from bayesbl.fleet.pooled_rates import alarms, pooled
+from bayesbl.fleet.pooled_rates import Borrowed, Draws, alarms, pooled
 from bayesbl.measurement.wear import wear
 from bayesbl.measurement.wear_laws import SHAPES, kinds
 from bayesbl.recording.types import FloatArray
@@ -62,6 +62,7 @@ class Seen:
     rate: FloatArray
     times: FloatArray
     kind: NDArray[np.int_]
+    jump: FloatArray
     over_now: float
 
 
@@ -79,34 +80,43 @@ def joint(law: str, number: int, generator: np.random.Generator) -> Seen | None:
     found = wear(draws, life * ages, seed, limit_rad=LIMIT_RAD)
     if found is None or found.years_to_limit is None:
         return None
+    span = life * (last - ages[0])
     return Seen(
         law,
         dates,
         last,
         life,
         (reached(grown, last) - last) * life,
-        ((found.current_rad - found.first_rad) / (life * (last - ages[0]))).ravel(),
+        ((found.current_rad - found.first_rad) / span).ravel(),
         found.years_to_limit.ravel(),
         kinds(found.law.ravel(), found.law_shape.reshape(SHAPES, -1)),
+        (found.scatter_rad_per_root_year**2 * span / found.expected_growth_rad).ravel(),
         float(np.mean(found.current_rad > LIMIT_RAD)),
     )
 
 
 def fleet(seed: int) -> list[dict[str, Any]]:
     """A line for each joint of one fleet: how its forecast did, pooled and alone."""
-    generator = np.random.default_rng(seed)
+    generator, pooling = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     lines: list[dict[str, Any]] = []
     for name, laws in TYPES.items():
         made = (joint(laws[n % len(laws)], n, generator) for n in range(JOINTS))
         seen = [one for one in made if one is not None]
-        found = pooled([one.rate for one in seen], [one.kind for one in seen], generator)
-        chosen = (None,) * len(seen) if found is None else found.chosen
-        for one, which in zip(seen, chosen, strict=True):
-            own = one.times if which is None else one.times[which]
+        found = pooled([Draws(one.rate, one.kind, one.jump) for one in seen], pooling)
+        assert found is not None
+        for one, borrowed in zip(seen, found.joints, strict=True):
             line = {"type": name, "joint": one, "over": one.remaining == 0.0}
-            lines.append(line | {"pooled": scored(own, one), "alone": scored(one.times, one)})
+            line |= {"pooled": forecast(one, borrowed), "alone": scored(one.times, one)}
+            lines.append(line)
     called = alarms([line["joint"].over_now for line in lines])
     return [line | {"called": call} for line, call in zip(lines, called, strict=True)]
+
+
+def forecast(one: Seen, borrowed: Borrowed) -> dict[str, float]:
+    """Of a joint with what its type says."""
+    chosen = borrowed.chosen
+    scores = scored(one.times if chosen is None else one.times[chosen], one)
+    return scores | {"unlike": borrowed.probability_own}
 
 
 def scored(times: FloatArray, one: Seen) -> dict[str, float]:
@@ -131,6 +141,7 @@ def row(name: str, lines: Sequence[Mapping[str, Any]]) -> dict[str, object]:
             found[f"{key}_{way}"] = (
                 f"{np.median(values) if key == 'width' else np.mean(values):.3f}"
             )
+    found["unlike_type"] = f"{np.mean([line['pooled']['unlike'] for line in lines]):.3f}"
     return found
 
 

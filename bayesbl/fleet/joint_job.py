@@ -78,6 +78,8 @@ class JointAnswer:
     kind
         Of the law of each of these draws, its number in
         :data:`bayesbl.measurement.wear_laws.KINDS`.
+    jump_rad
+        Mean jump of irregular wear of each of these draws.
     """
 
     reason: str | None
@@ -88,6 +90,7 @@ class JointAnswer:
     rate_now_rad_per_year: FloatArray | None = None
     years_to_limit: FloatArray | None = None
     kind: FloatArray | None = None
+    jump_rad: FloatArray | None = None
     probability_wear: float | None = None
 
 

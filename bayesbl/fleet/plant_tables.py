@@ -14,7 +14,7 @@ import numpy as np
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.joint_job import JointAnswer, RecordingAnswer
-from bayesbl.fleet.pooled_rates import Pooled, TypeRates, alarms, pooled
+from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, pooled
 from bayesbl.measurement.dated_wear import date_after, years_between
 from bayesbl.measurement.wear import probability_before
 from bayesbl.measurement.wear_laws import KINDS
@@ -78,6 +78,10 @@ JOINT_COLUMNS = {
     "rate_alone_rad_per_year_low": ("double", "rad/year"),
     "rate_alone_rad_per_year_high": ("double", "rad/year"),
     "pooled": ("bool", "whether joints of its type count in rate and date"),
+    "probability_unlike_type": (
+        "double",
+        "that it wears in its own way, and not as its type; null where no type is known",
+    ),
     "law": ("string", "likeliest law of wear; pooled where that is so"),
     "limit_date_median": ("string", "when the gap reaches the limit; null: not in 1000 years"),
     "limit_date_low": ("string", "lower bound of the interval"),
@@ -138,33 +142,38 @@ class Measured:
 
 def pool(
     measured: Sequence[Measured], column: str | None, seed: int
-) -> tuple[dict[str, TypeRates], dict[str, Any]]:
-    """Rates by type, and by joint the draws that its type chooses."""
-    groups: dict[str, list[Measured]] = defaultdict(list)
+) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
+    """Rates by type, and by joint what its type says of it."""
+    groups: dict[str, dict[str, Draws]] = defaultdict(dict)
     for one in measured:
-        if column and one.answer.rate_rad_per_year is not None and one.joint.group(column):
-            groups[one.joint.group(column)].append(one)
+        draws = _draws(one.answer)
+        if column and draws is not None and one.joint.group(column):
+            groups[one.joint.group(column)][one.joint.name] = draws
     types: dict[str, TypeRates] = {}
-    chosen: dict[str, Any] = {}
+    borrowed: dict[str, Borrowed] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        answers = [member.answer for member in members]
-        rates = [one.rate_rad_per_year for one in answers if one.rate_rad_per_year is not None]
-        kinds = [one.kind.astype(int) for one in answers if one.kind is not None]
-        found: Pooled | None = pooled(rates, kinds, np.random.default_rng([seed, place]))
+        found = pooled(list(members.values()), np.random.default_rng([seed, place]))
         if found is not None:
             types[name] = found.rates
-            chosen |= {m.joint.name: c for m, c in zip(members, found.chosen, strict=True)}
-    return types, chosen
+            borrowed |= dict(zip(members, found.joints, strict=True))
+    return types, borrowed
+
+
+def _draws(answer: JointAnswer) -> Draws | None:
+    rate, kind, jump = answer.rate_rad_per_year, answer.kind, answer.jump_rad
+    if rate is None or kind is None or jump is None:
+        return None
+    return Draws(rate, kind.astype(int), jump)
 
 
 def joint_rows(
     measured: Sequence[Measured],
-    chosen: Mapping[str, Any],
+    borrowed: Mapping[str, Borrowed],
     level: Level,
     decide_before: Date | None,
 ) -> list[dict[str, Any]]:
     """Rows of ``joints.parquet``, the most urgent first."""
-    rows = [_joint_row(one, chosen.get(one.joint.name), level, decide_before) for one in measured]
+    rows = [_joint_row(one, borrowed.get(one.joint.name), level, decide_before) for one in measured]
     called = alarms([row["probability_limit_now"] for row in rows])
     for row, alarm in zip(rows, called, strict=True):
         row["alarm"] = alarm
@@ -185,9 +194,10 @@ def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _joint_row(
-    one: Measured, chosen: Any, level: Level, decide_before: Date | None
+    one: Measured, borrowed: Borrowed | None, level: Level, decide_before: Date | None
 ) -> dict[str, Any]:
     joint, answer = one.joint, one.answer
+    chosen = None if borrowed is None else borrowed.chosen
     row: dict[str, Any] = dict.fromkeys(JOINT_COLUMNS)
     row |= {key: value for key, value in joint.covariates.items() if key not in row}
     row |= {
@@ -200,6 +210,7 @@ def _joint_row(
         "broken": sum(o in ("refused", "failed") for o in one.outcomes),
         "route": answer.route or None,
         "pooled": chosen is not None,
+        "probability_unlike_type": None if borrowed is None else borrowed.probability_own,
         "reason": answer.reason,
     }
     dates = [one.dates[number] for number in answer.used]
@@ -215,7 +226,7 @@ def _joint_row(
         return row
     row |= level.of(rate, "rate_alone_rad_per_year")
     row["probability_wear"] = answer.probability_wear
-    own = slice(None) if chosen is None else chosen
+    own: Any = slice(None) if chosen is None else chosen
     if answer.kind is not None:
         row["law"] = _likeliest_law(answer.kind[own])
     row |= level.of(rate[own], "rate_rad_per_year")

@@ -1,20 +1,25 @@
 """Wear pooled over joints that wear alike: those with few recordings borrow from the others.
 
-The rate of a joint of type g is log-normal, and its law of wear one of the kinds that the type has,
+Of the joints of a type g a share 1 − ε wears as the type does: the rate r is log-normal, the law of
+wear one of the kinds k that the type has, and the mean jump s, which says how irregular wear is,
+log-normal too,
 
-    ln r_j ~ N(μ_g, τ_g²),  flat priors on μ and τ        k_j ~ π_g,  π_g ~ Dirichlet(p)
+    ln r_j ~ N(μ, τ²)    k_j ~ π, π ~ Dirichlet(3 p)    ln s_j ~ N(m, t²)
 
-where p are the prior probabilities of the kinds: all that is believed of laws beforehand counts as
-one joint. A joint enters by draws of its own posterior, as they are, with the rate r_js and the
-kind k_js of each. Their prior is flat in the growth and p in the kind, so a draw is worth
+with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
+believed of laws beforehand counts as much as the fewest joints that are a type. The share ε wears
+in its own way and has the prior of a lone joint: flat in the rate (half-Cauchy, so that it has an
+end), p in the kind, flat in ln s. ε is uniform beforehand, so a type says how alike its joints are,
+a joint whose recordings speak against its type keeps its own answer, and one with few recordings
+keeps as much of it as its type has strangers.
 
-    LN(r_js; μ, τ) · π(k_js) / p(k_js)
-
-to its type (importance weights, Hogg, Myers and Bovy 2010). Gibbs sampling takes turns: for each
-joint one of its draws by these weights, then μ, τ and π given those. At the end a joint's draws are
-weighed by what is found of the type, and whatever is paired with them (the time to the limit) is
-weighed with them. With two dates a forecast is as wide as what is believed of laws, and it is the
-kinds that sharpen it.
+A joint enters by draws of its own posterior, as they are, whose prior is that of a lone joint; a
+draw is worth the ratio of priors to its type (importance weights, Hogg, Myers and Bovy 2010). Gibbs
+sampling takes turns: for each joint one of its draws by these weights and whether it is as its
+type, then the type given those that are. At the end a joint's draws are weighed by what is found of
+the type, and whatever is paired with them (the time to the limit) is weighed with them. With two
+dates a forecast is as wide as what is believed of laws and of irregular wear, and it is those that
+sharpen it.
 
 A joint that does not wear has a small rate here, not none: the rates of a type are not evidence of
 wear, as those of a joint are not.
@@ -28,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.measurement.wear import SCATTER
 from bayesbl.measurement.wear_laws import KINDS
 from bayesbl.recording.types import FloatArray
 
@@ -37,6 +43,12 @@ FEWEST_JOINTS = 3
 SPREAD = (0.03, 3.0)
 """Range of τ: from joints that wear alike within 3 % to those that differ twentyfold. Its prior is
 flat (Gelman 2006): flat in ln τ, few joints are taken for more alike than they are."""
+
+JUMP_SPREAD = (0.3, 4.0)
+"""Range of t: up to where a type says no more of jumps than the prior of a lone joint."""
+
+OWN_RATE = 3.0
+"""Scale of the rates of joints that wear in their own way, over the type's median."""
 
 BURN_IN, SWEEPS = 200, 800
 HYPER_DRAWS = 200
@@ -49,6 +61,33 @@ FEWEST_EFFECTIVE = 100.0
 """Effective draws below which a joint stays alone: the level of its 90 % interval would be known to
 3 %, √(p (1 − p)/n)."""
 
+_PRIOR = np.array([kind.probability for kind in KINDS])
+
+_FAR = 3.0
+"""Sd of the normal priors of μ and m around the middle of all joints: as good as flat."""
+
+_LOG_JUMPS = 2.0 * float(np.log(SCATTER[1] / SCATTER[0]))
+"""Width of the prior of ln s of a lone joint."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """Of one joint's own posterior, paired, shape (draw,) each.
+
+    Attributes
+    ----------
+    rate_rad_per_year
+        Positive.
+    kind
+        Number of the kind of law, of :data:`bayesbl.measurement.wear_laws.KINDS`.
+    jump_rad
+        Mean jump of irregular wear: variance of the growth over its mean.
+    """
+
+    rate_rad_per_year: FloatArray
+    kind: NDArray[np.int_]
+    jump_rad: FloatArray
+
 
 @dataclass(frozen=True, slots=True)
 class TypeRates:
@@ -60,70 +99,66 @@ class TypeRates:
         Draws of exp μ and of τ, shape (draw,).
     law
         Share of its joints by law, the mean of what is left open.
+    own
+        Draws of ε, the share of joints that wear in their own way, shape (draw,).
     """
 
     joints: int
     median_rad_per_year: FloatArray
     spread: FloatArray
     law: Mapping[str, float]
+    own: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Borrowed:
+    """What its type says of one joint.
+
+    Attributes
+    ----------
+    chosen
+        Numbers of draws to take in place of its own, with repetition, shape (draw,); ``None`` where
+        the joint stays alone, as too few of its draws are near what its type says.
+    probability_own
+        That it wears in its own way.
+    """
+
+    chosen: NDArray[np.int_] | None
+    probability_own: float
 
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """The type, and for each of its joints the draws to take in place of its own.
-
-    ``chosen``: numbers of draws, with repetition, shape (draw,); ``None`` where the joint stays
-    alone, as too few of its draws are near what its type says.
-    """
+    """The type, and what it says of each of its joints."""
 
     rates: TypeRates
-    chosen: tuple[NDArray[np.int_] | None, ...]
+    joints: tuple[Borrowed, ...]
 
 
-def pooled(
-    rates: Sequence[FloatArray], kinds: Sequence[NDArray[np.int_]], generator: np.random.Generator
-) -> Pooled | None:
-    """Pool the joints of one type; ``None`` where they are too few.
-
-    Parameters
-    ----------
-    rates
-        Draws of each joint, rad/year, positive, shape (draw,) each.
-    kinds
-        Number of the kind of law of each of these draws, of
-        :data:`bayesbl.measurement.wear_laws.KINDS`.
-    """
-    if len(rates) < FEWEST_JOINTS:
+def pooled(joints: Sequence[Draws], generator: np.random.Generator) -> Pooled | None:
+    """Pool the joints of one type; ``None`` where they are too few."""
+    if len(joints) < FEWEST_JOINTS:
         return None
-    prior = np.array([kind.probability for kind in KINDS])
-    count = min(*map(len, rates), DRAWS_A_SWEEP)
-    few = [np.linspace(0, len(draws) - 1, count).astype(int) for draws in rates]
-    log_rate = np.array([_log(draws[at]) for draws, at in zip(rates, few, strict=True)])
-    kind = np.array([of[at] for of, at in zip(kinds, few, strict=True)])
-    centre, spread, share = float(np.median(log_rate)), 0.5, prior
-    centres, spreads, shares = [], [], []
-    for _ in range(BURN_IN + SWEEPS):
-        total = np.cumsum(_worth(log_rate, kind, centre, spread, share / prior), axis=1)
-        level = generator.uniform(size=len(rates)) * total[:, -1]
-        at = np.minimum((total < level[:, None]).sum(axis=1), count - 1)[:, None]
-        rate_of = np.take_along_axis(log_rate, at, 1).ravel()
-        kind_of = np.take_along_axis(kind, at, 1).ravel()
-        centre = float(generator.normal(rate_of.mean(), spread / np.sqrt(len(rates))))
-        spread = _spread(rate_of - centre, generator)
-        share = generator.dirichlet(prior + np.bincount(kind_of, minlength=prior.size))
-        centres.append(centre)
-        spreads.append(spread)
-        shares.append(share)
-    kept = slice(BURN_IN, None, SWEEPS // HYPER_DRAWS)
-    hyper = np.array(centres)[kept], np.array(spreads)[kept], np.array(shares)[kept]
-    chosen = tuple(
-        _reweighed(_log(draws), of, *hyper, prior, generator)
-        for draws, of in zip(rates, kinds, strict=True)
+    count = min(*(one.kind.size for one in joints), DRAWS_A_SWEEP)
+    few = [_Log.of(one, np.linspace(0, one.kind.size - 1, count).astype(int)) for one in joints]
+    together = _Log(
+        np.array([one.rate for one in few]),
+        np.array([one.kind for one in few]),
+        np.array([one.jump for one in few]),
     )
+    types = _sampled(together, generator)
+    share = np.mean([one.share for one in types], axis=0)
     law: dict[str, float] = {}
-    for each, mean in zip(KINDS, np.array(shares)[BURN_IN:].mean(axis=0), strict=True):
+    for each, mean in zip(KINDS, share, strict=True):
         law[each.law] = law.get(each.law, 0.0) + float(mean)
-    return Pooled(TypeRates(len(rates), np.exp(hyper[0]), hyper[1], law), chosen)
+    rates = TypeRates(
+        len(joints),
+        np.exp([one.centre for one in types]),
+        np.array([one.spread for one in types]),
+        law,
+        np.array([one.own for one in types]),
+    )
+    return Pooled(rates, tuple(_borrowed(_Log.of(one), types, generator) for one in joints))
 
 
 def alarms(probability: Sequence[float | None], rate: float = 0.05) -> list[bool]:
@@ -141,45 +176,110 @@ def alarms(probability: Sequence[float | None], rate: float = 0.05) -> list[bool
     return [bool(one) and false[n] < 0.5 for n, one in enumerate(called)]
 
 
-def _log(rate: FloatArray) -> FloatArray:
-    return np.log(np.maximum(rate, 1e-12))
+@dataclass(frozen=True, slots=True)
+class _Log:
+    """Draws, rate and jump as logarithms, shape (…, draw)."""
+
+    rate: FloatArray
+    kind: NDArray[np.int_]
+    jump: FloatArray
+
+    @classmethod
+    def of(cls, draws: Draws, at: NDArray[np.int_] | slice = slice(None)) -> _Log:
+        rate = np.log(np.maximum(draws.rate_rad_per_year[at], 1e-12))
+        return cls(rate, draws.kind[at], np.log(draws.jump_rad[at]))
+
+    def at(self, draw: NDArray[np.int_]) -> _Log:
+        """One draw of each joint."""
+        joint = np.arange(draw.size)
+        return _Log(self.rate[joint, draw], self.kind[joint, draw], self.jump[joint, draw])
 
 
-def _worth(
-    log_rate: FloatArray,
-    kind: NDArray[np.int_],
-    centre: float,
-    spread: float,
-    of_kind: FloatArray,
-) -> FloatArray:
-    """What each draw is worth to its type, (…, draw), up to a factor for each joint."""
-    exponent = -0.5 * ((log_rate - centre) / spread) ** 2 - log_rate
-    exponent -= exponent.max(axis=-1, keepdims=True)
-    # A kind that no joint has is worth little, never nothing.
-    return np.asarray(np.exp(exponent) * np.maximum(of_kind, 1e-9)[kind])
+@dataclass(frozen=True, slots=True)
+class _Type:
+    """One draw of what joints of a type have in common."""
+
+    centre: float
+    spread: float
+    share: FloatArray
+    jump_centre: float
+    jump_spread: float
+    own: float
+
+    def worth(self, joint: _Log) -> tuple[FloatArray, FloatArray]:
+        """What each draw is worth to its type, and as one in its own way, (…, draw) both.
+
+        Densities over the lone joint's prior, which is flat in the rate.
+        """
+        from_centre = joint.rate - self.centre
+        alike = -0.5 * (from_centre / self.spread) ** 2 - from_centre
+        alike -= 0.5 * ((joint.jump - self.jump_centre) / self.jump_spread) ** 2
+        scale = _LOG_JUMPS / (2.0 * np.pi * self.spread * self.jump_spread)
+        # A kind that no joint has is worth little, never nothing.
+        of_kind = np.maximum(self.share / _PRIOR, 1e-9)[joint.kind]
+        own = 2.0 / (np.pi * OWN_RATE * (1.0 + (np.exp(from_centre) / OWN_RATE) ** 2))
+        return (1.0 - self.own) * scale * of_kind * np.exp(alike), self.own * own
 
 
-def _spread(apart: FloatArray, generator: np.random.Generator) -> float:
-    """τ given ln r_j − μ: with its flat prior τ² is inverse gamma, within :data:`SPREAD`."""
-    square = 0.5 * float(apart @ apart)
-    drawn = (square / generator.gamma(0.5 * (apart.size - 1), size=64)) ** 0.5
-    inside = drawn[(drawn > SPREAD[0]) & (drawn < SPREAD[1])]
-    return float(inside[0] if inside.size else np.clip(drawn[0], *SPREAD))
+def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
+    """Types by Gibbs sampling, from draws of all joints, shape (joint, draw)."""
+    middle, middle_jump = float(np.median(joints.rate)), float(np.median(joints.jump))
+    one = _Type(middle, 0.5, _PRIOR, middle_jump, 1.5, 0.2)
+    number, count = joints.rate.shape
+    types = []
+    for sweep in range(BURN_IN + SWEEPS):
+        alike, own = one.worth(joints)
+        total = np.cumsum(alike + own, axis=1)
+        level = generator.uniform(size=number) * total[:, -1]
+        at = np.minimum((total < level[:, None]).sum(axis=1), count - 1)
+        share_own = own / (alike + own)
+        is_own = generator.uniform(size=number) < share_own[np.arange(number), at]
+        drawn = joints.at(at)
+        rates, kinds, jumps = (x[~is_own] for x in (drawn.rate, drawn.kind, drawn.jump))
+        centre = _centre(rates, one.spread, middle, generator)
+        jump_centre = _centre(jumps, one.jump_spread, middle_jump, generator)
+        one = _Type(
+            centre,
+            _spread(rates - centre, SPREAD, generator),
+            generator.dirichlet(FEWEST_JOINTS * _PRIOR + np.bincount(kinds, minlength=len(KINDS))),
+            jump_centre,
+            _spread(jumps - jump_centre, JUMP_SPREAD, generator),
+            float(generator.beta(1 + is_own.sum(), 1 + number - is_own.sum())),
+        )
+        if sweep >= BURN_IN and sweep % (SWEEPS // HYPER_DRAWS) == 0:
+            types.append(one)
+    return types
 
 
-def _reweighed(
-    log_rate: FloatArray,
-    kind: NDArray[np.int_],
-    centres: FloatArray,
-    spreads: FloatArray,
-    shares: FloatArray,
-    prior: FloatArray,
-    generator: np.random.Generator,
-) -> NDArray[np.int_] | None:
-    weight = np.zeros(log_rate.size)
-    for centre, spread, share in zip(centres, spreads, shares, strict=True):
-        worth = _worth(log_rate, kind, float(centre), float(spread), share / prior)
-        weight += worth / worth.sum()
+def _centre(
+    values: FloatArray, spread: float, middle: float, generator: np.random.Generator
+) -> float:
+    """μ given ln r_j and τ."""
+    precision = values.size / spread**2 + 1.0 / _FAR**2
+    mean = (values.sum() / spread**2 + middle / _FAR**2) / precision
+    return float(generator.normal(mean, precision**-0.5))
+
+
+def _spread(
+    apart: FloatArray, bounds: tuple[float, float], generator: np.random.Generator
+) -> float:
+    """τ given ln r_j − μ, on a grid of 2 to 5 %."""
+    grid = np.geomspace(*bounds, 100)
+    # One power less of τ, for the grid is even in ln τ and its prior in τ.
+    log = (1 - apart.size) * np.log(grid) - 0.5 * float(apart @ apart) / grid**2
+    total = np.cumsum(np.exp(log - log.max()))
+    return float(grid[np.searchsorted(total, generator.uniform() * total[-1])])
+
+
+def _borrowed(joint: _Log, types: Sequence[_Type], generator: np.random.Generator) -> Borrowed:
+    """Draws of a joint weighed by its type, and how probably it wears in its own way."""
+    weight, is_own = np.zeros(joint.rate.size), 0.0
+    for one in types:
+        alike, own = one.worth(joint)
+        total = float(alike.sum() + own.sum())
+        weight += (alike + own) / total
+        is_own += float(own.sum()) / total / len(types)
     if weight.sum() ** 2 / np.sum(weight**2) < FEWEST_EFFECTIVE:
-        return None
-    return generator.choice(log_rate.size, log_rate.size, p=weight / weight.sum())
+        return Borrowed(None, is_own)
+    chosen = generator.choice(weight.size, weight.size, p=weight / weight.sum())
+    return Borrowed(chosen, is_own)

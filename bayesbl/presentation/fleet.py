@@ -42,8 +42,23 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
             f"{name}: half of the joints wear by more than {median_in_mrad(rate)} mrad a year "
             f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two in three lie within a "
             f"factor of {factor} of that ({found['joints']} joints). "
-            f"Likeliest law: {LAWS[law]} ({words.probability(found['law'][law])})."
+            f"Likeliest law: {LAWS[law]} ({words.probability(found['law'][law])}). "
+            f"Share that wears in its own way: {words.probability(found['own']['median'])}."
         )
+
+
+def unlike_type(row: Mapping[str, Any], summary: Mapping[str, Any]) -> str | None:
+    """How a joint wears whose recordings speak against its type; ``None`` where they do not."""
+    probability = row["probability_unlike_type"]
+    if probability is None or probability < 0.5:
+        return None
+    of_type = summary["types"].get(str(row.get(summary["pool_by"])))
+    middle = None if of_type is None else of_type["median_rad_per_year"]["median"]
+    if middle is not None and row["rate_alone_rad_per_year_low"] > middle:
+        return "faster than its type"
+    if middle is not None and row["rate_alone_rad_per_year_high"] < middle:
+        return "more slowly than its type"
+    return "unlike its type"
 
 
 def blocks(summary: FleetSummary) -> Iterator[Block]:
@@ -57,7 +72,7 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
         text("Reaches limit"),
         text("State"),
     )
-    yield table(columns, [_row(row) for row in rows])
+    yield table(columns, [_row(row, summary) for row in rows])
     for sentence in types_in_words(summary):
         yield Sentence(sentence)
     counted = summary["recordings"]
@@ -84,14 +99,15 @@ _LEFT = {
 }
 
 
-def _row(row: Mapping[str, Any]) -> list[str]:
+def _row(row: Mapping[str, Any], summary: FleetSummary) -> list[str]:
     def middle(name: str) -> str:
         value = row[f"{name}_median"]
         return "–" if value is None else words.significant(1e3 * value, 3)
 
     dated = row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None
     date = month(row["limit_date_median"]) if row["limit_date_median"] else "not in sight"
-    state = "no rate" if row["reason"] else "measured"
+    unlike = unlike_type(row, summary)
+    state = "no rate" if row["reason"] else f"wears {unlike}" if unlike else "measured"
     if row["alarm"]:
         state = "over its limit"
     return [
@@ -116,8 +132,8 @@ def assumptions(summary: FleetSummary) -> Iterator[str]:
     yield "Each recording belongs to the joint and the date that its name or its table says."
     if summary["types"]:
         yield (
-            f"Joints of one {summary['pool_by']} wear by laws of the same kinds, at rates of one "
-            "log-normal distribution."
+            f"Most joints of one {summary['pool_by']} wear by laws of the same kinds, alike "
+            "irregularly, at rates of one log-normal distribution; the others each in its own way."
         )
 
 

@@ -333,8 +333,8 @@ def _write(
         answer = RecordingAnswer(REFUSED, one.reason)
         rows.append({**recording_row(answer, None, False, level), **identity(one, digest)})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
-    types, chosen = pool(measured, config.fleet.pool_by, config.run.seed)
-    of_joints = joint_rows(measured, chosen, level, config.fleet.decide_before)
+    types, borrowed = pool(measured, config.fleet.pool_by, config.run.seed)
+    of_joints = joint_rows(measured, borrowed, level, config.fleet.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
     asked = config.fleet
@@ -384,6 +384,7 @@ def summary_of(
             "median_rad_per_year": interval(found.median_rad_per_year, level.level, level.kind),
             "spread": interval(found.spread, level.level, level.kind),
             "law": dict(found.law),
+            "own": interval(found.own, level.level, level.kind),
         }
         for name, found in types.items()
     }

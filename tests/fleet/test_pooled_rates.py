@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pooled_coverage import case, fleet
+from pooled_coverage import case, fleet, of_rate
 
-from bayesbl.fleet.pooled_rates import alarms, pooled
+from bayesbl.fleet.pooled_rates import Draws, alarms, pooled
 from bayesbl.measurement.wear_laws import KINDS
+from bayesbl.recording.types import FloatArray
+
+PRIOR = [kind.probability for kind in KINDS]
 
 
 @pytest.mark.parametrize(("spread", "error"), [(0.2, 0.6), (0.4, 0.15)])
@@ -21,44 +24,104 @@ def test_intervals_hold_the_truth_as_often_as_said(spread, error):
         assert means["width_over_alone"] < 0.7
 
 
+def jumps(generator: np.random.Generator, middle: float = 1e-6, spread: float = 2.0) -> FloatArray:
+    return middle * np.exp(spread * generator.standard_normal(2000))
+
+
 def test_what_is_measured_well_stays_as_it_is():
     generator = np.random.default_rng(7)
     rates = [generator.normal(m, 1e-6, 1000) for m in (1e-4, 2e-4, 4e-4, 8e-4)]
-    found = pooled(rates, [np.zeros(1000, int)] * 4, generator)
+    found = pooled([of_rate(own, generator) for own in rates], generator)
     assert found is not None
-    for own, which in zip(rates, found.chosen, strict=True):
-        assert which is not None
-        assert np.median(own[which]) == pytest.approx(np.median(own), abs=3e-7)
-        assert own[which].std() == pytest.approx(own.std(), rel=0.1)
+    for own, one in zip(rates, found.joints, strict=True):
+        assert one.chosen is not None
+        assert np.median(own[one.chosen]) == pytest.approx(np.median(own), abs=3e-7)
+        assert own[one.chosen].std() == pytest.approx(own.std(), rel=0.1)
 
 
 def test_two_joints_are_no_type():
     generator = np.random.default_rng(8)
     _, rates = fleet(generator, 2, 0.3, 0.5)
-    assert pooled(rates, [np.zeros(1000, int)] * 2, generator) is None
+    assert pooled([of_rate(own, generator) for own in rates], generator) is None
 
 
 def test_joints_of_a_type_share_its_law_and_those_that_show_another_keep_it():
     """Ten joints show that they wear evenly, one shows nothing, one that it speeds up."""
     generator = np.random.default_rng(10)
-    prior = [kind.probability for kind in KINDS]
     even = [kind.law for kind in KINDS].index("linear")
     fast = [kind.law for kind in KINDS].index("exponential")
-    rates = [generator.normal(3e-4, 2e-5, 2000) for _ in range(12)]
     laws = [
-        np.where(generator.uniform(size=2000) < 0.6, even, generator.choice(7, 2000, p=prior))
+        np.where(generator.uniform(size=2000) < 0.6, even, generator.choice(7, 2000, p=PRIOR))
         for _ in range(10)
     ]
-    laws.append(generator.choice(7, 2000, p=prior))
+    laws.append(generator.choice(7, 2000, p=PRIOR))
     laws.append(np.where(generator.uniform(size=2000) < 0.999, fast, even))
-    found = pooled(rates, laws, generator)
+    found = pooled(
+        [Draws(generator.normal(3e-4, 2e-5, 2000), law, jumps(generator)) for law in laws],
+        generator,
+    )
     assert found is not None
-    nothing, other = found.chosen[-2:]
-    assert nothing is not None
-    assert np.mean(laws[-2][nothing] == even) > 0.6
-    assert other is None or np.mean(laws[-1][other] == fast) > 0.8
-    assert found.rates.law["linear"] > 0.6
+    nothing, other = found.joints[-2:]
+    assert nothing.chosen is not None
+    assert np.mean(laws[-2][nothing.chosen] == even) > 0.6
+    assert other.chosen is None or np.mean(laws[-1][other.chosen] == fast) > 0.8
+    assert found.rates.law["linear"] > 0.5
     assert sum(found.rates.law.values()) == pytest.approx(1.0)
+
+
+def test_a_joint_unlike_its_type_keeps_its_answer_and_is_named():
+    """Eleven joints wear alike; one wears eight times as fast, with an uncertain rate."""
+    generator = np.random.default_rng(11)
+    rates = [generator.normal(3e-4, 2e-5, 2000) for _ in range(11)]
+    rates.append(generator.normal(2.4e-3, 2.4e-4, 2000))
+    found = pooled([of_rate(own, generator) for own in rates], generator)
+    assert found is not None
+    *alike, strange = found.joints
+    assert strange.probability_own > 0.9
+    assert strange.chosen is not None
+    assert np.median(rates[-1][strange.chosen]) == pytest.approx(2.4e-3, rel=0.05)
+    assert max(one.probability_own for one in alike) < 0.2
+    assert np.quantile(found.rates.spread, 0.95) < 0.3
+
+
+def test_a_joint_with_few_recordings_leans_less_on_a_type_of_strangers():
+    """Its law is as wide as the prior; that of the others is one, or each another."""
+    generator = np.random.default_rng(12)
+
+    def share_of_first(laws: list[int]) -> float:
+        joints = [
+            Draws(generator.normal(3e-4, 2e-5, 2000), np.full(2000, law), jumps(generator))
+            for law in laws
+        ]
+        open_law = generator.choice(7, 2000, p=PRIOR)
+        joints.append(Draws(generator.normal(3e-4, 2e-5, 2000), open_law, jumps(generator)))
+        found = pooled(joints, generator)
+        assert found is not None
+        chosen = found.joints[-1].chosen
+        assert chosen is not None
+        return float(np.mean(open_law[chosen] == laws[0]))
+
+    alike, mixed = (
+        share_of_first([0] * 14),
+        share_of_first([0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 5]),
+    )
+    assert alike > 0.7
+    assert PRIOR[0] < mixed < alike - 0.2
+
+
+def test_how_irregular_wear_is_is_shared_too():
+    """Nineteen joints show large jumps; the last one's recordings leave that open."""
+    generator = np.random.default_rng(13)
+    joints = [
+        Draws(generator.normal(3e-4, 2e-5, 2000), generator.choice(7, 2000, p=PRIOR), found)
+        for found in [jumps(generator, 5e-5, 0.5)] * 19 + [jumps(generator, 1e-6, 2.0)]
+    ]
+    found = pooled(joints, generator)
+    assert found is not None
+    chosen = found.joints[-1].chosen
+    assert chosen is not None
+    assert np.median(joints[-1].jump_rad) < 2e-6
+    assert np.median(joints[-1].jump_rad[chosen]) > 1e-5
 
 
 def test_of_the_joints_called_no_more_are_wrong_than_said():

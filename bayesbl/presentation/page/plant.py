@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from bayesbl.presentation import words
-from bayesbl.presentation.fleet import headline, types_in_words
+from bayesbl.presentation.fleet import headline, types_in_words, unlike_type
 from bayesbl.presentation.page.history import history, sparkline
 from bayesbl.presentation.wear import LAWS, median_in_mrad, month
 from bayesbl.results.folder import SUMMARY_FILE
@@ -111,7 +111,7 @@ def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
         "rate": _in_mrad(row, "rate_rad_per_year", summary),
         "limit": _limit(row),
         "passed": _probability(row["probability_limit_now"]),
-        "state": _state(row),
+        "state": _state(row, summary),
         "reason": row["reason"] or "",
         "picture": sparkline(_given(recordings), row["limit_rad"]),
     }
@@ -156,7 +156,9 @@ def _headline(row: Row, summary: Row) -> str:
     if row["probability_wear"] < words.SURE and not row["pooled"]:
         shown = words.probability(row["probability_wear"])
         return f"{said}, and is not shown to have grown (probability {shown})."
-    return f"{said}, and grows by {median_in_mrad(rate)} mrad a year."
+    unlike = unlike_type(row, summary)
+    how = f", {unlike}: this rests on its own recordings" if unlike else ""
+    return f"{said}, and grows by {median_in_mrad(rate)} mrad a year{how}."
 
 
 def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
@@ -169,6 +171,8 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
             yield label, f"{median_in_mrad(found)} ({words.bounds(found, 1e3)}) mrad a year"
     if row["rate_rad_per_year_median"] is not None:
         yield "Joints of its type count", "yes" if row["pooled"] else "no"
+        if row["probability_unlike_type"] is not None:
+            yield "Wears in its own way", words.probability(row["probability_unlike_type"])
         yield "Likeliest law", LAWS[row["law"]]
         yield "Has grown", words.probability(row["probability_wear"])
     if row["limit_rad"] is not None:
@@ -220,12 +224,13 @@ def _probability(value: float | None) -> Cell:
     return Cell("–", "", -1.0) if value is None else Cell(words.probability(value), "", value)
 
 
-def _state(row: Row) -> str:
+def _state(row: Row, summary: Row) -> str:
     if row["rate_rad_per_year_median"] is not None:
         left = row["withheld"] + row["broken"]
         unsure = row["probability_wear"] < words.SURE
-        notes = ["not shown to grow"] * unsure + [f"{left} left out"] * bool(left)
-        return ", ".join(["measured", *notes])
+        unlike = unlike_type(row, summary)
+        notes = ["not shown to grow"] * unsure + [f"wears {unlike}"] * bool(unlike)
+        return ", ".join(["measured", *notes, *[f"{left} left out"] * bool(left)])
     return "no rate" if row["delta_rad_median"] is not None else "no gap"
 
 
