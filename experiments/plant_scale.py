@@ -77,7 +77,7 @@ def simulated(
             rates,
             np.maximum(1.2e-3 - gaps[used[-1]], 0.0) / rates,
             np.zeros(DRAWS),
-            np.full(DRAWS, 1e-6),
+            rates * 10.0 ** generator.uniform(-6.0, 0.0, DRAWS),
             1.0,
         )
         dates = tuple(day.isoformat() for day in days)

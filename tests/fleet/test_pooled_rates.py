@@ -112,16 +112,17 @@ def test_a_joint_with_few_recordings_leans_less_on_a_type_of_strangers():
 def test_how_irregular_wear_is_is_shared_too():
     """Nineteen joints show large jumps; the last one's recordings leave that open."""
     generator = np.random.default_rng(13)
+    rates = [generator.normal(3e-4, 2e-5, 2000) for _ in range(20)]
     joints = [
-        Draws(generator.normal(3e-4, 2e-5, 2000), generator.choice(7, 2000, p=PRIOR), found)
-        for found in [jumps(generator, 5e-5, 0.5)] * 19 + [jumps(generator, 1e-6, 2.0)]
+        Draws(own, generator.choice(7, 2000, p=PRIOR), jumps(generator, 5e-5, 0.5)) for own in rates
     ]
+    joints[-1] = of_rate(rates[-1], generator)
     found = pooled(joints, generator)
     assert found is not None
     chosen = found.joints[-1].chosen
     assert chosen is not None
-    assert np.median(joints[-1].jump_rad) < 2e-6
-    assert np.median(joints[-1].jump_rad[chosen]) > 1e-5
+    assert np.median(joints[-1].jump_rad) < 1e-6
+    assert np.median(joints[-1].jump_rad[chosen]) > 2e-5
 
 
 def test_of_the_joints_called_no_more_are_wrong_than_said():
