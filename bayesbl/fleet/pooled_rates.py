@@ -9,9 +9,10 @@ log-normal too,
 with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
 believed of laws beforehand counts as much as the fewest joints that are a type. The share ε wears
 in its own way and has the prior of a lone joint: flat in the rate (half-Cauchy, so that it has an
-end), p in the kind, flat in ln s. ε is uniform beforehand, so a type says how alike its joints are,
-a joint whose recordings speak against its type keeps its own answer, and one with few recordings
-keeps as much of it as its type has strangers.
+end), p in the kind, flat in ln s. Beforehand ε is Beta(3, 3), as if three joints had been seen of
+either sort. So a type says how alike its joints are, a joint whose recordings speak against its
+type keeps its own answer, and one with few recordings keeps as much of it as its type has
+strangers.
 
 A joint enters by draws of its own posterior, as they are, whose prior is that of a lone joint; a
 draw is worth the ratio of priors to its type (importance weights, Hogg, Myers and Bovy 2010). Gibbs
@@ -44,15 +45,16 @@ SPREAD = (0.03, 3.0)
 """Range of τ: from joints that wear alike within 3 % to those that differ twentyfold. Its prior is
 flat (Gelman 2006): flat in ln τ, few joints are taken for more alike than they are."""
 
-JUMP_SPREAD = (0.3, 4.0)
-"""Range of t: up to where a type says no more of jumps than the prior of a lone joint."""
+JUMP_SPREAD = (1.0, 4.0)
+"""Range of t: from jumps of one order of magnitude to where a type says no more of them than the
+prior of a lone joint."""
 
 OWN_RATE = 3.0
 """Scale of the rates of joints that wear in their own way, over the type's median."""
 
 BURN_IN, SWEEPS = 200, 800
-HYPER_DRAWS = 200
-"""Of the type, that joints are weighed by: every fourth sweep."""
+HYPER_DRAWS = 100
+"""Of the type, that joints are weighed by: every eighth sweep."""
 
 DRAWS_A_SWEEP = 400
 """Of each joint, that a sweep chooses from; all are weighed at the end."""
@@ -244,7 +246,9 @@ def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
             generator.dirichlet(FEWEST_JOINTS * _PRIOR + np.bincount(kinds, minlength=len(KINDS))),
             jump_centre,
             _spread(jumps - jump_centre, JUMP_SPREAD, generator),
-            float(generator.beta(1 + is_own.sum(), 1 + number - is_own.sum())),
+            float(
+                generator.beta(FEWEST_JOINTS + is_own.sum(), FEWEST_JOINTS + number - is_own.sum())
+            ),
         )
         if sweep >= BURN_IN and sweep % (SWEEPS // HYPER_DRAWS) == 0:
             types.append(one)

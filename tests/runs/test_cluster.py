@@ -13,15 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import test_fleet as fleet
 from places import CONFIGS, ROOT
 
 from bayesbl import cli
+from bayesbl.config.bench import reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ClusterError
 from bayesbl.results.store import read_tree
 from bayesbl.runs import cluster as clusters
 from bayesbl.runs.cases import Job, files_of_study
 from bayesbl.runs.cluster import Common
+from bayesbl.runs.simulate import recording_csv
 from bayesbl.runs.study import prepare
 from bayesbl.runs.study import run as run_study
 from bayesbl.runs.workflow import Options
@@ -178,6 +181,34 @@ def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folde
     run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))
     run(configure(folder, "whole", "workers = 2", "sleep = 0.2"))
     assert numbers(folder / "kept") == numbers(folder / "whole")
+
+
+def test_a_fleet_whose_scheduler_is_killed_loses_nothing_and_measures_nothing_twice(
+    tmp_path, processes
+):
+    """Four joints; the scheduler goes when the first is measured, and one more may be at work."""
+    pytest.importorskip("pyarrow")
+    joints = [f"J{number}" for number in range(4)]
+    (tmp_path / "joints.csv").write_text("joint\n" + "\n".join(joints))
+    bench = reference_bench()
+    for number, joint in enumerate(joints):
+        made = bench.simulate(
+            8e-4, rotations=3.0, sampling_hz=250.0, seed=np.random.default_rng(number)
+        )
+        place = tmp_path / "data" / joint / "2025-01-01.csv"
+        place.parent.mkdir(parents=True)
+        place.write_text(recording_csv(made))
+    address, scheduler, _ = processes
+    killed = fleet.configure(tmp_path, "killed", f'scheduler = "{address}"')
+    with pytest.raises(ClusterError, match="scheduler was lost"):
+        fleet.start(killed, progress=lambda *_: scheduler.kill())
+    assert not (tmp_path / "killed").exists()
+    said = fleet.start(fleet.configure(tmp_path, "killed"))
+    assert said in [[f"{n} recordings to measure, {n} of 4 joints to look at."] for n in (1, 2, 3)]
+    fleet.start(fleet.configure(tmp_path, "whole"))
+    for name in ("recordings", "joints"):
+        assert fleet.table(tmp_path / "killed", name) == fleet.table(tmp_path / "whole", name)
+    assert len(fleet.table(tmp_path / "killed", "recordings")) == 4
 
 
 def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
