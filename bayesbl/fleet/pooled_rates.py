@@ -4,15 +4,14 @@ Of the joints of a type g a share 1 − ε wears as the type does: the rate r is
 wear one of the kinds k that the type has, and the mean jump s, which says how irregular wear is,
 log-normal too,
 
-    ln r_j ~ N(μ, τ²)    k_j ~ π, π ~ Dirichlet(3 p)    ln s_j ~ N(m, t²)
+    ln r_j ~ N(μ, τ²)    k_j ~ π, π ~ Dirichlet(6 p)    ln s_j ~ N(m, t²)
 
 with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
-believed of laws beforehand counts as much as the fewest joints that are a type. The share ε wears
-in its own way and has the prior of a lone joint: flat in the rate (half-Cauchy, so that it has an
-end), p in the kind, flat in ln s. Beforehand ε is Beta(3, 3), as if three joints had been seen of
-either sort. So a type says how alike its joints are, a joint whose recordings speak against its
-type keeps its own answer, and one with few recordings keeps as much of it as its type has
-strangers.
+believed of laws beforehand counts as six joints. The share ε wears in its own way and has the prior
+of a lone joint: flat in the rate (half-Cauchy, so that it has an end), p in the kind, flat in ln s.
+Beforehand ε is Beta(3, 3), which counts as six joints too. So a type says how alike its joints are,
+a joint whose recordings speak against its type keeps its own answer, and one with few recordings
+keeps as much of it as its type has strangers.
 
 A joint enters by draws of its own posterior, as they are, whose prior is that of a lone joint; a
 draw is worth the ratio of priors to its type (importance weights, Hogg, Myers and Bovy 2010). Gibbs
@@ -41,13 +40,18 @@ from bayesbl.recording.types import FloatArray
 FEWEST_JOINTS = 3
 """Of a type: two rates say nothing of a spread that is not mostly its prior."""
 
+BELIEF = 6.0
+"""Joints that what is believed beforehand counts as: of the shares of the laws, and of whether a
+joint wears as its type. Less, and few joints that look alike are taken for a type without
+exceptions."""
+
 SPREAD = (0.03, 3.0)
 """Range of τ: from joints that wear alike within 3 % to those that differ twentyfold. Its prior is
 flat (Gelman 2006): flat in ln τ, few joints are taken for more alike than they are."""
 
-JUMP_SPREAD = (1.0, 4.0)
-"""Range of t: from jumps of one order of magnitude to where a type says no more of them than the
-prior of a lone joint."""
+JUMP_SPREAD = (2.0, 4.0)
+"""Range of t: joints share the order of magnitude of their jumps, or, at 4, no more than the prior
+of a lone joint says."""
 
 OWN_RATE = 3.0
 """Scale of the rates of joints that wear in their own way, over the type's median."""
@@ -236,19 +240,17 @@ def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
         at = np.minimum((total < level[:, None]).sum(axis=1), count - 1)
         share_own = own / (alike + own)
         is_own = generator.uniform(size=number) < share_own[np.arange(number), at]
-        drawn = joints.at(at)
+        drawn, strangers = joints.at(at), int(is_own.sum())
         rates, kinds, jumps = (x[~is_own] for x in (drawn.rate, drawn.kind, drawn.jump))
         centre = _centre(rates, one.spread, middle, generator)
         jump_centre = _centre(jumps, one.jump_spread, middle_jump, generator)
         one = _Type(
             centre,
             _spread(rates - centre, SPREAD, generator),
-            generator.dirichlet(FEWEST_JOINTS * _PRIOR + np.bincount(kinds, minlength=len(KINDS))),
+            generator.dirichlet(BELIEF * _PRIOR + np.bincount(kinds, minlength=_PRIOR.size)),
             jump_centre,
             _spread(jumps - jump_centre, JUMP_SPREAD, generator),
-            float(
-                generator.beta(FEWEST_JOINTS + is_own.sum(), FEWEST_JOINTS + number - is_own.sum())
-            ),
+            float(generator.beta(0.5 * BELIEF + strangers, 0.5 * BELIEF + number - strangers)),
         )
         if sweep >= BURN_IN and sweep % (SWEEPS // HYPER_DRAWS) == 0:
             types.append(one)
