@@ -9,8 +9,7 @@ log-normal too,
 with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
 believed of laws beforehand counts as six joints. The share ε wears in its own way and has the prior
 of a lone joint: flat in the rate (half-Cauchy, so that it has an end), p in the kind, flat in ln s.
-Beforehand ε is Beta(3, 3), which counts as six joints too. So a type says how alike its joints are,
-a joint whose recordings speak against its type keeps its own answer, and one with few recordings
+ε is uniform beforehand. So a type says how alike its joints are, a joint whose recordings speak against its type keeps its own answer, and one with few recordings
 keeps as much of it as its type has strangers.
 
 A joint enters by draws of its own posterior, as they are, whose prior is that of a lone joint; a
@@ -41,9 +40,8 @@ FEWEST_JOINTS = 3
 """Of a type: two rates say nothing of a spread that is not mostly its prior."""
 
 BELIEF = 6.0
-"""Joints that what is believed beforehand counts as: of the shares of the laws, and of whether a
-joint wears as its type. Less, and few joints that look alike are taken for a type without
-exceptions."""
+"""Joints that what is believed of laws beforehand counts as. Less, and joints that tell little of
+their laws are soon taken to have the same."""
 
 SPREAD = (0.03, 3.0)
 """Range of τ: from joints that wear alike within 3 % to those that differ twentyfold. Its prior is
@@ -250,7 +248,7 @@ def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
             generator.dirichlet(BELIEF * _PRIOR + np.bincount(kinds, minlength=_PRIOR.size)),
             jump_centre,
             _spread(jumps - jump_centre, JUMP_SPREAD, generator),
-            float(generator.beta(0.5 * BELIEF + strangers, 0.5 * BELIEF + number - strangers)),
+            float(generator.beta(1 + strangers, 1 + number - strangers)),
         )
         if sweep >= BURN_IN and sweep % (SWEEPS // HYPER_DRAWS) == 0:
             types.append(one)
