@@ -9,8 +9,9 @@ log-normal too,
 with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
 believed of laws beforehand counts as six joints. The share ε wears in its own way and has the prior
 of a lone joint: flat in the rate (half-Cauchy, so that it has an end), p in the kind, flat in ln s.
-ε is uniform beforehand. So a type says how alike its joints are, a joint whose recordings speak against its type keeps its own answer, and one with few recordings
-keeps as much of it as its type has strangers.
+ε is uniform beforehand. So a type says how alike its joints are, a joint whose recordings speak
+against its type keeps its own answer, and one with few recordings keeps as much of it as its type
+has strangers.
 
 A joint enters by draws of its own posterior, as they are, whose prior is that of a lone joint; a
 draw is worth the ratio of priors to its type (importance weights, Hogg, Myers and Bovy 2010). Gibbs
