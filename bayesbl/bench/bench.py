@@ -16,8 +16,17 @@ import numpy as np
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.joint_normal import JointNormal
-from bayesbl.bench.kernel import CURRENT, FIRST_LEARNED, FIRST_SKEW, POSITION, SLOTS, SPEED, Slot
-from bayesbl.bench.learned_torque import LearnedTorque
+from bayesbl.bench.kernel import (
+    CURRENT,
+    FIRST_LEARNED,
+    FIRST_OF_ENCODER,
+    FIRST_SKEW,
+    POSITION,
+    SLOTS,
+    SPEED,
+    Slot,
+)
+from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
@@ -119,8 +128,8 @@ class Bench:
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
     ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
     with recordings but not simulated in steady rotation. ``identified``: what recordings told of
-    some parameters together; it goes before their tolerances. ``learned_torque``: what repeated in
-    recordings and no effect explains.
+    some parameters together; it goes before their tolerances. ``learned_torque``,
+    ``encoder_error``: what repeated in recordings and no effect explains.
     """
 
     parameters: Mapping[str, BenchParameter]
@@ -131,6 +140,7 @@ class Bench:
     assumed: frozenset[str] = frozenset()
     identified: JointNormal | None = None
     learned_torque: LearnedTorque | None = None
+    encoder_error: EncoderError | None = None
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -143,6 +153,13 @@ class Bench:
             )
         if self.assumed and self.drive != "rigid":
             raise BenchError("A bench of two masses needs this.", where=min(self.assumed))
+        if self.encoder_error is not None and self.drive == "rigid":
+            raise BenchError(
+                "An error of the encoder over its angle is known of a bench of two masses only.",
+                where=EncoderError.block,
+                found='drive = "rigid"',
+                expected='drive = "two_mass", or the effect encoder_eccentricity',
+            )
         complete: dict[str, BenchParameter] = {}
         for name, info in PARAMETER_INFO.items():
             if name in self.parameters:
@@ -159,7 +176,8 @@ class Bench:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings and arrays do not cross process boundaries as they are.
         plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        return Bench, (*plain, self.assumed, self.identified, self.learned_torque)
+        learned = (self.learned_torque, self.encoder_error)
+        return Bench, (*plain, self.assumed, self.identified, *learned)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -171,8 +189,8 @@ class Bench:
             slots = effect_named(present.name).slots
             for name, value in present.complete().items():
                 vector[slots[name]] = value
-        if self.learned_torque is not None:
-            self.learned_torque.put_into(vector)
+        for learned in self.learned_terms:
+            learned.put_into(vector)
         vector.setflags(write=False)
         return vector
 
@@ -184,6 +202,15 @@ class Bench:
     def value(self, name: str) -> float:
         """Value of a bench parameter, run setting or ``effect.parameter``."""
         return float(self._vector[slot_of(name)])
+
+    @property
+    def learned_terms(self) -> tuple[LearnedTerm, ...]:
+        """What was learned, those that the bench has."""
+        return tuple(t for t in (self.learned_torque, self.encoder_error) if t is not None)
+
+    def with_learned(self, *terms: LearnedTerm) -> Bench:
+        """The same bench with these instead of its own of the same kind."""
+        return dataclasses.replace(self, **{term.block: term for term in terms})
 
     @property
     def tolerances(self) -> dict[str, float]:
@@ -484,8 +511,10 @@ class Bench:
     def fingerprint(self) -> str:
         """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
         vector = self._vector
+        if self.encoder_error is None:
+            vector = np.delete(vector, np.s_[FIRST_OF_ENCODER:FIRST_SKEW])
         if self.learned_torque is None:
-            vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_SKEW])
+            vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_OF_ENCODER])
         content = {
             "version": _SIGNALS_VERSION,
             "vector": [repr(float(value)) for value in vector],

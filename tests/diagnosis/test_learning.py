@@ -11,10 +11,11 @@ from rigid_machine import bench, recording
 from test_rigid import inverse, named
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS
+from bayesbl.bench.learned import LearnedTorque
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_torque
+from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.learning import Group, Hypothesis, learn
@@ -149,9 +150,10 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     used, held_out = seen[:-1], seen[-1]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(r.name) for r in used)]
     nominal = nominal_explanation(fit_aligned(BENCH, used, unknowns))
-    found = learned_torque(nominal, [], FALSE_ALARM, motor_angle_known=False)
+    found = learned_term(nominal, [], FALSE_ALARM, motor_angle_known=False)
     assert found is not None
-    torque = found.torque
+    torque = found.term
+    assert isinstance(torque, LearnedTorque)
     assert (torque.side, torque.variable, torque.reverses) == ("load", "load_angle", True)
     # 10 (1 + 0.5 cos(θ + 0.7) + 0.25 sin(2θ + 1.4))
     truth = {
@@ -170,7 +172,7 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
     before = abs(math.log(nominal.fit.value(GAP) / GAP_RAD)) / nominal.fit.sd(GAP)
     assert before > 10.0, "without it the gap is wrong"
-    assert 0.0 < gap_share(fit) < 1.0
+    assert 0.0 < gap_share(fit, torque) < 1.0
     assert augmented_bench(found.explanation).learned_torque == torque
     left = held_out.left_by(predicted(found.explanation, held_out))
     without = held_out.left_by(predicted(nominal, held_out))
