@@ -10,8 +10,9 @@ friction differently (ω/√(ω² + w²) at the motor, erf at the load), integra
 of the twist, and reaches steady rotation by running through whole rotations from a rough start.
 
 It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, errors of
-the encoder's disc of several orders, a transmission error of two orders, lost speed samples, a second gap behind a third mass, and laws that differ from the catalogue's: load friction
-with another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
+the encoder's disc of several orders, a transmission error of two orders, lost speed samples, a
+second gap behind a third mass, and laws that differ from the catalogue's: load friction with
+another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
 harmonics, flanks of different stiffness, hysteresis by Bouc and Wen.
 """
 

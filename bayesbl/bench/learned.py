@@ -48,7 +48,7 @@ UNIT_OF_VARIABLE = {
 class LearnedTorque:
     """The coefficients, N m at the side that the torque acts at.
 
-    Where the torque ``reverses``, it is multiplied by the sign of the motor's speed, as friction is.
+    Where it ``reverses``, it is multiplied by the sign of the motor's speed, as friction is.
 
     Attributes
     ----------
@@ -274,9 +274,7 @@ def _series(
     return np.asarray(np.cos(phase) @ np.array(cosine) + np.sin(phase) @ np.array(sine))
 
 
-def _check_series(
-    learned: LearnedTerm, cosine: Sequence[float], sine: Sequence[float]
-) -> None:
+def _check_series(learned: LearnedTerm, cosine: Sequence[float], sine: Sequence[float]) -> None:
     block, orders = learned.block, len(cosine)
     a = "A learned torque" if block == LearnedTorque.block else "An error of the encoder"
     if not (len(sine) == orders and 0 < orders <= LEARNED_HARMONICS):

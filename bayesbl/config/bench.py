@@ -226,10 +226,10 @@ class LearnedTorqueSection(_LearnedSection):
 
 
 class EncoderErrorSection(_LearnedSection):
-    """``[encoder_error]``: what the motor's encoder shows too much, over the motor's angle.
+    """``[encoder_error]``: the angle that the motor's encoder shows less the true one.
 
-    In rad: Σ_k cosine_rad[k] cos(2π k θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad), inside the
-    speed loop; ``sd_rad`` of cosines and sines.
+    Over the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
+    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.
     """
 
     period_rad: float = Field(gt=0.0)

@@ -103,9 +103,8 @@ def learned_term(
             fit = explanation.fit
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
             term = _learned(fit, _kind_of(trial.hypothesis))
-            return Learned(
-                explanation, term, others, trial.gain, gap_share(fit, term), _reaches(fit.model, term)
-            )
+            reaches = _reaches(fit.model, term)
+            return Learned(explanation, term, others, trial.gain, gap_share(fit, term), reaches)
     return None
 
 
@@ -325,9 +324,7 @@ def gap_share(fit: SimulatedFit, term: LearnedTerm) -> float:
     return float(known / fit.covariance[gap, gap])
 
 
-def band_of(
-    fit: SimulatedFit, term: LearnedTerm, x: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A term at these values of its variable and its standard deviation, each as ``x``."""
     phase = 2.0 * math.pi * np.outer(x, np.arange(1, term.orders + 1)) / term.period
     basis = np.hstack([np.ones((x.size, 1)), np.cos(phase), np.sin(phase)])
