@@ -346,17 +346,23 @@ def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
     withheld = ""
     if learned.reaches_ringing:
         withheld = (
-            "The learned torque repeats with the load at orders that reach the ringing of an "
+            "What was learned repeats with the load at orders that reach the ringing of an "
             "impact: it could be taken for impacts, so no gap is given."
         )
     elif closed < ENOUGH_CLOSED:
         withheld = (
-            f"The learned torque removes {100.0 * closed:.0f} % of what repeats; from "
+            f"What was learned removes {100.0 * closed:.0f} % of what repeats; from "
             f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
+        )
+    elif len({other.block for other in (term, *learned.alike)}) > 1:
+        withheld = (
+            "These recordings do not tell an error of the motor's encoder from a torque at the "
+            "motor, nor either from a transmission error, which moves the gap: so no gap is given. "
+            "Record a second speed, and the other direction."
         )
     elif learned.explanation.candidates:
         withheld = (
-            "Beside a torque of no known law a name of the catalogue may be wrong and draw the gap "
+            "Beside what has no known law a name of the catalogue may be wrong and draw the gap "
             "away, so no gap is given. Add what is known of the joint to the bench, and diagnose "
             "again."
         )
