@@ -27,6 +27,7 @@ from bayesbl.bench.kernel import (
     Slot,
 )
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
+from bayesbl.bench.measured_channels import PERFECT, Measurement
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
@@ -40,23 +41,16 @@ from bayesbl.bench.simulation import (
     simulate_motions,
     simulate_speeds,
 )
-from bayesbl.bench.steady import noise_through_loop
 from bayesbl.errors import BenchError
-from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
 from bayesbl.recording.types import (
-    MOTOR_CURRENT,
-    MOTOR_POSITION,
-    MOTOR_SPEED,
     REFERENCE_POSITION,
     REFERENCE_SPEED,
     FloatArray,
     Recording,
 )
-from bayesbl.units import RPM_PER_RAD_PER_S
 
 GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]
-SpeedSource = Literal["sensor", "encoder"]
 
 LATE_PARAMETERS = ("gravity_angle_rad",)
 
@@ -93,32 +87,6 @@ class BenchEffect:
         return effect_named(self.name).complete(given)
 
 
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """How the bench is seen.
-
-    Attributes
-    ----------
-    encoder_counts
-        Counts per motor revolution; ``None`` for an ideal encoder.
-    speed_source
-        ``sensor``: the speed the controller sees, with noise. ``encoder``: backward difference
-        of the recorded position over one sample (the first sample repeats the second), no noise
-        of its own.
-    speed_noise, current_noise
-        In rpm and A.
-    noise_through_controller
-        The speed noise is inside the loop: the controller answers it, on the linear bench in
-        contact, and the recorded speed holds the motor's answer too.
-    """
-
-    encoder_counts: int | None = None
-    speed_source: SpeedSource = "sensor"
-    speed_noise: NoiseModel = NO_NOISE
-    current_noise: NoiseModel = NO_NOISE
-    noise_through_controller: bool = False
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class Bench:
     """Two masses, a gap between them, gravity and a speed loop.
@@ -135,7 +103,7 @@ class Bench:
     parameters: Mapping[str, BenchParameter]
     gap_form: GapForm = "arctan"
     drive: Drive = "two_mass"
-    measurement: Measurement = Measurement()
+    measurement: Measurement = PERFECT
     effects: tuple[BenchEffect, ...] = ()
     assumed: frozenset[str] = frozenset()
     identified: JointNormal | None = None
@@ -413,7 +381,7 @@ class Bench:
         return Recording(
             name=name,
             time_s=np.arange(samples) / sampling_hz,
-            channels=self._measured(
+            channels=self.measurement.channels(
                 position - offset, speed, current, parameters[0], sampling_hz, seed
             ),
             metadata={
@@ -465,7 +433,7 @@ class Bench:
         if motor_start_angle_rad is not None:
             start = parameters[0, Slot.start_angle_rad]
             offset = parameters[0, Slot.gear_ratio] * start - motor_start_angle_rad
-        channels = self._measured(
+        channels = self.measurement.channels(
             position - offset, speed, current, parameters[0], sampling_hz, seed
         )
         channels[REFERENCE_SPEED] = motion.speed_rpm(time)
@@ -482,31 +450,6 @@ class Bench:
                 "reference_speed_rpm": None,
             },
         )
-
-    def _measured(
-        self,
-        position: FloatArray,
-        speed: FloatArray,
-        current: FloatArray,
-        parameters: FloatArray,
-        sampling_hz: float,
-        rng: np.random.Generator | None,
-    ) -> dict[str, FloatArray]:
-        seen = self.measurement
-        if rng is not None:
-            noise = seen.speed_noise.draw(speed.size, rng)
-            current = current + seen.current_noise.draw(speed.size, rng)
-            if seen.noise_through_controller:
-                motion, answer = noise_through_loop(parameters, noise, 1.0 / sampling_hz)
-                noise = noise + motion
-                current = current + answer
-            speed = speed + noise
-        if seen.encoder_counts is not None:
-            position = quantised(position, seen.encoder_counts)
-        if seen.speed_source == "encoder":
-            difference = np.diff(position) * sampling_hz * RPM_PER_RAD_PER_S
-            speed = np.concatenate((difference[:1], difference))
-        return {MOTOR_POSITION: position, MOTOR_SPEED: speed, MOTOR_CURRENT: current}
 
     def fingerprint(self) -> str:
         """Short hash of all that decides the noise-free signals; tolerances and noise do not."""

@@ -22,10 +22,10 @@ from bayesbl.bench.bench import (
     BenchEffect,
     BenchParameter,
     EffectParameterValue,
-    Measurement,
 )
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config import printed_units
 from bayesbl.config.fields import (
