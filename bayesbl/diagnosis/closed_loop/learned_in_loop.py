@@ -165,11 +165,13 @@ def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> It
         for reverses in (False, True):
             yield Hypothesis(side, "load_angle", turn, reverses)
     own = not motor_angle_known
-    for order in _bases(remaining, "motor angle", lambda entry: entry.lowest_order):
+    orders = _bases(remaining, "motor angle", lambda entry: entry.lowest_order)
+    for order in orders:
         if order * LONGEST_PERIOD >= 1.0:
             yield Hypothesis("motor", "motor_angle", turn / order, False, own)
-        if order == round(order):
-            yield Hypothesis("encoder", "motor_angle", turn / order, False, own)
+    whole = [order for order in orders if order == round(order)]
+    for order in whole[:1]:
+        yield Hypothesis("encoder", "motor_angle", turn / order, False, own)
     for frequency in _bases(remaining, "time", lambda entry: entry.frequency_hz):
         yield Hypothesis("motor", "time", 1.0 / frequency, False, True)
 
