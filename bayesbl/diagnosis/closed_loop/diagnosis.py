@@ -34,6 +34,7 @@ from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexpl
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
@@ -311,7 +312,10 @@ def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate |
 def _learned_answer(found: Findings) -> LearnedAnswer | None:
     if found.learned is None:
         return None
-    return answer_of(found.learned, _share_closed(found.residuals_before, found.residuals_after))
+    closed = _share_closed(found.residuals_before, found.residuals_after)
+    # Noise is told from what remains by its tests, not by a share of little.
+    remains = bool(found.remaining) or not agrees(disagreements(found.final.fit))
+    return answer_of(found.learned, closed, remains)
 
 
 def _averaged_delta(

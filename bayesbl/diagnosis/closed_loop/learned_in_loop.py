@@ -339,8 +339,11 @@ def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatA
     return term.over(x), np.sqrt(variance)
 
 
-def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
-    """What is told of it; ``closed``: share of what repeated that is gone."""
+def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
+    """What is told of it.
+
+    ``closed``: share of what repeated that is gone; ``remains``: whether anything still stands out.
+    """
     term = learned.term
     lowest = 0.0 if term.belongs_to_recordings else -0.5 * term.period
     x = lowest + term.period * np.linspace(0.0, 1.0, CURVE_POINTS)
@@ -351,7 +354,7 @@ def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
             "What was learned repeats with the load at orders that reach the ringing of an "
             "impact: it could be taken for impacts, so no gap is given."
         )
-    elif closed < ENOUGH_CLOSED:
+    elif remains and closed < ENOUGH_CLOSED:
         withheld = (
             f"What was learned removes {100.0 * closed:.0f} % of what repeats; from "
             f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
