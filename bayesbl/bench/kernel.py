@@ -33,7 +33,7 @@ class Slot(IntEnum):
     A vector of zeros in the effects' places is a bench without effects.
     """
 
-    _ignore_ = "number wave"
+    _ignore_ = "number wave order part"
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[Any]) -> int:
@@ -98,9 +98,9 @@ class Slot(IntEnum):
     encoder_error__orders = auto()  # how many; 0: there is none
     encoder_error__period_rad = auto()  # of the motor's angle
     encoder_error__shift_rad = auto()  # added to the motor's angle
-    for wave in ("cosine", "sine"):
-        for number in range(1, LEARNED_HARMONICS + 1):
-            vars()[f"encoder_error__{wave}_{number}_rad"] = auto()
+    for part in ("cosine", "sine"):
+        for order in range(1, LEARNED_HARMONICS + 1):
+            vars()[f"encoder_error__{part}_{order}_rad"] = auto()
     channel_time_skew__position_s = auto()
     channel_time_skew__speed_s = auto()
     channel_time_skew__current_s = auto()

@@ -311,7 +311,7 @@ def direct_verdict(
     ]
     unseen = unseen_gap(found.posterior, index)
     if any(against):
-        against.append(motor_orders_in_words(found.joint))
+        against = list(dict.fromkeys([*against, motor_orders_in_words(found.joint)]))
     if any(against) or unseen:
         outcome = "withheld"
         # Where δ is not seen, its prior's range decides: that needs no saying.
