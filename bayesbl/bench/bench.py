@@ -178,7 +178,13 @@ class Bench:
 
     def with_learned(self, *terms: LearnedTerm) -> Bench:
         """The same bench with these instead of its own of the same kind."""
-        return dataclasses.replace(self, **{term.block: term for term in terms})
+        bench = self
+        for term in terms:
+            if isinstance(term, EncoderError):
+                bench = dataclasses.replace(bench, encoder_error=term)
+            else:
+                bench = dataclasses.replace(bench, learned_torque=term)
+        return bench
 
     @property
     def tolerances(self) -> dict[str, float]:

@@ -12,7 +12,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 import xarray as xr
 
 from bayesbl.bench.learned import EncoderError, LearnedTerm, Side, Variable
-from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
@@ -182,19 +182,30 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     if found.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
     if found.learned is not None:
-        told: LearnedSummary = {
-            **_dependence(found.learned.term),
-            "alike": [_dependence(other) for other in found.learned.alike],
-            "gap_share": found.learned.gap_share,
-            "gap_withheld": found.learned.gap_withheld,
-        }
+        told = _learned(found.learned)
         if isinstance(found.learned.term, EncoderError):
-            answer["encoder_error"] = told | {"amplitude_rad": found.learned.amplitude}
+            told["amplitude_rad"] = found.learned.amplitude
+            answer["encoder_error"] = told
         else:
-            answer["learned_torque"] = told | {"amplitude_nm": found.learned.amplitude}
+            told["amplitude_nm"] = found.learned.amplitude
+            answer["learned_torque"] = told
     if found.posterior is not None:
         answer["diagnostics"] = sampling_summary(found.posterior)
     return answer
+
+
+def _learned(told: LearnedAnswer) -> LearnedSummary:
+    term = told.term
+    return {
+        "side": term.side,
+        "variable": term.variable,
+        "reverses": term.reverses,
+        "period": term.period,
+        "orders": term.orders,
+        "alike": [_dependence(other) for other in told.alike],
+        "gap_share": told.gap_share,
+        "gap_withheld": told.gap_withheld,
+    }
 
 
 def _dependence(term: LearnedTerm) -> LearnedDependence:

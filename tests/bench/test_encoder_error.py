@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -112,7 +113,7 @@ def test_a_bench_file_gives_back_the_same_bench() -> None:
     assert bench.fingerprint() != replace(bench, encoder_error=None).fingerprint()
 
 
-def test_an_error_without_sense_is_refused_in_words(tmp_path) -> None:
+def test_an_error_without_sense_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="as many sines as cosines"):
         EncoderError(TURN, (1e-4,), ())
     with pytest.raises(BenchError, match="standard deviation for each coefficient"):
