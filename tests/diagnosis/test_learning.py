@@ -103,7 +103,7 @@ def test_a_rigid_axis_shows_a_torque_over_its_position() -> None:
         made.append(replace(seen, channels=channels))
     found = answer_with(inverse(made, bench()))
     assert found.learned is not None
-    torque = found.learned.torque
+    torque = found.learned.term
     assert (torque.variable, torque.reverses, torque.side) == ("load_angle", False, "motor")
     x = np.linspace(-0.4, 0.4, 50)
     bump = 0.3 * np.exp(-((x / 0.15) ** 2))
