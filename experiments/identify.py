@@ -7,9 +7,9 @@ within a factor of two of the reference bench, redrawn where the loop is not sta
 weak; its data sheet is off by up to ``SHEET_TOLERANCE`` in each, uniformly. Forward, reverse and a
 slower recording identify the bench; two later recordings, forward and reverse, with a gap that has
 grown in between, are then matched with it, and with the true bench for comparison. With ``strokes``
-the third recording is of strokes to and fro instead of the slower speed. ``wrong`` is the
-factor by which one value of the data sheet, drawn for each case, is wrong besides: it has to be
-named, and nothing is measured later.
+the third recording is of strokes to and fro instead of the slower speed. ``wrong`` is the factor by
+which one value of the data sheet, drawn for each case, is wrong besides: it has to be named, and
+nothing is measured later.
 """
 
 from __future__ import annotations

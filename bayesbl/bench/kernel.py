@@ -138,8 +138,8 @@ MAX_STEPS_PER_SECOND = 200_000
 # Share of gravity's largest torque below which a load at rest stands inside the gap.
 LOOSE_SHARE = 0.01
 
-# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since. Where the
-# output is held, the drive's torque stands in place of ω_ref.
+# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since. Where
+# the output is held, the drive's torque stands in place of ω_ref.
 PIECE_COLUMNS = 10
 
 

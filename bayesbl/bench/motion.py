@@ -6,8 +6,8 @@ motor are polynomials of s = t − t₀,
     ω_ref = w₀ + w₁ s + w₂ s² + w₃ s³        θ_ref = a₀ + a₁ s + a₂ s² + a₃ s³ + a₄ s⁴
 
 and the integrator ends a step wherever a piece ends, so that corners of the reference cost nothing
-in accuracy. θ_ref counts from where the motor stands at the start. Where the output is held there is
-no speed loop, and the motor's torque stands in place of ω_ref.
+in accuracy. θ_ref counts from where the motor stands at the start. Where the output is held there
+is no speed loop, and the motor's torque stands in place of ω_ref.
 """
 
 from __future__ import annotations

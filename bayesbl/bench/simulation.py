@@ -101,7 +101,8 @@ def simulate_motions(
 
     The first sample lies at the motion's start, with the load at ``start_angle_rad``, all torques
     balanced on the flank that the load's torque presses on; where the output is held, at rest on
-    the lower flank. With ``states`` all states as :func:`simulate_states` gives them, shape (m, 8, n).
+    the lower flank. With ``states`` all states as :func:`simulate_states` gives them, shape
+    (m, 8, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     matrix = _sound(parameter_matrix, out, sampling_hz, accuracy_rpm)

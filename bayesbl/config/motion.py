@@ -83,9 +83,7 @@ class TorqueRampMotion(Section):
     """The motor's torque to and fro with the output held: some cycles at each amplitude."""
 
     kind: Literal["torque_ramp"]
-    torque_nm: Annotated[
-        tuple[Positive, ...], Field(min_length=1), BeforeValidator(as_tuple)
-    ]
+    torque_nm: Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(as_tuple)]
     cycles: int = Field(default=5, ge=1)
     period_s: Positive = 4.0
     start_angle_rad: float = 0.0

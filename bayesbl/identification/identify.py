@@ -90,7 +90,7 @@ class Problem:
 
     @property
     def unknowns(self) -> list[Unknown]:
-        """Gaps, start angles, delays of references, effects that the bench file has, and parameters."""
+        """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
         names = [seen.name for seen in self.used]
         gap = gap_unknown(*self.gap_rad)
         return [
