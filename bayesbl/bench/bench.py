@@ -43,6 +43,9 @@ from bayesbl.bench.simulation import (
 )
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import (
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_TORQUE,
     REFERENCE_POSITION,
     REFERENCE_SPEED,
     FloatArray,
@@ -368,7 +371,6 @@ class Bench:
         BenchError
             If a parameter makes no sense or the simulation fails.
         """
-        absolute = motor_start_angle_rad is not None
         parameters = self.vector(
             gap_rad=gap_rad,
             start_angle_rad=start_angle_rad,
@@ -380,24 +382,13 @@ class Bench:
         position, speed, current = simulate_channels(
             parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
         )[0, [POSITION, SPEED, CURRENT]]
-        if absolute:
+        offset = float(position[0])
+        if motor_start_angle_rad is not None:
             offset = parameters[0, Slot.gear_ratio] * start_angle_rad - motor_start_angle_rad
-        else:
-            offset = position[0]
-        return Recording(
-            name=name,
-            time_s=np.arange(samples) / sampling_hz,
-            channels=self.measurement.channels(
-                position - offset, speed, current, parameters[0], sampling_hz, seed
-            ),
-            metadata={
-                "simulated": True,
-                "bench": self.fingerprint(),
-                "gap_rad": float(gap_rad),
-                "start_angle_rad": float(start_angle_rad),
-                "reference_speed_rpm": reference,
-            },
+        channels = self.measurement.channels(
+            position - offset, speed, current, parameters[0], sampling_hz, seed
         )
+        return self._recording(name, sampling_hz, channels, parameters[0], reference)
 
     def simulate_motion(
         self,
@@ -412,6 +403,8 @@ class Bench:
         accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
     ) -> Recording:
         """One recording of a motion, with its references as channels.
+
+        Of a held output the position and torque of the motor, as a test stand records them.
 
         Parameters
         ----------
@@ -439,21 +432,36 @@ class Bench:
         if motor_start_angle_rad is not None:
             start = parameters[0, Slot.start_angle_rad]
             offset = parameters[0, Slot.gear_ratio] * start - motor_start_angle_rad
+        loop = None if motion.output_held else parameters[0]
         channels = self.measurement.channels(
-            position - offset, speed, current, parameters[0], sampling_hz, seed
+            position - offset, speed, current, loop, sampling_hz, seed
         )
-        channels[REFERENCE_SPEED] = motion.speed_rpm(time)
-        channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+        if motion.output_held:
+            torque = self.value("torque_constant_nm_per_a") * channels[MOTOR_CURRENT]
+            channels = {MOTOR_POSITION: channels[MOTOR_POSITION], MOTOR_TORQUE: torque}
+        else:
+            channels[REFERENCE_SPEED] = motion.speed_rpm(time)
+            channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+        return self._recording(name, sampling_hz, channels, parameters[0], None)
+
+    def _recording(
+        self,
+        name: str,
+        sampling_hz: float,
+        channels: dict[str, FloatArray],
+        parameters: FloatArray,
+        reference_speed_rpm: float | None,
+    ) -> Recording:
         return Recording(
             name=name,
-            time_s=time,
+            time_s=np.arange(channels[MOTOR_POSITION].size) / sampling_hz,
             channels=channels,
             metadata={
                 "simulated": True,
                 "bench": self.fingerprint(),
-                "gap_rad": float(gap_rad),
-                "start_angle_rad": float(parameters[0, Slot.start_angle_rad]),
-                "reference_speed_rpm": None,
+                "gap_rad": float(parameters[Slot.gap_rad]),
+                "start_angle_rad": float(parameters[Slot.start_angle_rad]),
+                "reference_speed_rpm": reference_speed_rpm,
             },
         )
 

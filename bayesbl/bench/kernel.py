@@ -11,6 +11,8 @@ alone and their error is what the step control must see.
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps.
 Within a step the region is fixed, so the right-hand side is smooth there.
+
+A load of infinite inertia is an output that is held; the drive's reference is then its torque.
 """
 
 from __future__ import annotations
@@ -145,7 +147,8 @@ MAX_STEPS_PER_SECOND = 200_000
 # Share of gravity's largest torque below which a load at rest stands inside the gap.
 LOOSE_SHARE = 0.01
 
-# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since.
+# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since. Where
+# the output is held, the drive's torque stands in place of ω_ref.
 PIECE_COLUMNS = 10
 
 
@@ -177,6 +180,8 @@ class Constants(NamedTuple):
     phase_offset: float
     drift_start: float
     effects: bool
+    held: bool
+    plain: bool
     direction: float
     fastest_reference: float
     follows: bool
@@ -213,6 +218,9 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         if p[i] != 0.0:
             effects = True
     ratio = p[Slot.gear_ratio]
+    rigid = p[Slot.rigid] != 0.0
+    held = math.isinf(p[Slot.load_inertia_kg_m2])
+    plain = not (effects or rigid or held)
     return Constants(
         ratio,
         1.0 / ratio,
@@ -230,7 +238,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.torque_constant_nm_per_a] * p[Slot.current_limit_a],
         p[Slot.stiffness_sharpness_per_rad],
         p[Slot.hard_dead_zone] != 0.0,
-        p[Slot.rigid] != 0.0,
+        rigid,
         p[Slot.reference_speed_rpm] / RPM,
         MOTOR_SIGN_WIDTH,
         LOAD_SIGN_WIDTH,
@@ -239,6 +247,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
         drift_start,
         effects,
+        held,
+        plain,
         math.copysign(1.0, p[Slot.reference_speed_rpm]),
         abs(p[Slot.reference_speed_rpm] / RPM),
         False,
@@ -284,6 +294,8 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.phase_offset,
         c.drift_start,
         c.effects,
+        c.held,
+        c.plain,
         1.0,
         c.fastest_reference,
         True,
@@ -301,7 +313,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
 
 @_inlined
 def reference_speed(t, c):  # type: ignore[no-untyped-def]
-    """ω_ref of the motor, rad/s."""
+    """ω_ref of the motor, rad/s; where the output is held, its torque, N m."""
     if not c.follows:
         return c.reference
     s = t - c.piece_start
@@ -423,6 +435,9 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     angle, speed = sensed(y, p, c)
     if c.effects and p[Slot.speed_sensor_lag__time_s] > 0.0:
         speed = y[SENSED_SPEED]
+    if c.held:
+        torque, _ = limited(reference_speed(t, c), 0.0, c)
+        return speed, 0.0, torque, 0.0
     error = reference_speed(t, c) - speed
     if c.position_gain != 0.0:
         error += c.position_gain * (reference_position(t, c) - angle)
@@ -531,7 +546,7 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
 
 @_jit
 def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
-    """The same with every effect, and for the rigid drive."""
+    """The same with every effect, for the rigid drive and for a held output."""
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
@@ -596,7 +611,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
-    if c.effects or c.rigid:
+    if not c.plain:
         full_right_hand_side(t, y, region, p, c, dy)
         return
     # The bench without effects, short enough to be inlined into the stages.
@@ -1068,9 +1083,15 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
 def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     """Start of a motion: the load at its start angle, all torques balanced on the loaded flank.
 
-    Speed and acceleration are those of the reference at that time, zero for a motion from rest.
-    Returns the constants, with the reference angle that the controller stands at.
+    Speed and acceleration are those of the reference at that time, zero for a motion from rest. A
+    held output begins at rest on its lower flank, where torque the other way leaves it. Returns the
+    reference angle that the controller stands at.
     """
+    if c.held:
+        y[:] = 0.0
+        y[TWIST] = -c.gap
+        y[MOTOR_ANGLE] = c.ratio * (p[Slot.start_angle_rad] + y[TWIST])
+        return 0.0
     speed = reference_speed(t, c)
     acceleration = c.speed_1
     angle = p[Slot.start_angle_rad]
@@ -1110,7 +1131,8 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     pieces = pieces.copy()
     pieces[:, 0] += p[Slot.reference_delay_s]
     q = p.copy()
-    q[Slot.reference_speed_rpm] = np.max(np.abs(pieces[:, 1])) * RPM
+    held = math.isinf(p[Slot.load_inertia_kg_m2])
+    q[Slot.reference_speed_rpm] = 0.0 if held else np.max(np.abs(pieces[:, 1])) * RPM
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     c = constants(q, standing_state(-lag, p, begun, y), 0.0)
     stop = (out.shape[1] - 1) * dt + lead + 1e-9

@@ -45,16 +45,20 @@ class Measurement:
         position: FloatArray,
         speed: FloatArray,
         current: FloatArray,
-        parameters: FloatArray,
+        loop: FloatArray | None,
         sampling_hz: float,
         rng: np.random.Generator | None,
     ) -> dict[str, FloatArray]:
-        """As recorded, from what happened, each (n,); ``rng`` of ``None``: without noise."""
+        """As recorded, from what happened, each (n,).
+
+        ``loop`` has the parameters of the speed loop, ``None`` where there is none; without
+        ``rng`` there is no noise.
+        """
         if rng is not None:
             noise = self.speed_noise.draw(speed.size, rng)
             current = current + self.current_noise.draw(speed.size, rng)
-            if self.noise_through_controller:
-                motion, answer = noise_through_loop(parameters, noise, 1.0 / sampling_hz)
+            if self.noise_through_controller and loop is not None:
+                motion, answer = noise_through_loop(loop, noise, 1.0 / sampling_hz)
                 noise = noise + motion
                 current = current + answer
             speed = speed + noise
