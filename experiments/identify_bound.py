@@ -7,7 +7,7 @@ of the second gap and of the change in a later pair, with all parameters of the 
 that with the bench known. With J the whitened derivatives of a recording, its own unknowns (start
 angle, delay of a motion) projected out, the information JᵀJ about ln p and ln δ adds up over
 recordings; the data sheet adds the inverse variance of its uniform priors. The gap of the
-identifying recordings is one more unknown. About 20 minutes of one core; the table is
+identifying recordings is one more unknown. Two minutes of one core; the table is
 experiments/results/identify_bound.csv.
 """
 
