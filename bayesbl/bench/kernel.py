@@ -31,7 +31,7 @@ LEARNED_HARMONICS = 12
 class Slot(IntEnum):
     """Places in the flat parameter vector, numbered in this order.
 
-    Bench and run come first, then effects as ``effect__parameter``, the learned torque, skews last.
+    Bench and run come first, then effects as ``effect__parameter``, what was learned, skews last.
     A vector of zeros in the effects' places is a bench without effects.
     """
 
@@ -97,6 +97,12 @@ class Slot(IntEnum):
     for wave in ("cosine", "sine"):
         for number in range(1, LEARNED_HARMONICS + 1):
             vars()[f"learned_torque__{wave}_{number}_nm"] = auto()
+    encoder_error__orders = auto()  # how many; 0: there is none
+    encoder_error__period_rad = auto()  # of the motor's angle
+    encoder_error__shift_rad = auto()  # added to the motor's angle
+    for wave in ("cosine", "sine"):
+        for number in range(1, LEARNED_HARMONICS + 1):
+            vars()[f"encoder_error__{wave}_{number}_rad"] = auto()
     channel_time_skew__position_s = auto()
     channel_time_skew__speed_s = auto()
     channel_time_skew__current_s = auto()
@@ -107,6 +113,9 @@ FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
 FIRST_LEARNED = int(Slot.learned_torque__side)
 FIRST_COSINE = int(Slot["learned_torque__cosine_1_nm"])
 FIRST_SINE = int(Slot["learned_torque__sine_1_nm"])
+FIRST_OF_ENCODER = int(Slot.encoder_error__orders)
+FIRST_ENCODER_COSINE = int(Slot["encoder_error__cosine_1_rad"])
+FIRST_ENCODER_SINE = int(Slot["encoder_error__sine_1_rad"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
@@ -378,18 +387,46 @@ def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
+    """Learned error of the angle that the encoder shows, rad, and its slope over the angle.
+
+    ε = Σ_k a_k cos(2π k θ/X) + b_k sin(2π k θ/X) of the motor's angle θ with the period X.
+    """
+    base = 2.0 * math.pi / p[Slot.encoder_error__period_rad]
+    phase = base * (angle + c.phase_offset + p[Slot.encoder_error__shift_rad])
+    first_cosine = math.cos(phase)
+    first_sine = math.sin(phase)
+    cosine = 1.0
+    sine = 0.0
+    error = 0.0
+    slope = 0.0
+    for k in range(int(p[Slot.encoder_error__orders])):
+        turned = cosine * first_cosine - sine * first_sine
+        sine = sine * first_cosine + cosine * first_sine
+        cosine = turned
+        a = p[FIRST_ENCODER_COSINE + k]
+        b = p[FIRST_ENCODER_SINE + k]
+        error += a * cosine + b * sine
+        slope += (k + 1) * base * (b * cosine - a * sine)
+    return error, slope
+
+
+@_jit
 def sensed(y, p, c):  # type: ignore[no-untyped-def]
     """Motor angle and speed as the encoder shows them, before any lag."""
-    if not c.effects:
-        return y[MOTOR_ANGLE], y[MOTOR_SPEED]
-    eccentricity = p[Slot.encoder_eccentricity__angle_rad]
-    if eccentricity == 0.0:
-        return y[MOTOR_ANGLE], y[MOTOR_SPEED]
-    phase = y[MOTOR_ANGLE] + c.phase_offset + p[Slot.encoder_eccentricity__phase_rad]
-    return (
-        y[MOTOR_ANGLE] + eccentricity * math.sin(phase),
-        y[MOTOR_SPEED] * (1.0 + eccentricity * math.cos(phase)),
-    )
+    angle = y[MOTOR_ANGLE]
+    rate = 1.0
+    if c.effects:
+        eccentricity = p[Slot.encoder_eccentricity__angle_rad]
+        if eccentricity != 0.0:
+            phase = angle + c.phase_offset + p[Slot.encoder_eccentricity__phase_rad]
+            angle += eccentricity * math.sin(phase)
+            rate += eccentricity * math.cos(phase)
+        if p[Slot.encoder_error__orders] != 0.0:
+            error, slope = encoder_error(y[MOTOR_ANGLE], p, c)
+            angle += error
+            rate += slope
+    return angle, y[MOTOR_SPEED] * rate
 
 
 @_jit
@@ -800,6 +837,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
             rate = max(rate, turning * abs(p[Slot.gear_transmission_error__order]))
         if p[Slot.encoder_eccentricity__angle_rad] != 0.0:
             rate = max(rate, turning)
+        if p[Slot.encoder_error__orders] != 0.0:
+            highest = p[Slot.encoder_error__orders]
+            rate = max(rate, turning * highest * 2.0 * math.pi / p[Slot.encoder_error__period_rad])
         if p[Slot.learned_torque__side] != 0.0:
             variable = p[Slot.learned_torque__variable]
             if variable == OVER_LOAD_ANGLE:

@@ -20,9 +20,9 @@ from bayesbl.bench.bench import (
     BenchEffect,
     BenchParameter,
     EffectParameterValue,
-    Measurement,
 )
 from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
