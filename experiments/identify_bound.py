@@ -7,7 +7,7 @@ of the second gap and of the change in a later pair, with all parameters of the 
 that with the bench known. With J the whitened derivatives of a recording, its own unknowns (start
 angle, delay of a motion) projected out, the information JᵀJ about ln p and ln δ adds up over
 recordings; the data sheet adds the inverse variance of its uniform priors. The gap of the
-identifying recordings is one more unknown. About 20 minutes of one core; the table is
+identifying recordings is one more unknown. Two minutes of one core; the table is
 experiments/results/identify_bound.csv.
 """
 
@@ -114,7 +114,7 @@ def information(sheet: Bench, joint: Bench, gap_rad: float, seen: Observed) -> F
 
 
 def sds(
-    prior_sd: FloatArray, identifying: FloatArray | None, pair: Sequence[FloatArray]
+    prior_sd: FloatArray, identifying: Sequence[FloatArray], pair: Sequence[FloatArray]
 ) -> FloatArray:
     """Bounds of ln δ of the second of a pair and of the change over the first δ.
 
@@ -123,9 +123,9 @@ def sds(
     k = prior_sd.size
     whole = np.zeros((k + 2, k + 2))
     whole[:k, :k] = np.diag(prior_sd**-2.0)
-    if identifying is not None:
-        gap = identifying[:k, k]
-        whole[:k, :k] += identifying[:k, :k] - np.outer(gap, gap) / identifying[k, k]
+    if identifying:
+        told = np.sum(identifying, axis=0)
+        whole[:k, :k] += told[:k, :k] - np.outer(told[:k, k], told[k, :k]) / told[k, k]
     for place, one in zip((k, k + 1), pair, strict=True):
         at = [*range(k), place]
         whole[np.ix_(at, at)] += one
@@ -154,7 +154,7 @@ def bounds_of(index: int) -> dict[str, FloatArray]:
         for gap, speed in zip((gap_rad, GREW * gap_rad), LATER_RPM, strict=True)
     ]
     return {
-        name: sds(prior_sd, sum(n * each[key] for key, n in parts.items()) if parts else None, pair)
+        name: sds(prior_sd, [n * each[key] for key, n in parts.items()], pair)
         for name, parts in SETS.items()
     }
 

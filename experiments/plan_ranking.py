@@ -21,6 +21,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import load_bench
 from bayesbl.config.plan import Limits
+from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.planning import GAPS_TRIED, MotionLimits, PlannedMotion, ranked_motions
@@ -33,7 +34,7 @@ NAME = "r"
 
 
 class Row(BaseModel):
-    """``motions`` of the ranking, each recorded ``repeats`` times at each gap."""
+    """``motions`` of those within each of ``limits``, recorded ``repeats`` times at each gap."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -42,7 +43,7 @@ class Row(BaseModel):
     motions: PositiveInt
     repeats: PositiveInt
     gap_rad: float = 8e-4
-    limits: Limits = Limits()
+    limits: tuple[Limits, ...] = (Limits(),)
 
 
 COLUMNS = {
@@ -104,6 +105,14 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
 def _ranked(row: Row) -> tuple[Bench, list[PlannedMotion]]:
     """The bench, and the motions for which ``plan`` expects an answer, best first."""
     bench = load_bench(row.bench)
-    limits = MotionLimits(**row.limits.model_dump())
-    found = ranked_motions(bench, limits, row.gap_rad, SAMPLING_HZ)
-    return bench, [motion for motion in found if motion.expected_relative_sd is not None]
+    found = [
+        motion
+        for limits in row.limits
+        for motion in ranked_motions(
+            bench, MotionLimits(**limits.model_dump()), row.gap_rad, SAMPLING_HZ
+        )
+        if motion.expected_relative_sd is not None
+    ]
+    if len(found) < row.motions:
+        raise BenchError("There are fewer motions than asked for.", found=f"{len(found)}")
+    return bench, sorted(found, key=lambda motion: motion.expected_relative_sd or math.inf)

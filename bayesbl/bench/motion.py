@@ -212,8 +212,8 @@ def torque_ramps(
         To and fro at each amplitude, and the time of each.
     """
     quarters = np.tile([0.0, 1.0, 0.0, -1.0], cycles)
-    torque = np.append(np.concatenate([amplitude * quarters for amplitude in torque_nm]), 0.0)
-    time = 0.25 * period_s * np.arange(torque.size)
+    torque = np.append(np.outer(np.asarray(torque_nm, dtype=np.float64), quarters).ravel(), 0.0)
+    time = 0.25 * period_s * np.arange(torque.size, dtype=np.float64)
     pieces = through(time, torque)
     pieces[:, 5:] = 0.0
     return Motion(pieces, float(time[-1]), start_angle_rad, output_held=True)
