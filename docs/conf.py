@@ -1,0 +1,47 @@
+"""The documentation as a site: ``python -m sphinx -W -b html docs build/docs``."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS.parent))
+
+import bayesbl  # noqa: E402
+
+# What the executed pages find: the commands, and a start of their own.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+os.environ["PYTHONPATH"] = str(DOCS.parent)
+os.environ["PYTHONSTARTUP"] = str(DOCS / "kernel_start.py")
+
+# The command line tells of itself.
+told = subprocess.run(
+    [sys.executable, *"-m typer bayesbl.cli utils docs --name bayesbl --title Commands".split()],
+    check=True,
+    capture_output=True,
+    text=True,
+)
+(DOCS / "command_line.md").write_text(told.stdout, encoding="utf-8")
+
+project = "bayesbl"
+author = "The bayesbl founders"
+release = version = bayesbl.__version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+exclude_patterns = ["schema"]
+
+myst_heading_anchors = 4
+
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+napoleon_use_rtype = False
+
+html_theme = "furo"
+html_title = f"bayesbl {version}"
+html_show_sourcelink = False
