@@ -1,6 +1,7 @@
 """The documentation as a site: ``python -m sphinx -W -b html docs build/docs``."""
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -16,8 +17,9 @@ os.environ["PYTHONPATH"] = str(DOCS.parent)
 os.environ["PYTHONSTARTUP"] = str(DOCS / "kernel_start.py")
 
 # The command line tells of itself.
+TELL = "-m typer bayesbl.cli utils docs --name bayesbl --title Commands"
 told = subprocess.run(
-    [sys.executable, *"-m typer bayesbl.cli utils docs --name bayesbl --title Commands".split()],
+    [sys.executable, *shlex.split(TELL)],
     check=True,
     capture_output=True,
     text=True,
@@ -40,7 +42,7 @@ nb_merge_streams = True
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-napoleon_use_rtype = False
+napoleon_custom_sections = ["Returns"]  # prose: the type stands in the signature
 
 html_theme = "furo"
 html_title = f"bayesbl {version}"
