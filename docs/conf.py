@@ -37,7 +37,7 @@ myst_heading_anchors = 4
 
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
-nb_execution_timeout = 600
+nb_execution_timeout = -1  # a machine may be busy
 nb_merge_streams = True
 
 autodoc_member_order = "bysource"
@@ -46,4 +46,5 @@ napoleon_custom_sections = ["Returns"]  # prose: the type stands in the signatur
 
 html_theme = "furo"
 html_title = f"bayesbl {version}"
+html_show_copyright = False
 html_show_sourcelink = False
