@@ -109,6 +109,21 @@ def against_the_bench(found: JointFindings) -> str | None:
     )
 
 
+def motor_orders_in_words(found: JointFindings) -> str | None:
+    """What repeats with the motor's angle, and what tells where it comes from."""
+    if not found.motor_orders:
+        return None
+    several = len(found.motor_orders) > 1
+    orders = _listed([str(order) for order in found.motor_orders], "and")
+    return (
+        f"What the bench lacks repeats with the motor's angle, at order{'s' if several else ''} "
+        f"{orders}: an error of the motor's encoder, a torque ripple or a transmission error. "
+        "Recordings of one speed do not tell these apart: run `bayesbl diagnose FORWARD REVERSE "
+        "SLOW --bench FILE` on recordings of both directions and two speeds, and give --bench the "
+        "bench that it writes."
+    )
+
+
 UNEXPLAINED = (
     "Something is off that neither the bench nor any change of it explains, so δ cannot be "
     "trusted. `bayesbl diagnose` looks for what is missing."

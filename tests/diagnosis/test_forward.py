@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench

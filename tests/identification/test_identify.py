@@ -19,9 +19,9 @@ from bayesbl.bench.bench import (
     BenchEffect,
     BenchParameter,
     EffectParameterValue,
-    Measurement,
 )
 from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.identification.identify import (
