@@ -135,8 +135,9 @@ def _variables() -> Iterator[str]:
 def _groups(values: Iterable[object], told: Sequence[Group]) -> Iterator[Group]:
     """Those that declare variables by name, but for those that a module only imports."""
     for value in values:
-        if isinstance(value, Group) and value.variables and value not in told:
-            yield value
+        for one in value.values() if isinstance(value, dict) else (value,):
+            if isinstance(one, Group) and one.variables and one not in told:
+                yield one
 
 
 def _row(variable: Variable) -> str:
