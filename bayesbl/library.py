@@ -106,6 +106,8 @@ def compare(
 ) -> ComparisonResult:
     """Measure the gap in each recording of one joint, and its change; nothing is written.
 
+    What is not explained here is as in :func:`fit`.
+
     Parameters
     ----------
     first, later
@@ -114,8 +116,6 @@ def compare(
         When each was taken; with them the result has a group ``wear``.
     before
         Asks how probably the gap passes the limit before this date.
-
-    The others are those of :func:`fit`.
 
     Returns
     -------
@@ -149,14 +149,15 @@ def identify(
 ) -> IdentificationResult:
     """Find the bench of a joint from its data sheet and recordings; nothing is written.
 
+    Without recordings, those of ``config`` are used. What is not explained here is as in
+    :func:`compare`.
+
     Parameters
     ----------
     bench
         The data sheet: a bench file with tolerances.
     effects
         Effects that the data sheet lacks: looked for in the catalogue, or free by name.
-
-    The others are those of :func:`compare`; without recordings, those of ``config`` are used.
 
     Raises
     ------

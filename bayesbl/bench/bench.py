@@ -232,7 +232,7 @@ class Bench:
         return dataclasses.replace(self, parameters=drawn, identified=None)
 
     def rotation_period_s(self, reference_speed_rpm: float | None = None) -> float:
-        """Time of one load rotation T_w = 2πN/|ω_ref|, s."""
+        """Time of one load rotation T_w = 2πN/``|ω_ref|``, s."""
         return float(rotation_period_s(self.vector(reference_speed_rpm=reference_speed_rpm))[0])
 
     def transmitted_torque(self, motion: RigidMotion) -> FloatArray:

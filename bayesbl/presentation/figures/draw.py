@@ -15,7 +15,7 @@ from bayesbl.presentation.figures.stored_figure import StoredFigure, file_ending
 from bayesbl.presentation.figures.style import publication_style, save
 
 
-def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str]) -> list[Path]:
+def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write every figure that applies to a result.
 
     Parameters
