@@ -106,6 +106,8 @@ def compare(
 ) -> ComparisonResult:
     """Measure the gap in each recording of one joint, and its change; nothing is written.
 
+    What is not explained here is as in :func:`fit`.
+
     Parameters
     ----------
     first, later
@@ -114,8 +116,6 @@ def compare(
         When each was taken; with them the result has a group ``wear``.
     before
         Asks how probably the gap passes the limit before this date.
-
-    The others are those of :func:`fit`.
 
     Returns
     -------
@@ -149,14 +149,15 @@ def identify(
 ) -> IdentificationResult:
     """Find the bench of a joint from its data sheet and recordings; nothing is written.
 
+    Without recordings, those of ``config`` are used. What is not explained here is as in
+    :func:`compare`.
+
     Parameters
     ----------
     bench
         The data sheet: a bench file with tolerances.
     effects
         Effects that the data sheet lacks: looked for in the catalogue, or free by name.
-
-    The others are those of :func:`compare`; without recordings, those of ``config`` are used.
 
     Raises
     ------
@@ -246,8 +247,15 @@ def read_result(path: File) -> Result:
     return result_of(read(path))
 
 
-def run(config: str | Path | RunConfig, *, force: bool = False) -> Summary:
+def run(
+    config: str | Path | RunConfig, *, force: bool = False, figures: Sequence[str] = ("png",)
+) -> Summary:
     """Run a configuration of any kind but ``simulate`` and write its output folder with figures.
+
+    Parameters
+    ----------
+    figures
+        Formats to draw in, ``"png"`` and ``"pdf"``; none for no figures.
 
     Returns
     -------
@@ -262,9 +270,9 @@ def run(config: str | Path | RunConfig, *, force: bool = False) -> Summary:
     from bayesbl.runs.run import load_run
     from bayesbl.runs.run import run as run_config
 
-    if isinstance(config, RunConfig):
-        return run_config(config, draw, force=force)
-    return run_config(load_run(config), draw, force=force, file=Path(config))
+    file = None if isinstance(config, RunConfig) else Path(config)
+    loaded = config if isinstance(config, RunConfig) else load_run(config)
+    return run_config(loaded, draw, force=force, file=file, formats=figures)
 
 
 def write_page(result: str | Path) -> Path:
@@ -280,11 +288,18 @@ def write_page(result: str | Path) -> Path:
     return write(result, draw)
 
 
-def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Path]:
+def draw(
+    tree: xr.DataTree,
+    folder: Path,
+    formats: Sequence[str] = ("png",),
+    study: Path | None = None,
+) -> list[Path]:
     """Write every figure of a result of any kind into a folder; the files written.
 
     Parameters
     ----------
+    formats
+        ``"png"``, ``"pdf"``, both or none; a fleet's pages are written whatever they are.
     study
         The study file, if the result is a study's: only the user says which file is run.
 
@@ -302,10 +317,10 @@ def draw(tree: xr.DataTree, folder: Path, study: Path | None = None) -> list[Pat
         from bayesbl.runs.study import draw_study
         from bayesbl.runs.study_file import load_study
 
-        return draw_study(load_study(study), tree, folder)
+        return draw_study(load_study(study), tree, folder, formats)
     from bayesbl.presentation.figures.draw import draw_all
 
-    return draw_all(tree, folder)
+    return draw_all(tree, folder, formats)
 
 
 def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:

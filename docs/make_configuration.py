@@ -29,7 +29,7 @@ with `schema = 1` and its `kind`. An unknown key is refused with the nearest kno
 are relative to the file. `bayesbl init` writes a first file, `bayesbl check CONFIG` asks of it
 whatever can be asked without running it.
 
-For completion in an editor, [schema](schema) holds a JSON Schema of each kind; Taplo, for one,
+For completion in an editor, `docs/schema` holds a JSON Schema of each kind; Taplo, for one,
 takes `#:schema docs/schema/compare.json` in the first line.
 """
 

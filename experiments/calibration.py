@@ -44,7 +44,8 @@ from independent_bench import Plant, plant, simulate
 from made_recordings import draw_symbols, drifting, synthetic_recording, with_samples_lost
 from outside_noise import encoder_harmonics, one_over_f, varied_speed
 
-from bayesbl.bench.bench import Bench, SpeedSource
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.measured_channels import SpeedSource
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import load_bench
 from bayesbl.config.fields import as_tuple, refuse

@@ -6,9 +6,10 @@ A case is a joint of ``independent_bench.py``: its gear ratio, and eight paramet
 within a factor of two of the reference bench, redrawn where the loop is not stable or the drive too
 weak; its data sheet is off by up to ``SHEET_TOLERANCE`` in each, uniformly. Forward, reverse and a
 slower recording identify the bench; two later recordings, forward and reverse, with a gap that has
-grown in between, are then matched with it, and with the true bench for comparison. ``wrong`` is the
-factor by which one value of the data sheet, drawn for each case, is wrong besides: it has to be
-named, and nothing is measured later.
+grown in between, are then matched with it, and with the true bench for comparison. With ``strokes``
+the third recording is of strokes to and fro instead of the slower speed. ``wrong`` is the factor by
+which one value of the data sheet, drawn for each case, is wrong besides: it has to be named, and
+nothing is measured later.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveInt
 sys.path.append(str(Path(__file__).parent))
 
 from calibration_statistics import coverage_band
-from independent_bench import plant, simulate
+from independent_bench import RPM, plant, simulate, simulate_moving, strokes
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
@@ -56,17 +57,26 @@ SLOWEST_DECAY_PER_S = 1.0
 """Of the linear loop in contact: slower ones do not settle between two impacts."""
 LARGEST_CURRENT_SHARE = 0.6
 """Of the drive's limit, that gravity takes at most: impacts need the rest."""
+STROKES_RAD = (-1.0, 1.0)
+STROKES_RPM = 2000.0
+STROKES_S = 12.0
+DWELL_S = 0.15
+STROKES_CURRENT_SHARE = 0.7
 FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=8000)
 
 
 class Row(BaseModel):
-    """``wrong``: 0 for a data sheet within its tolerance; ``current``: whether it is recorded."""
+    """``wrong``: 0 for a data sheet within its tolerance; ``current``: whether it is recorded.
+
+    ``strokes``: they are the third recording.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     joints: PositiveInt
     current: bool = True
+    strokes: bool = False
     wrong: NonNegativeFloat = 0.0
 
 
@@ -113,6 +123,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     sheet, wrong = data_sheet(joint, row.wrong, rng)
     gap = math.exp(rng.uniform(*np.log(GAP_RAD)))
     seen = [recorded(row, joint, gap, speed, f"{i}", rng) for i, speed in enumerate(SPEEDS_RPM)]
+    if row.strokes:
+        seen[-1] = stroked(joint, gap, "strokes", rng)
     problem = Problem(
         sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD, shares_gap=True
     )
@@ -224,6 +236,26 @@ def recorded(
         channels = {k: v for k, v in recording.channels.items() if k != MOTOR_CURRENT}
         recording = replace(recording, channels=channels)
     return observed(recording, joint, speed_rpm)
+
+
+def stroked(joint: Bench, gap_rad: float, name: str, rng: np.random.Generator) -> Observed:
+    """A recording of strokes about hanging, as fast as leaves the drive a reserve."""
+    values = {parameter: item.value for parameter, item in joint.parameters.items()}
+    truth = plant(values | {"gap_rad": gap_rad, "start_angle_rad": STROKES_RAD[0]})
+    reference = strokes(
+        joint.value("gear_ratio"), STROKES_RAD, STROKES_RPM, acceleration_rpm_per_s(joint), DWELL_S
+    )
+    recording = simulate_moving(truth, reference, STROKES_S, rng, name=name).recording
+    return observed(recording, joint)
+
+
+def acceleration_rpm_per_s(joint: Bench) -> float:
+    """That takes, with gravity, ``STROKES_CURRENT_SHARE`` of the drive's largest torque."""
+    ratio = joint.value("gear_ratio")
+    inertia = joint.value("motor_inertia_kg_m2") + joint.value("load_inertia_kg_m2") / ratio**2
+    torque = joint.value("torque_constant_nm_per_a") * joint.value("current_limit_a")
+    left = STROKES_CURRENT_SHARE * torque - joint.value("gravity_torque_nm") / ratio
+    return left / inertia * RPM
 
 
 def held(draws: FloatArray, truth: float) -> float:

@@ -9,9 +9,10 @@ Runge-Kutta method at a fixed small step, does not look for the edges of the gap
 friction differently (ω/√(ω² + w²) at the motor, erf at the load), integrates the two angles instead
 of the twist, and reaches steady rotation by running through whole rotations from a rough start.
 
-It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, lost speed
-samples, a second gap behind a third mass, and laws that differ from the catalogue's: load friction
-with another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
+It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, errors of
+the encoder's disc of several orders, a transmission error of two orders, lost speed samples, a
+second gap behind a third mass, and laws that differ from the catalogue's: load friction with
+another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
 harmonics, flanks of different stiffness, hysteresis by Bouc and Wen.
 """
 
@@ -131,6 +132,13 @@ class Plant(NamedTuple):
     outside__flank_asymmetry: float = 0.0  # by which the lower flank is stiffer
     outside__bouc_wen_nm: float = 0.0
     outside__bouc_wen_rad: float = 5e-4
+    outside__encoder_1_rad: float = 0.0  # errors of the disc: orders 1, 2 and 4 of the motor
+    outside__encoder_1_phase_rad: float = 0.0
+    outside__encoder_2_rad: float = 0.0
+    outside__encoder_2_phase_rad: float = 0.0
+    outside__encoder_4_rad: float = 0.0
+    outside__encoder_4_phase_rad: float = 0.0
+    outside__transmission_rad: float = 0.0  # at the load, orders 1 and 2 of the motor
     outside__dropouts_per_s: float = 0.0
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
@@ -169,6 +177,17 @@ def _measured(y, p, phase):
         turn = angle + phase + p.encoder_eccentricity__phase_rad
         angle += p.encoder_eccentricity__angle_rad * math.sin(turn)
         speed *= 1.0 + p.encoder_eccentricity__angle_rad * math.cos(turn)
+    shaft = y[0] + phase
+    first = shaft + p.outside__encoder_1_phase_rad
+    second = 2.0 * shaft + p.outside__encoder_2_phase_rad
+    fourth = 4.0 * shaft + p.outside__encoder_4_phase_rad
+    angle += p.outside__encoder_1_rad * math.sin(first)
+    angle += p.outside__encoder_2_rad * math.sin(second)
+    angle += p.outside__encoder_4_rad * math.sin(fourth)
+    slope = p.outside__encoder_1_rad * math.cos(first)
+    slope += 2.0 * p.outside__encoder_2_rad * math.cos(second)
+    slope += 4.0 * p.outside__encoder_4_rad * math.cos(fourth)
+    speed += y[1] * slope
     return angle, speed, y[6] if p.speed_sensor_lag__time_s > 0.0 else speed
 
 
@@ -210,6 +229,11 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         turn = order * (y[0] + phase) + p.gear_transmission_error__phase_rad
         twist += p.gear_transmission_error__angle_rad * math.sin(turn)
         slip += p.gear_transmission_error__angle_rad * order * y[1] * math.cos(turn)
+    if p.outside__transmission_rad != 0.0:
+        turn = y[0] + phase
+        twist += p.outside__transmission_rad * (math.sin(turn) + 0.7 * math.sin(2.0 * turn + 1.0))
+        rate = math.cos(turn) + 1.4 * math.cos(2.0 * turn + 1.0)
+        slip += p.outside__transmission_rad * y[1] * rate
     gap = p.gap_rad + p.backlash__gap_rad
     times = 2.0 if three else 1.0
     stiffness = times * p.shaft_stiffness_nm_per_rad

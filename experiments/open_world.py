@@ -33,7 +33,7 @@ from hidden_effects import (
 )
 from independent_bench import SPEEDS_RPM, random_recordings
 
-from bayesbl.bench.learned_torque import SIDES, VARIABLES
+from bayesbl.bench.learned import SIDES, VARIABLES
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnosis_of, search
 from bayesbl.matching.observed import observed
@@ -57,6 +57,9 @@ LAWS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
 }
 """Law to its parameter, a middling strength, and the names that are its family."""
 
+LEARNED_AT = (*SIDES, "encoder")
+"""Where what was learned may act, numbered in this order."""
+
 CLEAR = 100.0
 """χ² by which the bench as believed misses what it was fitted to, from which on a law is clear."""
 
@@ -79,7 +82,7 @@ COLUMNS = {
     "right": ("1", "laws of which a name of the family was given"),
     "false": ("1", "names given of no hidden law's family, nor told apart from one"),
     "miss": ("1", "χ² of the bench as believed beyond the number of samples"),
-    "learned": ("1", "0: nothing, else 1 + 4 side + variable, 100 more where it reverses"),
+    "learned": ("1", "0: nothing, else 1 + 4 place + variable, 100 more where it reverses"),
     "orders": ("1", "of the learned torque"),
     "gap_share": ("1", "information on the gap that the learned torque leaves"),
     "closed_held_out": ("1", "closed share of the distance to the noise-free truth, held out"),
@@ -126,9 +129,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     learned = diagnosis.learned
     code = 0.0
     if learned is not None:
-        torque = learned.torque
-        code = 1.0 + 4.0 * SIDES.index(torque.side) + VARIABLES.index(torque.variable)
-        code += 100.0 * torque.reverses
+        term = learned.term
+        code = 1.0 + 4.0 * LEARNED_AT.index(term.side) + VARIABLES.index(term.variable)
+        code += 100.0 * term.reverses
     gap = made[0].truth.gap_rad
     score = {
         "truth": float(sum(1 << list(LAWS).index(law) for law in laws)),
@@ -139,7 +142,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         "false": float(sum(not any(set(family) & set(m) for family in families) for m in sets)),
         "miss": fit.chi_square - fit.residual.size,
         "learned": code,
-        "orders": math.nan if learned is None else float(len(learned.torque.cosine_nm)),
+        "orders": math.nan if learned is None else float(learned.term.orders),
         "gap_share": math.nan if learned is None else float(learned.gap_share or math.nan),
         "closed_held_out": closed_share(found, made, "held_out"),
         "delta_rad": gap,

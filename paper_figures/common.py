@@ -202,7 +202,7 @@ class PaperFigure(Generic[Arrays]):
         """Write ``name.pdf``, ``name.png`` and the caption, ``name.txt``."""
         arrays = self.data(stored)
         with publication_style():
-            files = save(self.draw(arrays), folder, self.name)
+            files = save(self.draw(arrays), folder, self.name, ("pdf", "png"))
         caption = folder / f"{self.name}.txt"
         caption.write_text(textwrap.fill(self.caption(arrays), 100) + "\n", encoding="utf-8")
         return [*files, caption]

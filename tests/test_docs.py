@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import re
 import runpy
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer.main
 from places import ROOT
+
+from bayesbl.cli import app
 
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
+SHELL = re.compile(r"^```(?:sh|\{code-cell\}[^\n]*\n%%sh)\n(.*?)^```", re.S | re.M)
 DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))
 PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS)
 
@@ -74,10 +80,20 @@ def test_files_that_a_page_names_are_there(page: str) -> None:
     assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
 
 
-def test_the_page_of_all_keys_is_that_of_the_models() -> None:
-    made = runpy.run_path(str(ROOT / "docs" / "make_configuration.py"))["pages"]()
+@pytest.mark.parametrize("maker", ["make_configuration.py", "make_results.py"])
+def test_a_page_that_is_made_is_as_the_program_is(maker: str) -> None:
+    made = runpy.run_path(str(ROOT / "docs" / maker))["pages"]()
     old = [file.name for file, text in made.items() if file.read_text(encoding="utf-8") != text]
-    assert old == [], "run python docs/make_configuration.py"
+    assert old == [], f"run python docs/{maker}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_of_a_page_are_such_as_the_program_takes(page: str) -> None:
+    program: Any = typer.main.get_command(app)
+    for shell in SHELL.findall((ROOT / page).read_text(encoding="utf-8")):
+        for line in re.findall(r"(?:^|&& )(?:\S*/)?bayesbl (.+)", shell.replace("\\\n", ""), re.M):
+            name, *given = shlex.split(line, comments=True)
+            program.commands[name].make_context(name, given)
 
 
 def test_the_design_describes_every_room() -> None:

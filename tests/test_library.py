@@ -17,15 +17,14 @@ from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.presentation.citations import all_bibtex, citations
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+CODE = re.compile(r"^```(?:python|\{code-cell\}.*?)\n(?::.*?\n)*(.*?)^```", re.S | re.M)
 PYTHON = {
     page.name: "\n".join(blocks)
     for page in PAGES
-    if page.name not in ("extending.md", "fleet.md")  # pieces of files; the reader's own plant
-    if (
-        blocks := re.findall(
-            r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M
-        )
-    )
+    # Pieces of files; the reader's own plant; what takes long runs when the site is built.
+    if page.name not in ("extending.md", "fleet.md", "gallery.md")
+    if "%%sh" not in (text := page.read_text(encoding="utf-8"))
+    if (blocks := CODE.findall(text))
 }
 """Page to its code: later blocks go on from earlier ones."""
 

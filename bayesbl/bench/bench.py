@@ -16,8 +16,18 @@ import numpy as np
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.joint_normal import JointNormal
-from bayesbl.bench.kernel import CURRENT, FIRST_LEARNED, FIRST_SKEW, POSITION, SLOTS, SPEED, Slot
-from bayesbl.bench.learned_torque import LearnedTorque
+from bayesbl.bench.kernel import (
+    CURRENT,
+    FIRST_LEARNED,
+    FIRST_OF_ENCODER,
+    FIRST_SKEW,
+    POSITION,
+    SLOTS,
+    SPEED,
+    Slot,
+)
+from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
+from bayesbl.bench.measured_channels import PERFECT, Measurement
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
@@ -31,23 +41,19 @@ from bayesbl.bench.simulation import (
     simulate_motions,
     simulate_speeds,
 )
-from bayesbl.bench.steady import noise_through_loop
 from bayesbl.errors import BenchError
-from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
-    MOTOR_SPEED,
+    MOTOR_TORQUE,
     REFERENCE_POSITION,
     REFERENCE_SPEED,
     FloatArray,
     Recording,
 )
-from bayesbl.units import RPM_PER_RAD_PER_S
 
 GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]
-SpeedSource = Literal["sensor", "encoder"]
 
 LATE_PARAMETERS = ("gravity_angle_rad",)
 
@@ -84,32 +90,6 @@ class BenchEffect:
         return effect_named(self.name).complete(given)
 
 
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """How the bench is seen.
-
-    Attributes
-    ----------
-    encoder_counts
-        Counts per motor revolution; ``None`` for an ideal encoder.
-    speed_source
-        ``sensor``: the speed the controller sees, with noise. ``encoder``: backward difference
-        of the recorded position over one sample (the first sample repeats the second), no noise
-        of its own.
-    speed_noise, current_noise
-        In rpm and A.
-    noise_through_controller
-        The speed noise is inside the loop: the controller answers it, on the linear bench in
-        contact, and the recorded speed holds the motor's answer too.
-    """
-
-    encoder_counts: int | None = None
-    speed_source: SpeedSource = "sensor"
-    speed_noise: NoiseModel = NO_NOISE
-    current_noise: NoiseModel = NO_NOISE
-    noise_through_controller: bool = False
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class Bench:
     """Two masses, a gap between them, gravity and a speed loop.
@@ -119,18 +99,19 @@ class Bench:
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
     ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
     with recordings but not simulated in steady rotation. ``identified``: what recordings told of
-    some parameters together; it goes before their tolerances. ``learned_torque``: what repeated in
-    recordings and no effect explains.
+    some parameters together; it goes before their tolerances. ``learned_torque``,
+    ``encoder_error``: what repeated in recordings and no effect explains.
     """
 
     parameters: Mapping[str, BenchParameter]
     gap_form: GapForm = "arctan"
     drive: Drive = "two_mass"
-    measurement: Measurement = Measurement()
+    measurement: Measurement = PERFECT
     effects: tuple[BenchEffect, ...] = ()
     assumed: frozenset[str] = frozenset()
     identified: JointNormal | None = None
     learned_torque: LearnedTorque | None = None
+    encoder_error: EncoderError | None = None
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -143,6 +124,13 @@ class Bench:
             )
         if self.assumed and self.drive != "rigid":
             raise BenchError("A bench of two masses needs this.", where=min(self.assumed))
+        if self.encoder_error is not None and self.drive == "rigid":
+            raise BenchError(
+                "An error of the encoder over its angle is known of a bench of two masses only.",
+                where=EncoderError.block,
+                found='drive = "rigid"',
+                expected='drive = "two_mass", or the effect encoder_eccentricity',
+            )
         complete: dict[str, BenchParameter] = {}
         for name, info in PARAMETER_INFO.items():
             if name in self.parameters:
@@ -159,7 +147,8 @@ class Bench:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings and arrays do not cross process boundaries as they are.
         plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        return Bench, (*plain, self.assumed, self.identified, self.learned_torque)
+        learned = (self.learned_torque, self.encoder_error)
+        return Bench, (*plain, self.assumed, self.identified, *learned)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -171,8 +160,8 @@ class Bench:
             slots = effect_named(present.name).slots
             for name, value in present.complete().items():
                 vector[slots[name]] = value
-        if self.learned_torque is not None:
-            self.learned_torque.put_into(vector)
+        for learned in self.learned_terms:
+            learned.put_into(vector)
         vector.setflags(write=False)
         return vector
 
@@ -184,6 +173,21 @@ class Bench:
     def value(self, name: str) -> float:
         """Value of a bench parameter, run setting or ``effect.parameter``."""
         return float(self._vector[slot_of(name)])
+
+    @property
+    def learned_terms(self) -> tuple[LearnedTerm, ...]:
+        """What was learned, those that the bench has."""
+        return tuple(t for t in (self.learned_torque, self.encoder_error) if t is not None)
+
+    def with_learned(self, *terms: LearnedTerm) -> Bench:
+        """The same bench with these instead of its own of the same kind."""
+        bench = self
+        for term in terms:
+            if isinstance(term, EncoderError):
+                bench = dataclasses.replace(bench, encoder_error=term)
+            else:
+                bench = dataclasses.replace(bench, learned_torque=term)
+        return bench
 
     @property
     def tolerances(self) -> dict[str, float]:
@@ -228,7 +232,7 @@ class Bench:
         return dataclasses.replace(self, parameters=drawn, identified=None)
 
     def rotation_period_s(self, reference_speed_rpm: float | None = None) -> float:
-        """Time of one load rotation T_w = 2πN/|ω_ref|, s."""
+        """Time of one load rotation T_w = 2πN/``|ω_ref|``, s."""
         return float(rotation_period_s(self.vector(reference_speed_rpm=reference_speed_rpm))[0])
 
     def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
@@ -367,7 +371,6 @@ class Bench:
         BenchError
             If a parameter makes no sense or the simulation fails.
         """
-        absolute = motor_start_angle_rad is not None
         parameters = self.vector(
             gap_rad=gap_rad,
             start_angle_rad=start_angle_rad,
@@ -379,24 +382,13 @@ class Bench:
         position, speed, current = simulate_channels(
             parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
         )[0, [POSITION, SPEED, CURRENT]]
-        if absolute:
+        offset = float(position[0])
+        if motor_start_angle_rad is not None:
             offset = parameters[0, Slot.gear_ratio] * start_angle_rad - motor_start_angle_rad
-        else:
-            offset = position[0]
-        return Recording(
-            name=name,
-            time_s=np.arange(samples) / sampling_hz,
-            channels=self._measured(
-                position - offset, speed, current, parameters[0], sampling_hz, seed
-            ),
-            metadata={
-                "simulated": True,
-                "bench": self.fingerprint(),
-                "gap_rad": float(gap_rad),
-                "start_angle_rad": float(start_angle_rad),
-                "reference_speed_rpm": reference,
-            },
+        channels = self.measurement.channels(
+            position - offset, speed, current, parameters[0], sampling_hz, seed
         )
+        return self._recording(name, sampling_hz, channels, parameters[0], reference)
 
     def simulate_motion(
         self,
@@ -411,6 +403,8 @@ class Bench:
         accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
     ) -> Recording:
         """One recording of a motion, with its references as channels.
+
+        Of a held output the position and torque of the motor, as a test stand records them.
 
         Parameters
         ----------
@@ -438,54 +432,46 @@ class Bench:
         if motor_start_angle_rad is not None:
             start = parameters[0, Slot.start_angle_rad]
             offset = parameters[0, Slot.gear_ratio] * start - motor_start_angle_rad
-        channels = self._measured(
-            position - offset, speed, current, parameters[0], sampling_hz, seed
+        loop = None if motion.output_held else parameters[0]
+        channels = self.measurement.channels(
+            position - offset, speed, current, loop, sampling_hz, seed
         )
-        channels[REFERENCE_SPEED] = motion.speed_rpm(time)
-        channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+        if motion.output_held:
+            torque = self.value("torque_constant_nm_per_a") * channels[MOTOR_CURRENT]
+            channels = {MOTOR_POSITION: channels[MOTOR_POSITION], MOTOR_TORQUE: torque}
+        else:
+            channels[REFERENCE_SPEED] = motion.speed_rpm(time)
+            channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+        return self._recording(name, sampling_hz, channels, parameters[0], None)
+
+    def _recording(
+        self,
+        name: str,
+        sampling_hz: float,
+        channels: dict[str, FloatArray],
+        parameters: FloatArray,
+        reference_speed_rpm: float | None,
+    ) -> Recording:
         return Recording(
             name=name,
-            time_s=time,
+            time_s=np.arange(channels[MOTOR_POSITION].size) / sampling_hz,
             channels=channels,
             metadata={
                 "simulated": True,
                 "bench": self.fingerprint(),
-                "gap_rad": float(gap_rad),
-                "start_angle_rad": float(parameters[0, Slot.start_angle_rad]),
-                "reference_speed_rpm": None,
+                "gap_rad": float(parameters[Slot.gap_rad]),
+                "start_angle_rad": float(parameters[Slot.start_angle_rad]),
+                "reference_speed_rpm": reference_speed_rpm,
             },
         )
-
-    def _measured(
-        self,
-        position: FloatArray,
-        speed: FloatArray,
-        current: FloatArray,
-        parameters: FloatArray,
-        sampling_hz: float,
-        rng: np.random.Generator | None,
-    ) -> dict[str, FloatArray]:
-        seen = self.measurement
-        if rng is not None:
-            noise = seen.speed_noise.draw(speed.size, rng)
-            current = current + seen.current_noise.draw(speed.size, rng)
-            if seen.noise_through_controller:
-                motion, answer = noise_through_loop(parameters, noise, 1.0 / sampling_hz)
-                noise = noise + motion
-                current = current + answer
-            speed = speed + noise
-        if seen.encoder_counts is not None:
-            position = quantised(position, seen.encoder_counts)
-        if seen.speed_source == "encoder":
-            difference = np.diff(position) * sampling_hz * RPM_PER_RAD_PER_S
-            speed = np.concatenate((difference[:1], difference))
-        return {MOTOR_POSITION: position, MOTOR_SPEED: speed, MOTOR_CURRENT: current}
 
     def fingerprint(self) -> str:
         """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
         vector = self._vector
+        if self.encoder_error is None:
+            vector = np.delete(vector, np.s_[FIRST_OF_ENCODER:FIRST_SKEW])
         if self.learned_torque is None:
-            vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_SKEW])
+            vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_OF_ENCODER])
         content = {
             "version": _SIGNALS_VERSION,
             "vector": [repr(float(value)) for value in vector],

@@ -11,6 +11,8 @@ alone and their error is what the step control must see.
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps.
 Within a step the region is fixed, so the right-hand side is smooth there.
+
+A load of infinite inertia is an output that is held; the drive's reference is then its torque.
 """
 
 from __future__ import annotations
@@ -29,11 +31,11 @@ LEARNED_HARMONICS = 12
 class Slot(IntEnum):
     """Places in the flat parameter vector, numbered in this order.
 
-    Bench and run come first, then effects as ``effect__parameter``, the learned torque, skews last.
+    Bench and run come first, then effects as ``effect__parameter``, what was learned, skews last.
     A vector of zeros in the effects' places is a bench without effects.
     """
 
-    _ignore_ = "number wave"
+    _ignore_ = "number wave order part"
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[Any]) -> int:
@@ -95,6 +97,12 @@ class Slot(IntEnum):
     for wave in ("cosine", "sine"):
         for number in range(1, LEARNED_HARMONICS + 1):
             vars()[f"learned_torque__{wave}_{number}_nm"] = auto()
+    encoder_error__orders = auto()  # how many; 0: there is none
+    encoder_error__period_rad = auto()  # of the motor's angle
+    encoder_error__shift_rad = auto()  # added to the motor's angle
+    for part in ("cosine", "sine"):
+        for order in range(1, LEARNED_HARMONICS + 1):
+            vars()[f"encoder_error__{part}_{order}_rad"] = auto()
     channel_time_skew__position_s = auto()
     channel_time_skew__speed_s = auto()
     channel_time_skew__current_s = auto()
@@ -105,6 +113,9 @@ FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
 FIRST_LEARNED = int(Slot.learned_torque__side)
 FIRST_COSINE = int(Slot["learned_torque__cosine_1_nm"])
 FIRST_SINE = int(Slot["learned_torque__sine_1_nm"])
+FIRST_OF_ENCODER = int(Slot.encoder_error__orders)
+FIRST_ENCODER_COSINE = int(Slot["encoder_error__cosine_1_rad"])
+FIRST_ENCODER_SINE = int(Slot["encoder_error__sine_1_rad"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
@@ -136,7 +147,8 @@ MAX_STEPS_PER_SECOND = 200_000
 # Share of gravity's largest torque below which a load at rest stands inside the gap.
 LOOSE_SHARE = 0.01
 
-# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since.
+# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since. Where
+# the output is held, the drive's torque stands in place of ω_ref.
 PIECE_COLUMNS = 10
 
 
@@ -168,6 +180,8 @@ class Constants(NamedTuple):
     phase_offset: float
     drift_start: float
     effects: bool
+    held: bool
+    plain: bool
     direction: float
     fastest_reference: float
     follows: bool
@@ -204,6 +218,9 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         if p[i] != 0.0:
             effects = True
     ratio = p[Slot.gear_ratio]
+    rigid = p[Slot.rigid] != 0.0
+    held = math.isinf(p[Slot.load_inertia_kg_m2])
+    plain = not (effects or rigid or held)
     return Constants(
         ratio,
         1.0 / ratio,
@@ -221,7 +238,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.torque_constant_nm_per_a] * p[Slot.current_limit_a],
         p[Slot.stiffness_sharpness_per_rad],
         p[Slot.hard_dead_zone] != 0.0,
-        p[Slot.rigid] != 0.0,
+        rigid,
         p[Slot.reference_speed_rpm] / RPM,
         MOTOR_SIGN_WIDTH,
         LOAD_SIGN_WIDTH,
@@ -230,6 +247,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
         drift_start,
         effects,
+        held,
+        plain,
         math.copysign(1.0, p[Slot.reference_speed_rpm]),
         abs(p[Slot.reference_speed_rpm] / RPM),
         False,
@@ -275,6 +294,8 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.phase_offset,
         c.drift_start,
         c.effects,
+        c.held,
+        c.plain,
         1.0,
         c.fastest_reference,
         True,
@@ -292,7 +313,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
 
 @_inlined
 def reference_speed(t, c):  # type: ignore[no-untyped-def]
-    """ω_ref of the motor, rad/s."""
+    """ω_ref of the motor, rad/s; where the output is held, its torque, N m."""
     if not c.follows:
         return c.reference
     s = t - c.piece_start
@@ -366,18 +387,46 @@ def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
+    """Learned error of the angle that the encoder shows, rad, and its slope over the angle.
+
+    ε = Σ_k a_k cos(2π k θ/X) + b_k sin(2π k θ/X) of the motor's angle θ with the period X.
+    """
+    base = 2.0 * math.pi / p[Slot.encoder_error__period_rad]
+    phase = base * (angle + c.phase_offset + p[Slot.encoder_error__shift_rad])
+    first_cosine = math.cos(phase)
+    first_sine = math.sin(phase)
+    cosine = 1.0
+    sine = 0.0
+    error = 0.0
+    slope = 0.0
+    for k in range(int(p[Slot.encoder_error__orders])):
+        turned = cosine * first_cosine - sine * first_sine
+        sine = sine * first_cosine + cosine * first_sine
+        cosine = turned
+        a = p[FIRST_ENCODER_COSINE + k]
+        b = p[FIRST_ENCODER_SINE + k]
+        error += a * cosine + b * sine
+        slope += (k + 1) * base * (b * cosine - a * sine)
+    return error, slope
+
+
+@_jit
 def sensed(y, p, c):  # type: ignore[no-untyped-def]
     """Motor angle and speed as the encoder shows them, before any lag."""
-    if not c.effects:
-        return y[MOTOR_ANGLE], y[MOTOR_SPEED]
-    eccentricity = p[Slot.encoder_eccentricity__angle_rad]
-    if eccentricity == 0.0:
-        return y[MOTOR_ANGLE], y[MOTOR_SPEED]
-    phase = y[MOTOR_ANGLE] + c.phase_offset + p[Slot.encoder_eccentricity__phase_rad]
-    return (
-        y[MOTOR_ANGLE] + eccentricity * math.sin(phase),
-        y[MOTOR_SPEED] * (1.0 + eccentricity * math.cos(phase)),
-    )
+    angle = y[MOTOR_ANGLE]
+    rate = 1.0
+    if c.effects:
+        eccentricity = p[Slot.encoder_eccentricity__angle_rad]
+        if eccentricity != 0.0:
+            phase = angle + c.phase_offset + p[Slot.encoder_eccentricity__phase_rad]
+            angle += eccentricity * math.sin(phase)
+            rate += eccentricity * math.cos(phase)
+        if p[Slot.encoder_error__orders] != 0.0:
+            error, slope = encoder_error(y[MOTOR_ANGLE], p, c)
+            angle += error
+            rate += slope
+    return angle, y[MOTOR_SPEED] * rate
 
 
 @_jit
@@ -386,6 +435,9 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     angle, speed = sensed(y, p, c)
     if c.effects and p[Slot.speed_sensor_lag__time_s] > 0.0:
         speed = y[SENSED_SPEED]
+    if c.held:
+        torque, _ = limited(reference_speed(t, c), 0.0, c)
+        return speed, 0.0, torque, 0.0
     error = reference_speed(t, c) - speed
     if c.position_gain != 0.0:
         error += c.position_gain * (reference_position(t, c) - angle)
@@ -494,7 +546,7 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
 
 @_jit
 def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
-    """The same with every effect, and for the rigid drive."""
+    """The same with every effect, for the rigid drive and for a held output."""
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
@@ -559,7 +611,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
-    if c.effects or c.rigid:
+    if not c.plain:
         full_right_hand_side(t, y, region, p, c, dy)
         return
     # The bench without effects, short enough to be inlined into the stages.
@@ -785,6 +837,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
             rate = max(rate, turning * abs(p[Slot.gear_transmission_error__order]))
         if p[Slot.encoder_eccentricity__angle_rad] != 0.0:
             rate = max(rate, turning)
+        if p[Slot.encoder_error__orders] != 0.0:
+            highest = p[Slot.encoder_error__orders]
+            rate = max(rate, turning * highest * 2.0 * math.pi / p[Slot.encoder_error__period_rad])
         if p[Slot.learned_torque__side] != 0.0:
             variable = p[Slot.learned_torque__variable]
             if variable == OVER_LOAD_ANGLE:
@@ -1028,9 +1083,15 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
 def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     """Start of a motion: the load at its start angle, all torques balanced on the loaded flank.
 
-    Speed and acceleration are those of the reference at that time, zero for a motion from rest.
-    Returns the constants, with the reference angle that the controller stands at.
+    Speed and acceleration are those of the reference at that time, zero for a motion from rest. A
+    held output begins at rest on its lower flank, where torque the other way leaves it. Returns the
+    reference angle that the controller stands at.
     """
+    if c.held:
+        y[:] = 0.0
+        y[TWIST] = -c.gap
+        y[MOTOR_ANGLE] = c.ratio * (p[Slot.start_angle_rad] + y[TWIST])
+        return 0.0
     speed = reference_speed(t, c)
     acceleration = c.speed_1
     angle = p[Slot.start_angle_rad]
@@ -1070,7 +1131,8 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     pieces = pieces.copy()
     pieces[:, 0] += p[Slot.reference_delay_s]
     q = p.copy()
-    q[Slot.reference_speed_rpm] = np.max(np.abs(pieces[:, 1])) * RPM
+    held = math.isinf(p[Slot.load_inertia_kg_m2])
+    q[Slot.reference_speed_rpm] = 0.0 if held else np.max(np.abs(pieces[:, 1])) * RPM
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     c = constants(q, standing_state(-lag, p, begun, y), 0.0)
     stop = (out.shape[1] - 1) * dt + lead + 1e-9

@@ -6,7 +6,8 @@ motor are polynomials of s = t − t₀,
     ω_ref = w₀ + w₁ s + w₂ s² + w₃ s³        θ_ref = a₀ + a₁ s + a₂ s² + a₃ s³ + a₄ s⁴
 
 and the integrator ends a step wherever a piece ends, so that corners of the reference cost nothing
-in accuracy. θ_ref counts from where the motor stands at the start.
+in accuracy. θ_ref counts from where the motor stands at the start. Where the output is held there
+is no speed loop, and the motor's torque stands in place of ω_ref.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from bayesbl.recording.types import FloatArray
 PIECES_PER_PERIOD = 100
 """Of a sine: a cubic through value and slope at its ends is then off by 2e-7 of the amplitude."""
 
+SHORTEST_PIECE_S = 1e-9
+"""Corners that are nearer are one."""
+
 EARLIER_S = 1e-7
 """Of a held reference's steps before the samples that show them."""
 
@@ -40,15 +44,19 @@ class Motion:
     ----------
     pieces
         Shape (k, PIECE_COLUMNS): start in s, w₀ … w₃ in rad/s and less by s each, a₀ … a₄ in rad.
+        Of a held output w₀ … w₃ in N m and less by s each.
     duration_s
         To its end.
     start_angle_rad
         Load angle that it begins at; ``None`` if it may begin anywhere.
+    output_held
+        Whether the output cannot turn.
     """
 
     pieces: FloatArray
     duration_s: float
     start_angle_rad: float | None = None
+    output_held: bool = False
 
     def speed_rpm(self, time_s: FloatArray) -> FloatArray:
         """ω_ref, rpm, shape as ``time_s``."""
@@ -109,14 +117,18 @@ def strokes(
     acceleration_rpm_per_s: float,
     dwell_s: float,
     duration_s: float,
+    jerk_rpm_per_s2: float | None = None,
 ) -> Motion:
-    """From one end of a range of the load to the other and back, trapezoids in speed.
-
-    Begins at the lower end with half a dwell at rest. A range too short to reach the speed is
-    crossed in triangles.
-    """
-    points = [range_rad[0], range_rad[1]]
-    return cycle(gear_ratio, points, speed_rpm, acceleration_rpm_per_s, dwell_s, duration_s)
+    """From one end of a range of the load to the other and back, as :func:`cycle`."""
+    return cycle(
+        gear_ratio,
+        range_rad,
+        speed_rpm,
+        acceleration_rpm_per_s,
+        dwell_s,
+        duration_s,
+        jerk_rpm_per_s2,
+    )
 
 
 def cycle(
@@ -126,29 +138,53 @@ def cycle(
     acceleration_rpm_per_s: float,
     dwell_s: float,
     duration_s: float,
+    jerk_rpm_per_s2: float | None = None,
 ) -> Motion:
-    """From point to point of the load and back to the first, over and over."""
-    time, speed = [0.0], [0.0]
+    """From point to point of the load and back to the first, over and over, from rest.
+
+    Trapezoids in speed, or S-curves where the jerk is limited. A way too short to reach the speed,
+    or the acceleration, is crossed without.
+    """
+    time, speed, slope = [0.0], [0.0], [0.0]
     now, at = dwell_s, 0
-    fastest, acceleration = abs(speed_rpm) / RPM, abs(acceleration_rpm_per_s) / RPM
+    fastest, steepest = abs(speed_rpm) / RPM, abs(acceleration_rpm_per_s) / RPM
+    jerk = math.inf if jerk_rpm_per_s2 is None else abs(jerk_rpm_per_s2) / RPM
     while now < duration_s:
         here, there = points_rad[at % len(points_rad)], points_rad[(at + 1) % len(points_rad)]
-        way = gear_ratio * (there - here)
-        top = min(fastest, math.sqrt(abs(way) * acceleration))
-        ramp = top / acceleration
-        hold = abs(way) / top - ramp
-        signed = math.copysign(top, way)
-        corners = [(now, 0.0), (now + ramp, signed)]
-        if hold > 1e-9:
-            corners.append((now + ramp + hold, signed))
-        corners.append((now + 2.0 * ramp + hold, 0.0))
-        for when, what in corners:
-            if when > time[-1]:
-                time.append(when)
-                speed.append(what)
-        now, at = corners[-1][0] + dwell_s, at + 1
-    pieces = through(np.array(time), np.array(speed))
-    return Motion(pieces, duration_s, float(points_rad[0]))
+        way, direction = gear_ratio * abs(there - here), math.copysign(1.0, there - here)
+        top = min(fastest, _fastest_over(way, steepest, jerk))
+        ramp = _ramp(top, steepest, jerk)
+        whole = way / top + ramp[-1][0]
+        braking = [(whole - t, v, -a) for t, v, a in reversed(ramp)]
+        for when, what, bend in (*ramp, *braking):
+            if now + when > time[-1] + SHORTEST_PIECE_S:
+                time.append(now + when)
+                speed.append(direction * what)
+                slope.append(direction * bend)
+        now, at = now + whole + dwell_s, at + 1
+    bends = None if jerk_rpm_per_s2 is None else np.array(slope)
+    return Motion(through(np.array(time), np.array(speed), bends), duration_s, float(points_rad[0]))
+
+
+def _fastest_over(way: float, acceleration: float, jerk: float) -> float:
+    """Largest speed on a way that starts and ends at rest."""
+    rounded = acceleration**2 / jerk
+    top = 0.5 * (math.sqrt(rounded**2 + 4.0 * acceleration * way) - rounded)
+    return top if top >= rounded else (0.25 * jerk * way**2) ** (1.0 / 3.0)
+
+
+def _ramp(top: float, acceleration: float, jerk: float) -> list[tuple[float, float, float]]:
+    """Time, speed and acceleration at the corners of a start from rest."""
+    steepest = min(acceleration, math.sqrt(top * jerk))
+    bending = steepest / jerk
+    while_bending = 0.5 * steepest * bending
+    whole = top / steepest + bending
+    return [
+        (0.0, 0.0, 0.0),
+        (bending, while_bending, steepest),
+        (whole - bending, top - while_bending, steepest),
+        (whole, top, 0.0),
+    ]
 
 
 def sine(
@@ -161,6 +197,26 @@ def sine(
     speed = middle_amplitude * rate * np.sin(rate * time)
     slope = middle_amplitude * rate**2 * np.cos(rate * time)
     return Motion(through(time, speed, slope), duration_s, float(range_rad[0]))
+
+
+def torque_ramps(
+    torque_nm: Sequence[float], cycles: int, period_s: float, start_angle_rad: float = 0.0
+) -> Motion:
+    """The motor's torque ramped to and fro with the output held, in triangles from zero.
+
+    Parameters
+    ----------
+    torque_nm
+        Amplitudes, one after the other.
+    cycles, period_s
+        To and fro at each amplitude, and the time of each.
+    """
+    quarters = np.tile([0.0, 1.0, 0.0, -1.0], cycles)
+    torque = np.append(np.outer(np.asarray(torque_nm, dtype=np.float64), quarters).ravel(), 0.0)
+    time = 0.25 * period_s * np.arange(torque.size, dtype=np.float64)
+    pieces = through(time, torque)
+    pieces[:, 5:] = 0.0
+    return Motion(pieces, float(time[-1]), start_angle_rad, output_held=True)
 
 
 def recorded_motion(

@@ -216,10 +216,16 @@ _SCALES = [
 ]
 
 
+_LEARNED = (
+    (Slot.learned_torque__side, Slot.learned_torque__period),
+    (Slot.encoder_error__orders, Slot.encoder_error__period_rad),
+)
+
+
 def _check_effects(matrix: FloatArray) -> None:
-    period = matrix[:, Slot.learned_torque__period]
-    wrong = (matrix[:, Slot.learned_torque__side] != 0.0) & (period <= 0.0)
-    _refuse_where(wrong, matrix, Slot.learned_torque__period, "a number above zero")
+    for on, period in _LEARNED:
+        wrong = (matrix[:, on] != 0.0) & (matrix[:, period] <= 0.0)
+        _refuse_where(wrong, matrix, period, "a number above zero")
     for slot in _NOT_NEGATIVE:
         _refuse_where(matrix[:, slot] < 0.0, matrix, slot, "zero or a number above it")
     for slot, bound, unit in _BOUNDED:

@@ -100,11 +100,15 @@ def simulate_motions(
     """As :func:`simulate_channels` where the speed loop follows a motion: shape (m, 3, n).
 
     The first sample lies at the motion's start, with the load at ``start_angle_rad``, all torques
-    balanced on the flank that the load's torque presses on. With ``states`` all states as
-    :func:`simulate_states` gives them, shape (m, 8, n).
+    balanced on the flank that the load's torque presses on; where the output is held, at rest on
+    the lower flank. With ``states`` all states as :func:`simulate_states` gives them, shape
+    (m, 8, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     matrix = _sound(parameter_matrix, out, sampling_hz, accuracy_rpm)
+    if motion.output_held:
+        matrix = matrix.copy()
+        matrix[:, Slot.load_inertia_kg_m2] = math.inf
 
     def run(row: int) -> int:
         found: int = kernel.simulate_motion(

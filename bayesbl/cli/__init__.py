@@ -25,7 +25,7 @@ from bayesbl.cli.identifying import diagnose_command, identify_command
 from bayesbl.cli.measuring import compare_command, fit_command
 from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
 from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
-from bayesbl.cli.volume import VOLUME, brought_forward
+from bayesbl.cli.volume import FIGURES, VOLUME, brought_forward
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
@@ -90,11 +90,19 @@ def _common(
     verbose: Annotated[
         bool, typer.Option("--verbose", help="Print parameters, diagnostics and origin too.")
     ] = False,
+    no_figures: Annotated[
+        bool,
+        typer.Option("--no-figures", help="Draw none; `bayesbl figures` does later."),
+    ] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Draw figures as PDF beside PNG.")] = False,
 ) -> None:
     """Options of every command."""
     if quiet and verbose:
         raise typer.BadParameter("--quiet and --verbose exclude each other.")
+    if no_figures and pdf:
+        raise typer.BadParameter("--no-figures and --pdf exclude each other.")
     VOLUME.set("quiet" if quiet else "verbose" if verbose else "normal")
+    FIGURES.set(() if no_figures else ("pdf", "png") if pdf else ("png",))
 
 
 def main() -> None:

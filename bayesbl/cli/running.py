@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayesbl.cli.statuses import WITHHELD
-from bayesbl.cli.volume import VOLUME
+from bayesbl.cli.volume import FIGURES, VOLUME
 from bayesbl.errors import ConfigError, RecordingError, ResultError
 
 if TYPE_CHECKING:
@@ -52,7 +52,15 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 
     console, volume = notes_console(), VOLUME.get()
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
-        summary = run(config, draw, force=force, progress=tell, say=console.print, file=file)
+        summary = run(
+            config,
+            draw,
+            force=force,
+            progress=tell,
+            say=console.print,
+            file=file,
+            formats=FIGURES.get(),
+        )
     if json:
         print_json(config.run.output)
     elif volume == "quiet":

@@ -22,7 +22,7 @@ def figures_command(
         typer.Option("--study", metavar="FILE", help="Run this study file to draw its figure."),
     ] = None,
 ) -> None:
-    """Draw the figures of a result again."""
+    """Draw the figures of a result again, as PDF and PNG."""
     from bayesbl.library import require_study_file
     from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
@@ -87,7 +87,7 @@ def _draw_in_place(tree: xr.DataTree, folder: Path, study: Path | None) -> list[
     from bayesbl.library import draw
 
     with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
-        drawn = draw(tree, Path(beside), *([] if study is None else [study]))
+        drawn = draw(tree, Path(beside), ("pdf", "png"), study)
         folder.mkdir(exist_ok=True)
         for path in drawn:
             os.replace(path, folder / path.name)

@@ -1,4 +1,4 @@
-"""How much commands print: ``--quiet`` and ``--verbose``, before or after the command."""
+"""How much commands print and draw, by options that stand before or after the command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ Volume = Literal["quiet", "normal", "verbose"]
 VOLUME: ContextVar[Volume] = ContextVar("volume", default="normal")
 """Of the command that runs."""
 
-_OPTIONS = ("--quiet", "--verbose")
+FIGURES: ContextVar[tuple[str, ...]] = ContextVar("figures", default=("png",))
+"""Formats in which a run draws its figures."""
+
+_OPTIONS = ("--quiet", "--verbose", "--no-figures", "--pdf")
 
 
 def brought_forward(arguments: Sequence[str]) -> list[str]:

@@ -22,10 +22,10 @@ from bayesbl.bench.bench import (
     BenchEffect,
     BenchParameter,
     EffectParameterValue,
-    Measurement,
 )
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned_torque import LearnedTorque, Side, Variable
+from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config import printed_units
 from bayesbl.config.fields import (
@@ -190,7 +190,20 @@ class EffectEntry(Section):
         return self
 
 
-class LearnedTorqueSection(Section):
+class _LearnedSection(Section):
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Self:
+        try:
+            self.learned()
+        except BenchError as error:
+            refuse(error.problem, found=error.found, expected=error.expected)
+        return self
+
+    def learned(self) -> LearnedTerm:
+        raise NotImplementedError
+
+
+class LearnedTorqueSection(_LearnedSection):
     """``[learned_torque]``: what repeated in recordings and no effect explains.
 
     Against the motor or the load, N m there: constant_nm + Σ_k cosine_nm[k] cos(2π k x/period) +
@@ -207,17 +220,26 @@ class LearnedTorqueSection(Section):
     reverses: bool = False
     sd_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
 
-    @model_validator(mode="after")
-    def _makes_sense(self) -> Self:
-        try:
-            self.torque()
-        except BenchError as error:
-            refuse(error.problem, found=error.found, expected=error.expected)
-        return self
-
-    def torque(self) -> LearnedTorque:
+    def learned(self) -> LearnedTorque:
         """As the bench takes it."""
         return LearnedTorque(**dict(self))
+
+
+class EncoderErrorSection(_LearnedSection):
+    """``[encoder_error]``: the angle that the motor's encoder shows less the true one.
+
+    Over the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
+    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.
+    """
+
+    period_rad: float = Field(gt=0.0)
+    cosine_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+    sine_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+    sd_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+
+    def learned(self) -> EncoderError:
+        """As the bench takes it."""
+        return EncoderError(**dict(self))
 
 
 class BenchFile(Section):
@@ -231,6 +253,7 @@ class BenchFile(Section):
     measurement: MeasurementSection = MeasurementSection()
     effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
     learned_torque: LearnedTorqueSection | None = None
+    encoder_error: EncoderErrorSection | None = None
 
     @field_validator("parameters")
     @classmethod
@@ -307,7 +330,8 @@ class BenchFile(Section):
                 for effect in self.effects
             ),
             assumed=frozenset(idle),
-            learned_torque=None if self.learned_torque is None else self.learned_torque.torque(),
+            learned_torque=None if self.learned_torque is None else self.learned_torque.learned(),
+            encoder_error=None if self.encoder_error is None else self.encoder_error.learned(),
         )
 
 
@@ -388,8 +412,8 @@ def dump_bench(bench: Bench) -> str:
     }
     if measurement.encoder_counts is not None:
         tables["measurement"]["encoder_counts"] = measurement.encoder_counts
-    if bench.learned_torque is not None:
-        tables["learned_torque"] = dataclasses.asdict(bench.learned_torque)
+    for learned in bench.learned_terms:
+        tables[learned.block] = dataclasses.asdict(learned)
     return tomli_w.dumps(tables)
 
 

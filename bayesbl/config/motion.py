@@ -25,16 +25,20 @@ def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
     return angles
 
 
-class _Trapezoids(Section):
-    """What motions from point to point share: the motor's speed, acceleration and rests."""
+class _PointToPoint(Section):
+    """What motions from point to point share: the motor's speed, acceleration and rests.
+
+    Trapezoids in speed; S-curves where the jerk is limited.
+    """
 
     speed_rpm: Positive
     acceleration_rpm_per_s: Positive
+    jerk_rpm_per_s2: Positive | None = None
     dwell_s: float = Field(default=0.15, ge=0.0)
     duration_s: Positive
 
 
-class StrokesMotion(_Trapezoids):
+class StrokesMotion(_PointToPoint):
     """Between two load angles and back."""
 
     kind: Literal["strokes"]
@@ -43,7 +47,7 @@ class StrokesMotion(_Trapezoids):
     _range = field_validator("range_rad")(two_angles)
 
 
-class CycleMotion(_Trapezoids):
+class CycleMotion(_PointToPoint):
     """Through some load angles in turn, over and over."""
 
     kind: Literal["cycle"]
@@ -75,4 +79,21 @@ class SineMotion(Section):
     _range = field_validator("range_rad")(two_angles)
 
 
-MotionSection = Annotated[StrokesMotion | CycleMotion | SineMotion, Field(discriminator="kind")]
+class TorqueRampMotion(Section):
+    """The motor's torque to and fro with the output held: some cycles at each amplitude."""
+
+    kind: Literal["torque_ramp"]
+    torque_nm: Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(as_tuple)]
+    cycles: int = Field(default=5, ge=1)
+    period_s: Positive = 4.0
+    start_angle_rad: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        """Of all cycles."""
+        return len(self.torque_nm) * self.cycles * self.period_s
+
+
+MotionSection = Annotated[
+    StrokesMotion | CycleMotion | SineMotion | TorqueRampMotion, Field(discriminator="kind")
+]

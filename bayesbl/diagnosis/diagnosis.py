@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.learned_torque import LearnedTorque
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
@@ -138,11 +138,11 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True)
 class LearnedCurve:
-    """A learned torque over its variable, each (n,); at the side it acts, N m, forwards."""
+    """What was learned over its variable, each (n,): N m at the side it acts forwards, or rad."""
 
     variable: FloatArray
-    torque_nm: FloatArray
-    sd_nm: FloatArray
+    value: FloatArray
+    sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +151,8 @@ class LearnedAnswer:
 
     Attributes
     ----------
-    amplitude_nm
-        Largest size, less its mean where it does not reverse.
+    amplitude
+        Largest size in the term's unit, less its mean where it does not reverse.
     alike
         Other dependences that the recordings do not tell from it.
     gap_share
@@ -161,9 +161,9 @@ class LearnedAnswer:
         Why no gap is given; empty where one is.
     """
 
-    torque: LearnedTorque
-    amplitude_nm: float
-    alike: tuple[LearnedTorque, ...]
+    term: LearnedTerm
+    amplitude: float
+    alike: tuple[LearnedTerm, ...]
     curve: LearnedCurve
     gap_share: float | None = None
     gap_withheld: str = ""
@@ -192,7 +192,7 @@ class Diagnosis:
     augmented_bench
         The bench with what was named and learned in it.
     learned
-        A torque of no known law.
+        A torque of no known law, or an error of the encoder.
     """
 
     verdict: Verdict

@@ -4,7 +4,8 @@
 it). ``signals``: measured and predicted, for every piece. ``order_sizes``: lines of a speed loop.
 ``posterior``: draws of everything unknown, with what was named added. ``ranking``: every candidate
 added alone. ``residuals_before``, ``residuals_after``: what the simulation does not explain, over
-load angle, order and time. ``learned_torque``: a torque of no known law over what it depends on.
+load angle, order and time. ``learned_torque``, ``encoder_error``: what was learned, over what it
+depends on.
 The answer in the words of ``summary.json`` is JSON in the attribute ``diagnosis`` of the root, the
 bench with what was named in it a bench file in the attribute ``augmented_bench``.
 """
@@ -17,6 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from bayesbl.bench.learned import EncoderError, LearnedTorque
 from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.residual_groups import residuals_dataset, residuals_group
@@ -102,21 +104,33 @@ RANKING = Group(
 )
 
 
-LEARNED = Group(
-    "learned_torque",
-    table("""
-        torque_nm (point) | N m | learned torque against the side it acts at, turning forwards
-        sd_nm (point) | N m | its standard deviation
-    """),
-    table("variable (point) | 1 | what it depends on, in rad, rad/s or s"),
-    optional=True,
-)
+LEARNED = {
+    LearnedTorque.block: Group(
+        LearnedTorque.block,
+        table("""
+            torque_nm (point) | N m | learned torque against the side it acts at, turning forwards
+            sd_nm (point) | N m | its standard deviation
+        """),
+        table("variable (point) | 1 | what it depends on, in rad, rad/s or s"),
+        optional=True,
+    ),
+    EncoderError.block: Group(
+        EncoderError.block,
+        table("""
+            angle_rad (point) | rad | what the motor's encoder shows too much
+            sd_rad (point) | rad | its standard deviation
+        """),
+        table("variable (point) | rad | angle of the motor"),
+        optional=True,
+    ),
+}
+"""By the name of what was learned."""
 
 
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of a diagnosis."""
     of_pieces = (disagreement_group(""), signals_group(""))
-    named = (ORDER_SIZES, POSTERIOR, RANKING, LEARNED)
+    named = (ORDER_SIZES, POSTERIOR, RANKING, *LEARNED.values())
     return (*of_pieces, *named, *map(residuals_group, STAGES))
 
 
@@ -138,11 +152,10 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     if found.posterior is not None:
         groups["posterior"] = posterior_dataset(found.posterior)
     if found.learned is not None:
-        curve = found.learned.curve
-        groups["learned_torque"] = dataset(
-            LEARNED,
-            {"torque_nm": curve.torque_nm, "sd_nm": curve.sd_nm},
-            {"variable": curve.variable},
+        curve, group = found.learned.curve, LEARNED[found.learned.term.block]
+        size, sd = (variable.name for variable in group.variables)
+        groups[group.name] = dataset(
+            group, {size: curve.value, sd: curve.sd}, {"variable": curve.variable}
         )
     if found.ranking:
         groups["ranking"] = of_rows(RANKING, found.ranking)

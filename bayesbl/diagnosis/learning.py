@@ -1,4 +1,4 @@
-"""Which torque of no known law explains what repeats: one variable after the other, by prediction.
+"""Which torque, or error of the encoder, explains what repeats: one after the other, by prediction.
 
 A hypothesis is a Fourier series of one variable. Around a fit everything is linear,
 
@@ -19,11 +19,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned_torque import LearnedTorque, Side, Variable
+from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
 from bayesbl.recording.types import FloatArray
 
 ORDERS = (1, 2, 3, 4, 6, 8, LEARNED_HARMONICS)
@@ -42,29 +43,26 @@ _FINER = 16
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What the torque could depend on.
+    """Where something could act, and what it could depend on.
 
     ``own_zero``: the variable's zero is another one in every recording.
     """
 
-    side: Side
+    side: Side | Literal["encoder"]
     variable: Variable
     period: float
     reverses: bool = False
     own_zero: bool = False
 
-    def torque(self, coefficients: FloatArray) -> LearnedTorque:
-        """With these coefficients: the constant, cosines, sines."""
+    def term(self, coefficients: FloatArray) -> LearnedTerm:
+        """With these coefficients: the constant, which no encoder has, cosines, sines."""
         orders = coefficients.size // 2
-        values = tuple(map(float, coefficients))
+        constant, *waves = map(float, coefficients)
+        cosine, sine = tuple(waves[:orders]), tuple(waves[orders:])
+        if self.side == "encoder":
+            return EncoderError(self.period, cosine, sine)
         return LearnedTorque(
-            self.side,
-            self.variable,
-            self.period,
-            values[0],
-            values[1 : 1 + orders],
-            values[1 + orders :],
-            self.reverses,
+            self.side, self.variable, self.period, constant, cosine, sine, self.reverses
         )
 
 

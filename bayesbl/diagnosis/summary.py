@@ -11,8 +11,8 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 import xarray as xr
 
-from bayesbl.bench.learned_torque import LearnedTorque, Side, Variable
-from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
+from bayesbl.bench.learned import EncoderError, LearnedTerm, Side, Variable
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
@@ -69,33 +69,29 @@ class RemainingSummary(TypedDict):
     chi_squared: NotRequired[float]
 
 
-class LearnedSummary(TypedDict):
-    """A torque of no known law: where it acts, what it depends on, its size.
+class LearnedDependence(TypedDict):
+    """Where something learned acts and what it depends on; ``period`` in rad, rad/s or s."""
 
-    ``period`` in rad, rad/s or s; ``amplitude_nm`` its largest size, at its side; ``alike`` other
-    dependences that say the same here; ``gap_share`` how much of what the recordings know of the
-    gap it leaves; ``gap_withheld`` why no gap is given.
-    """
-
-    side: Side
+    side: Side | Literal["encoder"]
     variable: Variable
     reverses: bool
     period: float
     orders: int
-    amplitude_nm: float
+
+
+class LearnedSummary(LearnedDependence):
+    """A torque of no known law, or an error of the encoder.
+
+    ``amplitude_nm``, ``amplitude_rad`` its largest size, at its side; ``alike`` other dependences
+    that say the same here; ``gap_share`` how much of what the recordings know of the gap it leaves;
+    ``gap_withheld`` why no gap is given.
+    """
+
+    amplitude_nm: NotRequired[float]
+    amplitude_rad: NotRequired[float]
     alike: list[LearnedDependence]
     gap_share: float | None
     gap_withheld: str
-
-
-class LearnedDependence(TypedDict):
-    """Where a learned torque acts and what it depends on."""
-
-    side: Side
-    variable: Variable
-    reverses: bool
-    period: float
-    orders: int
 
 
 class DisagreementSummary(TypedDict):
@@ -150,6 +146,7 @@ class Answer(TypedDict):
     suggested_recording: SuggestedRecording | None
     augmented_bench: NotRequired[str]
     learned_torque: NotRequired[LearnedSummary]
+    encoder_error: NotRequired[LearnedSummary]
     diagnostics: NotRequired[SamplingSummary]
 
 
@@ -185,25 +182,39 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     if found.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
     if found.learned is not None:
-        answer["learned_torque"] = {
-            **_dependence(found.learned.torque),
-            "amplitude_nm": found.learned.amplitude_nm,
-            "alike": [_dependence(other) for other in found.learned.alike],
-            "gap_share": found.learned.gap_share,
-            "gap_withheld": found.learned.gap_withheld,
-        }
+        told = _learned(found.learned)
+        if isinstance(found.learned.term, EncoderError):
+            told["amplitude_rad"] = found.learned.amplitude
+            answer["encoder_error"] = told
+        else:
+            told["amplitude_nm"] = found.learned.amplitude
+            answer["learned_torque"] = told
     if found.posterior is not None:
         answer["diagnostics"] = sampling_summary(found.posterior)
     return answer
 
 
-def _dependence(torque: LearnedTorque) -> LearnedDependence:
+def _learned(told: LearnedAnswer) -> LearnedSummary:
+    term = told.term
     return {
-        "side": torque.side,
-        "variable": torque.variable,
-        "reverses": torque.reverses,
-        "period": torque.period,
-        "orders": len(torque.cosine_nm),
+        "side": term.side,
+        "variable": term.variable,
+        "reverses": term.reverses,
+        "period": term.period,
+        "orders": term.orders,
+        "alike": [_dependence(other) for other in told.alike],
+        "gap_share": told.gap_share,
+        "gap_withheld": told.gap_withheld,
+    }
+
+
+def _dependence(term: LearnedTerm) -> LearnedDependence:
+    return {
+        "side": term.side,
+        "variable": term.variable,
+        "reverses": term.reverses,
+        "period": term.period,
+        "orders": term.orders,
     }
 
 

@@ -30,6 +30,7 @@ from bayesbl.matching.signals import (
     Unknown,
     effect_unknowns,
     gap_unknown,
+    reference_delay_unknown,
     start_angle_unknown,
 )
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
@@ -89,12 +90,13 @@ class Problem:
 
     @property
     def unknowns(self) -> list[Unknown]:
-        """Gaps, start angles, effects that the bench file has, and parameters."""
+        """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
         names = [seen.name for seen in self.used]
         gap = gap_unknown(*self.gap_rad)
         return [
             *([gap] if self.shares_gap else (replace(gap, recording=name) for name in names)),
             *(start_angle_unknown(name) for name in names),
+            *(reference_delay_unknown(r.name) for r in self.used if r.motion is not None),
             *effect_unknowns(self.bench, names),
             *(parameter_unknown(self.bench, name) for name in self.parameters),
         ]

@@ -94,6 +94,9 @@ def _information(fit: SimulatedFit, shared: Sequence[int], speed_rpm: float) -> 
         reference_speed_rpm=speed_rpm,
         rotation_period_s=period,
         excluded=None,
+        motion=None,
+        cycle=None,
+        begin_s=0.0,
     )
     # Its start angle, and phases of effects, are those of the last recording.
     own = [i for i, u in enumerate(model.unknowns) if u.recording in (None, last.name)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, LEARNED_HARMONICS, SPEED
-from bayesbl.bench.learned_torque import SHIFT
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.motions import motion_starts, noise_of, start_angles, undecided_starts
@@ -23,7 +23,7 @@ from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
 SHIFTS_TRIED = 4 * LEARNED_HARMONICS
-"""Of a learned torque: four in a period of its highest order."""
+"""Of what was learned: four in a period of its highest order."""
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 
@@ -119,15 +119,17 @@ def aligned_starts(
 
 
 def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
-    """The point with the learned torque where each recording shows it, by a scan of its period."""
+    """The point with what was learned where each recording shows it, by a scan of its period."""
     start = start.copy()
-    for i, seen in enumerate(model.recordings):
-        if (SHIFT, seen.name) not in [(u.name, u.recording) for u in model.unknowns]:
+    own = {(u.name, u.recording) for u in model.unknowns}
+    terms = model.bench.learned_terms
+    for (i, seen), term in itertools.product(enumerate(model.recordings), terms):
+        if (term.shift_slot, seen.name) not in own:
             continue
-        place = model.index(SHIFT, seen.name)
+        place = model.index(term.shift_slot, seen.name)
         trials = np.repeat(start[None], SHIFTS_TRIED, axis=0)
         trials[:, place] = np.linspace(-0.5, 0.5, SHIFTS_TRIED, endpoint=False)
-        trials[:, place] *= model.bench.value("learned_torque.period")
+        trials[:, place] *= term.period
         left = model.whitened_of(trials, i)
         start = trials[int(np.argmin(np.nan_to_num(np.einsum("ij,ij->i", left, left), nan=np.inf)))]
     return start

@@ -24,7 +24,7 @@ from bayesbl.bench.effects import (
     turn_with_the_motor,
 )
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
-from bayesbl.bench.learned_torque import SHIFT, LearnedTorque
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
 from bayesbl.matching.normal_prior import NormalPrior
@@ -165,21 +165,20 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
                 found.append(Unknown(name, low, centre=given.value, sd=given.sd))
-    learned = bench.learned_torque
-    if learned is not None:
+    for learned in bench.learned_terms:
         found += shift_unknowns(learned, recordings)
-        known = zip(learned.names, learned.coefficients, learned.sd_nm, strict=False)
+        known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)
         found += [Unknown(name, centre=value, sd=sd) for name, value, sd in known if sd > 0.0]
     return found
 
 
-def shift_unknowns(learned: LearnedTorque, recordings: Sequence[str]) -> list[Unknown]:
-    """Where the variable of a learned torque begins, of every recording whose own zero it has."""
+def shift_unknowns(learned: LearnedTerm, recordings: Sequence[str]) -> list[Unknown]:
+    """Where the variable of what was learned begins, of every recording whose own zero it has."""
     if not learned.belongs_to_recordings:
         return []
     # Twice around: the best place is never at the end of the range.
     reach = learned.period
-    return [Unknown(SHIFT, -reach, reach, recording=name) for name in recordings]
+    return [Unknown(learned.shift_slot, -reach, reach, recording=name) for name in recordings]
 
 
 @dataclass(eq=False)

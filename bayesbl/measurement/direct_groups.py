@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.effects import EFFECT_BY_NAME
-from bayesbl.bench.learned_torque import LEARNED_TORQUE, SHIFT
+from bayesbl.bench.learned import LEARNED_TERMS
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
@@ -53,10 +53,12 @@ def unit_and_meaning(name: str) -> tuple[str, str]:
         return "s", "how much later the controller was given its reference than is recorded"
     if name in PARAMETER_INFO:
         return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
-    if name == SHIFT:
-        return "1", "where a learned torque's variable is at the first sample, rad or s"
-    if name.startswith(LEARNED_TORQUE):
-        return "N m", f"coefficient of the learned torque: {name.partition('__')[2]}"
+    learned = {term.block: term for term in LEARNED_TERMS}.get(name.partition("__")[0])
+    if learned is not None:
+        what = learned.block.replace("_", " ")
+        if name == learned.shift_slot:
+            return "1", f"where the variable of the {what} is at the first sample, rad or s"
+        return learned.unit, f"coefficient of the {what}: {name.partition('__')[2]}"
     if "__" in name:
         effect, parameter = name.split("__")
         for item in EFFECT_BY_NAME[effect].parameters:

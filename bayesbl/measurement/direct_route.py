@@ -44,6 +44,7 @@ from bayesbl.measurement.model_check import (
     check_of_comparison,
     check_of_snapshot,
     feature_items,
+    motor_orders_in_words,
     undecided_change,
     undecided_gap,
 )
@@ -309,6 +310,8 @@ def direct_verdict(
         undecided_gap(found.joint, index, gap, level),
     ]
     unseen = unseen_gap(found.posterior, index)
+    if any(against):
+        against = list(dict.fromkeys([*against, motor_orders_in_words(found.joint)]))
     if any(against) or unseen:
         outcome = "withheld"
         # Where δ is not seen, its prior's range decides: that needs no saying.

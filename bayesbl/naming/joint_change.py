@@ -24,7 +24,7 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_noise
-from bayesbl.naming.motor_orders import OrderPeak
+from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.search import name_missing
 from bayesbl.recording.types import FloatArray
 
@@ -38,6 +38,9 @@ FURTHEST_CHANGE = 3.0
 """Factor by which a parameter may have changed, up or down."""
 
 MOST_CHANGES = 2
+MOST_ORDERS = 6
+"""Of the motor that are listed."""
+
 FALSE_ALARM = 0.005
 """Of the predictive check and of naming a change, each over all that it tests."""
 
@@ -120,6 +123,8 @@ class JointFindings:
         Names of what is freed, and of what these recordings cannot tell from it.
     blind_spots
         The one that moves the change of δ most first.
+    motor_orders
+        Whole orders of the motor that make most of what the bench as believed leaves.
     """
 
     recordings: tuple[str, ...]
@@ -128,6 +133,7 @@ class JointFindings:
     could_be: tuple[str, ...]
     rivals: tuple[Rival, ...]
     blind_spots: tuple[BlindSpot, ...]
+    motor_orders: tuple[int, ...] = ()
 
     @property
     def agrees(self) -> bool:
@@ -181,8 +187,20 @@ def find_changes(
             for rival in found.indistinguishable
         ),
         tuple(blind_spots(fit, false_alarm)) if explained else (),
+        tuple(_motor_orders(nominal)),
     )
     return fit, findings
+
+
+def _motor_orders(fit: SimulatedFit) -> list[int]:
+    """The whole orders, where they make most of all lines; a motion has no lines."""
+    if any(seen.motion is not None for seen in fit.model.recordings):
+        return []
+    peaks = order_peaks(fit, MOST_ORDERS)
+    whole = [peak for peak in peaks if peak.order == round(peak.order)]
+    if sum(peak.power for peak in whole) <= 0.5 * sum(peak.power for peak in peaks):
+        return []
+    return sorted(round(peak.order) for peak in whole)
 
 
 def _gaps(fit: SimulatedFit) -> FloatArray:

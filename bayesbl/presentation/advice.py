@@ -248,7 +248,7 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     if any(effect["indistinguishable_from"] for effect in summary["effects"]):
         yield "These recordings cannot tell all of it apart."
         yield from diagnosis.suggestion(summary)
-    if "learned_torque" in summary and summary["delta_rad_after"] is None:
+    if diagnosis.learned_of(summary) and summary["delta_rad_after"] is None:
         return
     yield (
         "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "

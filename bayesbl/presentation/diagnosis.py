@@ -73,10 +73,8 @@ def headline(summary: DiagnosisSummary) -> str:
             return "No effect is missing, but the bench is wrong: " + next(
                 parameter_errors(summary)
             )
-        case "unexplained" if "learned_torque" in summary:
-            return (
-                f"No effect of the catalogue explains it: {dependence(summary['learned_torque'])}."
-            )
+        case "unexplained" if (found := learned_of(summary)) is not None:
+            return f"No effect of the catalogue explains it: {dependence(found)}."
         case "unexplained":
             what = next(remaining(summary), ": .").partition(": ")[2]
             return f"Something repeats that no effect of the catalogue explains: {what}"
@@ -150,13 +148,21 @@ def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
         yield text[0].upper() + text[1:]
 
 
+def learned_of(summary: DiagnosisSummary) -> LearnedSummary | None:
+    """What was learned, if anything was."""
+    return summary.get("learned_torque") or summary.get("encoder_error")
+
+
 def learned(summary: DiagnosisSummary) -> Iterator[str]:
-    """The torque of no known law: what it depends on, how large it is, what it is not told from."""
-    found = summary.get("learned_torque")
+    """What was learned: what it depends on, how large it is, what it is not told from."""
+    found = learned_of(summary)
     if found is None:
         return
-    size = words.significant(found["amplitude_nm"])
-    text = f"Learned, as no effect of the catalogue explains it: {dependence(found)}, {size} N m."
+    if "amplitude_rad" in found:
+        size = f"{words.significant(1e3 * found['amplitude_rad'])} mrad"
+    else:
+        size = f"{words.significant(found['amplitude_nm'])} N m"
+    text = f"Learned, as no effect of the catalogue explains it: {dependence(found)}, {size}."
     if found["alike"]:
         others = "; ".join(dependence(other) for other in found["alike"])
         text += f" It cannot be told apart from {others}."
@@ -172,7 +178,7 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def dependence(found: LearnedDependence | LearnedSummary) -> str:
-    """``a torque at the load over the load angle, orders 1 to 7``."""
+    """``a torque at the load over the load angle, orders 1 to 7``; an error of the encoder too."""
     turn = 2.0 * math.pi / found["period"]
     over, base = {
         "motor_angle": ("the motor angle", turn),
@@ -187,6 +193,8 @@ def dependence(found: LearnedDependence | LearnedSummary) -> str:
     if found["variable"] == "motor_speed":
         listed = f"{found['orders']} waves over {words.significant(found['period'])} rad/s"
     reverses = " that reverses with the direction" if found["reverses"] else ""
+    if found["side"] == "encoder":
+        return f"an error of the motor's encoder over {over}, {listed}"
     return f"a torque at the {found['side']}{reverses} over {over}, {listed}"
 
 
@@ -216,8 +224,8 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
     if before is None or after is None:
         return
     gap = words.in_mrad(after)
-    if "learned_torque" in summary:
-        yield f"With the learned torque the gap is {gap}."
+    if learned_of(summary) is not None:
+        yield f"With what was learned the gap is {gap}."
     elif summary["verdict"] == "unexplained":
         yield (
             f"Fitted in spite of what is unexplained, the gap would be {gap}: do not rely on it."

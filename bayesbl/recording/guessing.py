@@ -51,6 +51,9 @@ _SIDES = f"{_REFERENCE} {_MOTOR} load"
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
 
+UNKNOWN = "?"
+"""In place of a unit that nothing tells now and nothing could check later."""
+
 _USUAL_RATES_HZ = (100.0, 1e5)
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
@@ -143,7 +146,9 @@ def guess_columns(
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(table, chosen, held)
-    guesses = (_completed(_stated(channel, chosen[channel]), units) for channel in held)
+    guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
+    if ramps:
+        guesses = [_unknown(column) for column in guesses]
     columns = tuple(_doubted(column, held[column.channel]) for column in guesses)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
@@ -212,6 +217,14 @@ def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> G
         return stated
     unit, reason = units[stated.channel]
     return replace(stated, unit=unit, reason=reason)
+
+
+def _unknown(column: GuessedColumn) -> GuessedColumn:
+    """A position whose unit nothing tells: in ramps it alone sets the size of the gap."""
+    if column.channel != MOTOR_POSITION or column.reason != NO_UNIT:
+        return column
+    units = ", ".join(accepted_units(column.channel))
+    return replace(column, unit=UNKNOWN, reason=f"enter its unit: {units}")
 
 
 def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:

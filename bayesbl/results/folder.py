@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from urllib.parse import quote
 
 from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
@@ -115,15 +116,18 @@ def new_result(
 
 
 def _foreign_figures(folder: Path) -> set[str]:
-    """What a user put among the figures: each of ours is there twice, as PDF and as PNG."""
-    other = {".pdf": ".png", ".png": ".pdf"}
+    """What a user put among the figures: each of ours holds its own name as its title."""
     files = list(folder.iterdir()) if folder.is_dir() else []
-    names = {file.name for file in files}
-    return {
-        f"{FIGURES}/{file.name}"
-        for file in files
-        if file.stem + other.get(file.suffix, "") not in names - {file.name}
-    }
+    return {f"{FIGURES}/{file.name}" for file in files if not _holds_its_name(file)}
+
+
+def figure_title(name: str) -> str:
+    """What a figure's file holds as its title, by which it is told from a user's: in ASCII."""
+    return quote(name)
+
+
+def _holds_its_name(file: Path) -> bool:
+    return file.is_file() and figure_title(file.stem).encode() in file.read_bytes()
 
 
 def _listed(names: Collection[str]) -> str:

@@ -12,7 +12,7 @@ from bayesbl.config.fields import name_of, names_of
 from bayesbl.config.files import require_text_names
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
-from bayesbl.recording.guessing import Guess, guess_columns
+from bayesbl.recording.guessing import UNKNOWN, Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.inputs import require_apart
@@ -163,6 +163,7 @@ route = "torque_ramp"
 def column_lines(guess: Guess) -> str:
     """The entries of ``[columns]``, each with its reason, and the columns that have none."""
     lines = [
+        f"{'# ' if column.unit == UNKNOWN else ''}"
         f"{column.channel} = {{name = {quoted(column.name)}, unit = {quoted(column.unit)}}}"
         f"    # {column.reason}\n"
         for column in guess.columns

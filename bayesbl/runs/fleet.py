@@ -144,7 +144,7 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
         with new_result(output, force=True, also=OWN) as new:
             summary = _write(config, jobs, refused, store, new)
             # The pages are made of the tables alone.
-            options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new)
+            options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new, options.formats)
         _forget_others(jobs, store)
     WorkStore(fits_beside(output)).keep_latest(LARGEST_FITS_BYTES)
     return summary

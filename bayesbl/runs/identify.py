@@ -18,6 +18,7 @@ from bayesbl.identification.identify import Identification, Problem, identify
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
+from bayesbl.recording.moving import moves
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.results.folder import IDENTIFIED_BENCH
@@ -99,17 +100,18 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         recording = ready_for_fit(recording, bench.value("gear_ratio"))
         require_alive(recording, (MOTOR_CURRENT,))
         speed = entry.reference_speed_rpm
-        if speed is None:
+        if speed is None and not moves(recording):
             speed, told = asked_speed(recording, bench, entry.file)
             notes += [f"{entry.name}: {told}."] if told else []
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
         seen[entry.use].append(replace(observed(recording, bench, speed), known=known))
         notes += [f"{entry.name}: {note}" for note in recording.notes]
     used = tuple(seen["fit"])
-    if len({one.reference_speed_rpm for one in used}) < 2:
+    steady = all(one.motion is None for one in used)
+    if steady and len({one.reference_speed_rpm for one in used}) < 2:
         notes.append(
-            "All recordings are at one speed in one direction: another speed, and the other "
-            "direction, tell much more."
+            "All recordings are at one speed in one direction: strokes to and fro, another speed "
+            "and the other direction tell much more."
         )
     if any(len(one.signals) < 2 for one in used):
         notes.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
@@ -80,6 +80,7 @@ def run(
     progress: StageProgress | None = None,
     say: Callable[[str], None] = print,
     file: Path | None = None,
+    formats: Sequence[str] = ("png",),
 ) -> Summary:
     """Run a configuration and write its output folder; the summary that was stored.
 
@@ -92,6 +93,8 @@ def run(
         and what a search starts from.
     file
         Where the configuration comes from, if from a file.
+    formats
+        Of the figures: ``"png"``, ``"pdf"``, both or none.
 
     Raises
     ------
@@ -105,7 +108,7 @@ def run(
     plan.require_sound()
     for sentence in plan.withheld:
         say(sentence)
-    return workflow.run(config, Options(draw, force, progress, say))
+    return workflow.run(config, Options(draw, force, progress, say, formats))
 
 
 def check(path: str | Path) -> Plan:

@@ -15,9 +15,15 @@ import numpy as np
 
 from bayesbl import __version__
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.motion import Motion, cycle, sine, strokes
+from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.motion import CycleMotion, MotionSection, SineMotion, StrokesMotion
+from bayesbl.config.motion import (
+    CycleMotion,
+    MotionSection,
+    SineMotion,
+    StrokesMotion,
+    TorqueRampMotion,
+)
 from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.recording.types import TIME, Recording
@@ -198,6 +204,8 @@ def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
             return cycle(gear_ratio, **settings)
         case SineMotion():
             return sine(gear_ratio, **settings)
+        case TorqueRampMotion():
+            return torque_ramps(**settings)
 
 
 @contextmanager

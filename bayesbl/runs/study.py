@@ -21,7 +21,7 @@ import xarray as xr
 
 from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ResultError
-from bayesbl.results.folder import is_finished, require_free
+from bayesbl.results.folder import figure_title, is_finished, require_free
 from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import OUTCOME
 from bayesbl.results.summary_types import Head, head
@@ -337,13 +337,13 @@ def _names_of_rows(tree: xr.DataTree) -> list[str]:
     return [found[0] for found in sorted(filter(None, numbers), key=lambda found: int(found[1]))]
 
 
-def draw_study(study: Study, tree: xr.DataTree, folder: Path) -> list[Path]:
+def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[str]) -> list[Path]:
     """Draw the study's own figure, if its file has one; the files written."""
-    if not study.has_figure:
+    if not study.has_figure or not formats:
         return []
     figure = study.figure(*stored_rows(tree))
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{study.name}{suffix}" for suffix in (".pdf", ".png")]
+    paths = [folder / f"{study.name}.{ending}" for ending in formats]
     for path in paths:
-        figure.savefig(path)
+        figure.savefig(path, metadata={"Title": figure_title(study.name)})
     return paths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,8 +33,11 @@ if TYPE_CHECKING:
     from bayesbl.measurement.task import StageProgress
     from bayesbl.runs.summary import Summary
 
-Draw = Callable[["xr.DataTree", Path], object]
-"""Draws the figures of a result into a folder; passed in, as figures are made from results."""
+Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
+"""Draws the figures of a result into a folder in the formats given, png and pdf.
+
+Passed in, as figures are made from results.
+"""
 
 LONGEST_S = 7 * 24 * 3600.0
 USUAL_MEMORY_BYTES = 8e9
@@ -53,10 +56,11 @@ class Options:
         Called with sentences for the user.
     """
 
-    draw: Draw = lambda tree, folder: None
+    draw: Draw = lambda tree, folder, formats: None
     force: bool = False
     progress: StageProgress | None = None
     say: Callable[[str], None] = print
+    formats: Sequence[str] = ("png",)
 
 
 @dataclass(slots=True)
@@ -249,7 +253,7 @@ def write_result(
             if text:
                 write_text(text, folder / name)
         try:
-            options.draw(tree, folder / FIGURES)
+            options.draw(tree, folder / FIGURES, options.formats)
         except Exception as error:
             failure = error
     work.clear()

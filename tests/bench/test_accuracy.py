@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.kernel import RPM, SLOTS, STATES, Slot
-from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, strokes
+from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, strokes, torque_ramps
 from bayesbl.bench.simulation import (
     simulate_channels,
     simulate_motions,
@@ -121,6 +121,8 @@ def reference_slopes(t, y, p, piece):
     error = asked_speed - shown_speed
     error += p[S.position_gain_per_s] * (asked_angle - shown_angle)
     demand = p[S.speed_gain_nm_s_per_rad] * error + p[S.integral_gain_nm_per_rad] * integral
+    if math.isinf(p[S.load_inertia_kg_m2]):
+        demand = asked_speed  # the output is held, and a torque is asked for
     drive_slope = 0.0
     if p[S.current_loop_lag__time_s] > 0.0:
         drive_slope = (demand - drive) / p[S.current_loop_lag__time_s]
@@ -342,6 +344,7 @@ MOTIONS = {
     "strokes": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5),
     "sine": sine(120.0, (0.2, 0.9), 0.9, 1.5),
     "cycle": cycle(120.0, [0.1, -0.1, 0.3], 800.0, 9000.0, 0.05, 1.5),
+    "S-curves": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5, 60000.0),
 }
 
 
@@ -361,6 +364,25 @@ def test_motions_keep_the_promise(name: str, effects: list[str]) -> None:
     times = np.arange(samples) / SAMPLING_HZ
     exact = reference_channels(parameters, states[:, 0], times, motion)
     assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [[], ["motor_coulomb_friction", "gear_mesh_friction", "current_loop_lag"]],
+    ids=["bare", "sticking"],
+)
+def test_a_held_output_keeps_the_promise(effects: list[str]) -> None:
+    motion, samples = torque_ramps([1.0, 6.0], 2, 0.35), 700
+    parameters = with_effects(np.random.default_rng(5), effects)
+    found = simulate_motions(parameters[None], motion, samples, SAMPLING_HZ, states=True)[0]
+    times = np.arange(samples) / SAMPLING_HZ
+    held = parameters.copy()
+    held[Slot.load_inertia_kg_m2] = math.inf
+    exact = reference_channels(held, found[:, 0], times, motion)
+    assert np.max(np.abs(found[1] * RPM - exact[0])) < PROMISED_RPM
+    assert np.max(np.abs(found[1] * RPM)) > 100.0
+    load_angle = found[0] / parameters[Slot.gear_ratio] - found[2]
+    assert load_angle == pytest.approx(parameters[Slot.start_angle_rad], abs=1e-9)
 
 
 def test_a_motion_at_constant_speed_is_steady_rotation() -> None:

@@ -17,6 +17,7 @@ from bayesbl.bench.effects import (
     turn_with_the_motor,
 )
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
+from bayesbl.bench.learned import LEARNED_TERMS
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.config.bench import reference_bench
@@ -187,5 +188,6 @@ def test_each_module_is_one_effect_in_its_own_place_with_slots_in_the_kernel() -
     assert modules == EFFECT_BY_NAME.keys()
     assert len({effect.place for effect in EFFECTS}) == len(EFFECTS)
     slots = {slot for effect in EFFECTS for slot in effect.slots.values()}
-    own = {slot for slot in Slot if slot.name.startswith("learned_torque__")}
+    learned = tuple(f"{term.block}__" for term in LEARNED_TERMS)
+    own = {slot for slot in Slot if slot.name.startswith(learned)}
     assert slots == {slot for slot in Slot if "__" in slot.name} - own

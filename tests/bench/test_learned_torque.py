@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import DAHL, INTEGRAL, MOTOR_ANGLE, MOTOR_SPEED, RPM, TWIST, TWIST_SPEED
-from bayesbl.bench.learned_torque import LearnedTorque
+from bayesbl.bench.learned import LearnedTorque
 from bayesbl.bench.simulation import simulate_channels, start_states
 from bayesbl.config.bench import dump_bench, load_bench, parse_bench, reference_bench
 from bayesbl.errors import BenchError, ConfigError

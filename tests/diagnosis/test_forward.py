@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
@@ -279,10 +280,10 @@ def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None
     assert not names(found)
     learned = found.answer.learned
     assert learned is not None
-    assert learned.torque.variable == "motor_angle"
-    assert abs(2.0 * math.pi / learned.torque.period - 1.0 / 1.37) < 1e-3
+    assert learned.term.variable == "motor_angle"
+    assert abs(2.0 * math.pi / learned.term.period - 1.0 / 1.37) < 1e-3
     assert found.answer.augmented_bench is not None
-    assert found.answer.augmented_bench.learned_torque == learned.torque
+    assert found.answer.augmented_bench.learned_torque == learned.term
     assert near(found.answer.delta_after, math.log(GAP_RAD))
 
 

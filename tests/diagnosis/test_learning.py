@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,20 +12,22 @@ from rigid_machine import bench, recording
 from test_rigid import inverse, named
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS
+from bayesbl.bench.learned import EncoderError, LearnedTorque
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_torque
+from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.learning import Group, Hypothesis, learn
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.matching.alignment import fit_aligned
-from bayesbl.matching.observed import observed
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.naming.explanation import nominal_explanation
+from bayesbl.naming.explanation import Explanation, nominal_explanation
 from bayesbl.recording.types import MOTOR_TORQUE
 
 TURN = 2.0 * math.pi
@@ -100,7 +103,7 @@ def test_a_rigid_axis_shows_a_torque_over_its_position() -> None:
         made.append(replace(seen, channels=channels))
     found = answer_with(inverse(made, bench()))
     assert found.learned is not None
-    torque = found.learned.torque
+    torque = found.learned.term
     assert (torque.variable, torque.reverses, torque.side) == ("load_angle", False, "motor")
     x = np.linspace(-0.4, 0.4, 50)
     bump = 0.3 * np.exp(-((x / 0.15) ** 2))
@@ -124,34 +127,72 @@ def test_a_rigid_axis_that_is_understood_learns_nothing() -> None:
         assert answer_with(inverse(made, bench())).learned is None
 
 
-def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independent) -> None:
+def recorded(
+    independent, speeds_rpm: Sequence[float], hidden: Mapping[str, float], rotations: float
+) -> list[Observed]:
+    """Of one gap, the motor and the load starting anywhere."""
     believed = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
-    hidden = {
-        "outside__position_friction_nm": 10.0,
-        "outside__position_friction_phase_rad": 0.7,
-    }
     rng = np.random.default_rng(18)
     seen = []
-    for speed in (2000.0, -2000.0, 1200.0, 1600.0):
+    for speed in speeds_rpm:
         run = {
             "gap_rad": GAP_RAD,
             "reference_speed_rpm": speed,
             "start_angle_rad": rng.uniform(-math.pi, math.pi),
+            "motor_start_angle_rad": 2.0 * speed % TURN,
         }
         made = independent.simulate(
             independent.plant(believed | run | hidden),
             rng,
             name=f"{speed:g} rpm",
-            rotations=3.0,
+            rotations=rotations,
             sampling_hz=500.0,
         )
         seen.append(observed(made.recording, BENCH, speed))
-    used, held_out = seen[:-1], seen[-1]
+    return seen
+
+
+def nominal_fit(used: Sequence[Observed]) -> Explanation:
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(r.name) for r in used)]
-    nominal = nominal_explanation(fit_aligned(BENCH, used, unknowns))
-    found = learned_torque(nominal, [], FALSE_ALARM, motor_angle_known=False)
+    return nominal_explanation(fit_aligned(BENCH, used, unknowns))
+
+
+@pytest.mark.parametrize("where", ["encoder", "motor"])
+def test_two_speeds_tell_an_error_of_the_encoder_from_a_torque(independent, where: str) -> None:
+    # An error of the angle goes with the speed, a torque does not. Of both the same orders.
+    hidden = {
+        "encoder": {
+            "outside__encoder_1_rad": 2.5e-4,
+            "outside__encoder_2_rad": 1.5e-4,
+            "outside__encoder_2_phase_rad": 1.0,
+        },
+        "motor": {"outside__ripple_nm": 0.03, "outside__ripple_order": 1.0},
+    }[where]
+    nominal = nominal_fit(recorded(independent, (2000.0, -1200.0), hidden, 2.0))
+    line = Unexplained("motor_speed_rpm", "motor angle", 0.5, "rpm", 1.0, 1.0, math.nan, ())
+    found = learned_term(nominal, [line], FALSE_ALARM, motor_angle_known=False)
     assert found is not None
-    torque = found.torque
+    assert (found.term.side, found.alike) == (where, ())
+    fit = found.explanation.fit
+    assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
+    if isinstance(found.term, EncoderError):
+        size = np.hypot(found.term.cosine_rad, found.term.sine_rad)[:2]
+        sd = np.hypot(*np.reshape(found.term.sd_rad, (2, -1)))[:2]
+        assert np.all(np.abs(size - [2.5e-4, 1.5e-4]) < 4.0 * sd)
+        assert augmented_bench(found.explanation).encoder_error == found.term
+
+
+def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independent) -> None:
+    hidden = {
+        "outside__position_friction_nm": 10.0,
+        "outside__position_friction_phase_rad": 0.7,
+    }
+    *used, held_out = recorded(independent, (2000.0, -2000.0, 1200.0, 1600.0), hidden, 3.0)
+    nominal = nominal_fit(used)
+    found = learned_term(nominal, [], FALSE_ALARM, motor_angle_known=False)
+    assert found is not None
+    torque = found.term
+    assert isinstance(torque, LearnedTorque)
     assert (torque.side, torque.variable, torque.reverses) == ("load", "load_angle", True)
     # 10 (1 + 0.5 cos(θ + 0.7) + 0.25 sin(2θ + 1.4))
     truth = {
@@ -170,7 +211,7 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
     before = abs(math.log(nominal.fit.value(GAP) / GAP_RAD)) / nominal.fit.sd(GAP)
     assert before > 10.0, "without it the gap is wrong"
-    assert 0.0 < gap_share(fit) < 1.0
+    assert 0.0 < gap_share(fit, torque) < 1.0
     assert augmented_bench(found.explanation).learned_torque == torque
     left = held_out.left_by(predicted(found.explanation, held_out))
     without = held_out.left_by(predicted(nominal, held_out))

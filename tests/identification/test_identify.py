@@ -7,6 +7,7 @@ it would fail by chance.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -19,9 +20,10 @@ from bayesbl.bench.bench import (
     BenchEffect,
     BenchParameter,
     EffectParameterValue,
-    Measurement,
 )
 from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.identification.identify import (
@@ -38,6 +40,7 @@ from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import (
     GAP,
+    REFERENCE_DELAY,
     SimulatedSignals,
     gap_unknown,
     start_angle_unknown,
@@ -45,6 +48,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.types import REFERENCE_POSITION, REFERENCE_SPEED, FloatArray
 from bayesbl.sampling.chains import SamplerSettings
 
 GAP_RAD = 8e-4
@@ -52,6 +56,14 @@ SETTINGS = SamplerSettings(ensembles=2)
 SHARE = 0.25
 OFF = (0.12, -0.17, 0.08, 0.2, -0.1, 0.15, -0.05, 0.1)
 """By how much the data sheet is off in each parameter."""
+
+
+DELAY_S = 2e-3
+
+
+def only_compared(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Without the reference position, which a delay would contradict."""
+    return {name: values for name, values in channels.items() if name != REFERENCE_POSITION}
 
 
 def joint() -> Bench:
@@ -133,6 +145,37 @@ def test_a_further_recording_is_expected_to_tell_something() -> None:
     suggested = next_recording(identified().final.fit)
     assert suggested is not None
     assert suggested.information_bits > 0.0
+    assert suggested.sd_after < suggested.sd_before
+
+
+def test_strokes_tell_what_a_slower_turn_does_not() -> None:
+    """Gap and ratio within 3.5 standard deviations, a delayed reference found beside them."""
+    rng = np.random.default_rng(4)
+    motion = strokes(joint().value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.15, 6.0)
+    made = joint().simulate_motion(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name="strokes")
+    late = made.channels[REFERENCE_SPEED]
+    late = np.interp(made.time_s + DELAY_S, made.time_s, late)
+    made = replace(made, channels={**only_compared(made.channels), REFERENCE_SPEED: late})
+    stroked = (*recordings()[:2], observed(made, data_sheet()))
+    problem_of_strokes = replace(problem(data_sheet()), used=stroked)
+    found = identify(problem_of_strokes, SETTINGS, np.random.SeedSequence(2))
+    assert found.verdict == "agrees"
+    assert reason_of(found, problem_of_strokes) is None
+    delay = found.posterior.values(REFERENCE_DELAY, "strokes")
+    assert abs(delay.mean() - DELAY_S) < 3.5 * delay.std()
+    gap, before = (np.log(f.posterior.values(GAP)) for f in (found, identified()))
+    assert abs(gap.mean() - math.log(GAP_RAD)) < 3.5 * gap.std()
+    assert gap.std() < 0.5 * before.std()
+    ratio, before = (
+        np.subtract(*np.log(parameter_draws(f, ("load_inertia_kg_m2", "gravity_torque_nm"))).T)
+        for f in (found, identified())
+    )
+    truth = math.log(joint().value("load_inertia_kg_m2") / joint().value("gravity_torque_nm"))
+    assert abs(ratio.mean() - truth) < 3.5 * ratio.std()
+    assert ratio.std() < before.std() / 3.0
+    # What comes next is a turn at one speed, although the last recording was none.
+    suggested = next_recording(found.final.fit)
+    assert suggested is not None
     assert suggested.sd_after < suggested.sd_before
 
 

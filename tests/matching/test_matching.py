@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue, Measurement
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import observed

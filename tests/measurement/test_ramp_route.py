@@ -246,7 +246,7 @@ def test_what_does_not_go_with_ramps_is_refused(tmp_path: Path, changed: str, wo
 
 def test_init_takes_position_and_torque_without_a_speed_for_ramps(tmp_path: Path) -> None:
     time, torque, position = ramps()
-    columns = {"TIME": time, "POSITION": position, "TORQUE": torque}
+    columns = {"TIME": time, "POSITION [rad]": position, "TORQUE": torque}
     file = write_csv(tmp_path / "a.csv", columns)
     assert guess_columns(file, read_table(file)).torque_ramps
     config = tmp_path / "a.toml"
@@ -254,3 +254,22 @@ def test_init_takes_position_and_torque_without_a_speed_for_ramps(tmp_path: Path
     loaded = load_config(config)
     assert loaded.estimator.route == "torque_ramp"
     assert loaded.column_specs["motor_torque_nm"] == ColumnSpec("TORQUE", "N m")
+
+
+def test_a_position_without_a_unit_is_asked_for_and_never_taken_as_radians(
+    tmp_path: Path, capsys
+) -> None:
+    time, torque, position = ramps()
+    turns = position / (2.0 * np.pi)
+    file = write_csv(tmp_path / "a.csv", {"TIME": time, "POSITION": turns, "TORQUE": torque})
+    config = tmp_path / "a.toml"
+    assert status(["init", str(file), "--out", str(config)]) == 2
+    assert "cannot run yet" in capsys.readouterr().out
+    code, _ = run(tmp_path, "run", str(config))
+    assert code == 2
+    assert "motor_position_rad" in capsys.readouterr().err
+    told = config.read_text().replace('"?"', '"rev"')
+    config.write_text(told.replace("# motor_position_rad", "motor_position_rad"))
+    code, summary = run(tmp_path, "run", str(config))
+    assert code == 0
+    assert summary["delta_rad"]["median"] == pytest.approx(GAP, rel=0.1)

@@ -600,4 +600,4 @@ def test_the_figure_shows_dates_line_and_limit_as_stored(tmp_path):
     np.testing.assert_allclose(line.get_ydata(), 1e3 * path_band(group, ahead, 0.9)[1])
     curve = limit.lines[0].get_ydata()
     assert np.all(np.diff(curve) >= 0.0)
-    assert len(save(figure, tmp_path / "figures", "wear")) == 2
+    assert len(save(figure, tmp_path / "figures", "wear", ("png",))) == 1

@@ -16,6 +16,7 @@ from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_unknowns
+from bayesbl.measurement.model_check import against_the_bench
 from bayesbl.naming.joint_change import find_changes
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -108,7 +109,18 @@ def test_a_bench_that_is_wrong_for_both_is_no_change_between_them(independent):
     _, found = find_changes(nominal_fit(independent, wrong, seed=3, first=wrong))
     assert [c.recording for c in found.changed] == [None]
     assert found.against_bench
+    assert not found.motor_orders
     assert found.changed[0].name == "shaft_stiffness_nm_per_rad"
+
+
+def test_an_error_of_the_encoder_is_told_by_its_orders_and_gets_no_other_name(independent):
+    disc = {"outside__encoder_1_rad": 2.5e-4, "outside__encoder_2_rad": 1.5e-4}
+    _, found = find_changes(nominal_fit(independent, disc, seed=5, first=disc))
+    assert found.against_bench
+    assert found.motor_orders == (1, 2)
+    told = against_the_bench(found)
+    assert "at orders 1 and 2: an error of the motor's encoder" in told
+    assert "torque_nm" not in told
 
 
 def test_a_bench_beyond_its_tolerance_in_every_recording_speaks_against_the_bench(independent):

@@ -84,6 +84,8 @@ sampling_hz = 500.0
 bench_draws = 6
 """
 
+BOTH = ("pdf", "png")
+
 
 def write_recording(path, amplitude_rpm, samples, seed):
     """A low-rate recording of the disturbance model, with rotations of 1.4 s."""
@@ -128,7 +130,7 @@ def tree(file):
 @pytest.fixture(scope="module")
 def drawn(tree, tmp_path_factory):
     """Every file that ``draw_all`` writes, by name."""
-    return {path.name: path for path in draw_all(tree, tmp_path_factory.mktemp("figures"))}
+    return {path.name: path for path in draw_all(tree, tmp_path_factory.mktemp("figures"), BOTH)}
 
 
 def texts(figure):
@@ -270,7 +272,9 @@ def test_contours_hold_their_share_of_the_draws():
 def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, drawn, tmp_path):
     tree = read_tree(file)
     with publication_style():
-        again = save(gap(tree), tmp_path, "gap") + save(signal(tree), tmp_path, "signal")
+        again = save(gap(tree), tmp_path, "gap", BOTH) + save(
+            signal(tree), tmp_path, "signal", BOTH
+        )
     for path in again:
         assert path.read_bytes() == drawn[path.name].read_bytes(), path.name
 
@@ -285,7 +289,7 @@ def test_every_figure_is_there_as_pdf_and_png(drawn):
 def test_half_a_figure_is_not_left(tmp_path):
     (tmp_path / "half.png").mkdir()  # nothing can be written under this name
     with publication_style(), pytest.raises(OSError, match=r"half\.png"):
-        save(Figure(), tmp_path, "half")
+        save(Figure(), tmp_path, "half", BOTH)
     assert not (tmp_path / "half.pdf").exists()
 
 
@@ -311,7 +315,7 @@ def test_a_file_in_the_folder_of_figures_is_a_figure(tree, tmp_path, monkeypatch
         assert caption("durations", figures_of(tree)) == "How long each recording is."
         only = [figure for figure in figures_of(tree) if figure.name == "durations"]
         monkeypatch.setattr("bayesbl.presentation.figures.draw.figures_of", lambda _: only)
-        (pdf, png) = draw_all(tree, tmp_path / "figures")
+        (pdf, png) = draw_all(tree, tmp_path / "figures", BOTH)
     assert {pdf.name, png.name} == {"durations.pdf", "durations.png"}
     assert pdf.stat().st_size > 1000
     monkeypatch.undo()
@@ -338,7 +342,7 @@ def test_a_result_that_no_figure_shows_is_refused(tmp_path):
     other = xr.DataTree()
     other.attrs = {"kind": "study"}
     with pytest.raises(ResultError, match="study"):
-        draw_all(other, tmp_path)
+        draw_all(other, tmp_path, BOTH)
 
 
 # Withheld answers
@@ -525,12 +529,12 @@ def test_slopes_are_left_out_where_the_draws_are_too_few(swept):
 
 def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monkeypatch):
     save = "bayesbl.presentation.figures.draw.save"
-    monkeypatch.setattr(save, lambda _, folder, name: [folder / name])
+    monkeypatch.setattr(save, lambda _, folder, name, formats: [folder / name])
     nominal = swept.copy()
     del nominal["bench_draws"]
-    names = {path.name for path in draw_all(nominal, tmp_path)}
+    names = {path.name for path in draw_all(nominal, tmp_path, BOTH)}
     assert names == {"curve", "disturbance", "degrees"}
-    assert {path.name for path in draw_all(swept, tmp_path)} == names | {"bench_draws"}
+    assert {path.name for path in draw_all(swept, tmp_path, BOTH)} == names | {"bench_draws"}
 
 
 # Nothing runs out of a figure

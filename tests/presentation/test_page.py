@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import re
 from datetime import date
 from html.parser import HTMLParser
 from pathlib import Path
 
+import matplotlib.image as mpimg
 import numpy as np
 import pytest
 import xarray as xr
@@ -22,7 +25,8 @@ from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
-from bayesbl.presentation.page.build import _prose, page
+from bayesbl.presentation.page.build import page
+from bayesbl.presentation.page.templates import prose
 from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.provenance import provenance
@@ -192,6 +196,14 @@ def test_every_picture_has_a_text_and_every_table_a_head(written):
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("thead") == tags.count("table") > 0
     assert all(a.get("scope") == "col" for tag, a in reader.tags if tag == "th")
+
+
+def test_letters_of_all_figures_are_of_one_size(written):
+    """Each figure says how wide it is drawn, so that one style shrinks all alike."""
+    figures = re.findall(r'<img style="--pixels: (\d+)" src="data:image/png;base64,(.+?)"', written)
+    assert figures
+    for told, data in figures:
+        assert mpimg.imread(io.BytesIO(base64.b64decode(data))).shape[1] == int(told)
 
 
 def test_markup_in_a_users_text_stays_text(tree):
@@ -534,7 +546,7 @@ def test_a_notebook_shows_names_of_others_as_text(tree):
 
 
 def test_commands_are_code_and_no_option_is_broken_or_brings_markup():
-    assert str(_prose("Then `bayesbl fit A --bench <b>`; (--limit-rad) a--b")) == (
+    assert str(prose("Then `bayesbl fit A --bench <b>`; (--limit-rad) a--b")) == (
         'Then <code>bayesbl fit A <span class="option">--bench</span> &lt;b&gt;</code>; '
         '(<span class="option">--limit-rad</span>) a--b'
     )

@@ -125,7 +125,7 @@ def test_force_deletes_nothing_that_a_user_put_among_the_figures(tmp_path: Path)
     finish(path, "first")
     (path / "figures").mkdir()
     for name in ("gap.pdf", "gap.png"):
-        (path / "figures" / name).touch()
+        (path / "figures" / name).write_bytes(b"%PDF /Title (gap)")
     finish(path, "second", force=True)
     (path / "figures").mkdir()
     for name in ("photograph.png", "notes.txt", "more"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesbl.bench.bench import Measurement
+from bayesbl.bench.measured_channels import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.noise.process import NoiseModel, quantised
 from bayesbl.noise.quantisation import speed_steps

@@ -295,7 +295,7 @@ def test_a_study_runs_and_is_inspected_on_the_command_line(folder, capsys):
     assert "few, AR(1)" in capsys.readouterr().out
     assert cli.status(["inspect", str(folder / "out")]) == 0
     assert "mean_rpm" in capsys.readouterr().out
-    assert {p.name for p in (folder / "out" / "figures").iterdir()} == {"study.pdf", "study.png"}
+    assert {p.name for p in (folder / "out" / "figures").iterdir()} == {"study.png"}
     assert cli.status(["run", config, "--json", "--out", str(folder / "b")]) == 0
     assert json.loads(capsys.readouterr().out)["kind"] == "study"
     assert cli.status(["run", config]) == cli.WRONG

@@ -87,6 +87,10 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
         cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
         if np.any((matrix[:, amplitude] != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
             return False
+    shown = matrix[matrix[:, Slot.encoder_error__orders] != 0.0]
+    cycles = 2.0 * np.pi * shown[:, Slot.gear_ratio] / shown[:, Slot.encoder_error__period_rad]
+    if np.any(np.abs(cycles - np.round(cycles)) > 1e-9):
+        return False
     learned = matrix[matrix[:, Slot.learned_torque__side] != 0.0]
     variable = learned[:, Slot.learned_torque__variable]
     turn = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
@@ -100,4 +104,5 @@ def turn_with_the_motor(matrix: FloatArray) -> bool:
     """Whether anything is on in these benches, shape (m, SLOTS), that needs the motor's angle."""
     learned = matrix[:, Slot.learned_torque__side] != 0.0
     learned &= matrix[:, Slot.learned_torque__variable] == OVER_MOTOR_ANGLE
+    learned |= matrix[:, Slot.encoder_error__orders] != 0.0
     return bool(np.any(matrix[:, _WITH_MOTOR_ANGLE] != 0.0) or np.any(learned))

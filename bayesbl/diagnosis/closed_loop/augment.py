@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.learned_torque import LEARNED_TORQUE, LearnedTorque
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import START_ANGLE
 from bayesbl.naming.explanation import Explanation
@@ -33,8 +33,7 @@ def augmented_bench(explanation: Explanation) -> Bench:
     effects = tuple(_fitted(effect, values, deviations) for effect in bench.effects)
     corrected = {name: values[name] for name in values if name in bench.parameters}
     bench = bench.with_parameters(**corrected).with_effects(*effects)
-    if bench.learned_torque is not None:
-        bench = replace(bench, learned_torque=torque_of(fit))
+    bench = bench.with_learned(*learned_terms(fit))
     parameters = dict(bench.parameters)
     for name in corrected:
         half = min(math.sqrt(3.0) * deviations[name], 0.5 * abs(values[name]))
@@ -42,31 +41,13 @@ def augmented_bench(explanation: Explanation) -> Bench:
     return replace(bench, parameters=parameters)
 
 
-def torque_of(fit: SimulatedFit) -> LearnedTorque:
-    """The learned torque at the optimum, with standard deviations."""
-    learned = fit.model.bench.learned_torque
-    assert learned is not None
+def learned_terms(fit: SimulatedFit) -> list[LearnedTerm]:
+    """What the bench has learned, at the optimum, with standard deviations."""
     places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
     spread = np.sqrt(np.diag(fit.covariance))
-    values = [
-        float(fit.point[places[name]]) if name in places else known
-        for name, known in zip(learned.names, learned.coefficients, strict=True)
-    ]
-    held = learned.sd_nm or (0.0,) * len(learned.names)
-    sds = [
-        float(spread[places[name]]) if name in places else sd
-        for name, sd in zip(learned.names, held, strict=True)
-    ]
-    period = places.get(f"{LEARNED_TORQUE}__period")
-    orders = len(learned.cosine_nm)
-    return replace(
-        learned,
-        period=learned.period if period is None else float(fit.point[period]),
-        constant_nm=values[0],
-        cosine_nm=tuple(values[1 : 1 + orders]),
-        sine_nm=tuple(values[1 + orders :]),
-        sd_nm=tuple(sds),
-    )
+    values = {name: float(fit.point[i]) for name, i in places.items()}
+    sds = {name: float(spread[i]) for name, i in places.items()}
+    return [term.fitted(values, sds) for term in fit.model.bench.learned_terms]
 
 
 def known_settings(explanation: Explanation) -> dict[str, float]:

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_torque
+from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     residuals_of,
@@ -34,6 +34,7 @@ from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexpl
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
@@ -84,7 +85,7 @@ class Findings:
     remaining
         What still stands out after naming.
     learned
-        The torque that was learned from what naming left; ``final`` has it.
+        What was learned from what naming left; ``final`` has it.
     """
 
     believed: Bench
@@ -152,7 +153,7 @@ def search(
         after, remaining = before, describe_unexplained(before)
     learned = None
     if naming.repeats or remaining:
-        learned = learned_torque(final, remaining, settings.false_alarm, settings.motor_angle_known)
+        learned = learned_term(final, remaining, settings.false_alarm, settings.motor_angle_known)
     if learned is not None:
         with_it = simulated_pairs(naming.nominal, learned.explanation, held_out)
         explained = _analysis(with_it, learned.explanation, "after")
@@ -165,7 +166,7 @@ def search(
 
 
 def _with_candidates(naming: Naming, final: Explanation) -> Naming:
-    """Without the names that a learned torque has made superfluous."""
+    """Without the names that what was learned has made superfluous."""
     for place in range(len(naming.final.candidates) - 1, -1, -1):
         if naming.final.candidates[place].label not in final.names:
             left = reduced(naming.nominal, naming.final, place)
@@ -301,7 +302,7 @@ def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
 
 
 def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:
-    """δ with what was named and learned; ``None`` where a learned torque leaves it open."""
+    """δ with what was named and learned; ``None`` where what was learned leaves it open."""
     told = _learned_answer(found)
     if told is None:
         return _averaged_delta(found.naming, found.final, sampled)
@@ -311,7 +312,10 @@ def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate |
 def _learned_answer(found: Findings) -> LearnedAnswer | None:
     if found.learned is None:
         return None
-    return answer_of(found.learned, _share_closed(found.residuals_before, found.residuals_after))
+    closed = _share_closed(found.residuals_before, found.residuals_after)
+    # Noise is told from what remains by its tests, not by a share of little.
+    remains = bool(found.remaining) or not agrees(disagreements(found.final.fit))
+    return answer_of(found.learned, closed, remains)
 
 
 def _averaged_delta(

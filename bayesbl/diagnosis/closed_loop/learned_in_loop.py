@@ -1,4 +1,7 @@
-"""A torque of no known law, learned from what the simulation leaves (:mod:`..learning`)."""
+"""A torque of no known law, or the encoder's error, learned from what the simulation leaves.
+
+Which of them, and over what, :mod:`..learning` decides.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS, RPM
-from bayesbl.bench.learned_torque import (
-    LEARNED_TORQUE,
-    SHIFT,
-    LearnedTorque,
-    coefficient_names,
-)
+from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
 from bayesbl.bench.steady import ringing_hz
-from bayesbl.diagnosis.closed_loop.augment import torque_of
+from bayesbl.diagnosis.closed_loop.augment import learned_terms
 from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
 from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
@@ -46,13 +44,13 @@ RANGE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """A learned torque, fitted jointly with all else.
+    """What was learned, fitted jointly with all else.
 
     Attributes
     ----------
     explanation
         With the coefficients among its unknowns.
-    torque
+    term
         Fitted, with standard deviations.
     alike
         Other variables or sides that the recordings do not tell from it.
@@ -66,20 +64,20 @@ class Learned:
     """
 
     explanation: Explanation
-    torque: LearnedTorque
-    alike: tuple[LearnedTorque, ...]
+    term: LearnedTerm
+    alike: tuple[LearnedTerm, ...]
     predicted_gain: float
     gap_share: float
     reaches_ringing: bool
 
 
-def learned_torque(
+def learned_term(
     base: Explanation,
     remaining: Sequence[Unexplained],
     false_alarm: float,
     motor_angle_known: bool,
 ) -> Learned | None:
-    """The torque that predicts most of what an explanation leaves; ``None`` if none does.
+    """What predicts most of what an explanation leaves; ``None`` if nothing does.
 
     Parameters
     ----------
@@ -87,10 +85,11 @@ def learned_torque(
         What still repeats: its lines propose motor orders and frequencies.
     """
     fit = base.fit
-    if fit.model.bench.learned_torque is not None:
-        return None
+    known = {term.block for term in fit.model.bench.learned_terms}
     found = []
     for hypothesis in _hypotheses(remaining, motor_angle_known):
+        if _kind_of(hypothesis).block in known:
+            continue
         groups = _groups(fit, hypothesis)
         if groups is not None:
             found.append((hypothesis, groups))
@@ -102,11 +101,10 @@ def learned_torque(
                 continue
             explanation = _without_idle(fitted, false_alarm)
             fit = explanation.fit
-            others = tuple(t.hypothesis.torque(t.coefficients) for t in trials if t is not trial)
-            torque = torque_of(fit)
-            return Learned(
-                explanation, torque, others, trial.gain, gap_share(fit), _reaches(fit.model, torque)
-            )
+            others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
+            term = _learned(fit, _kind_of(trial.hypothesis))
+            reaches = _reaches(fit.model, term)
+            return Learned(explanation, term, others, trial.gain, gap_share(fit, term), reaches)
     return None
 
 
@@ -143,13 +141,22 @@ def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
     return _without_idle(fitted, false_alarm)
 
 
-def _reaches(model: SimulatedSignals, torque: LearnedTorque) -> bool:
-    """Whether the torque repeats with the load at orders that reach the ringing of an impact."""
-    if torque.variable != "load_angle":
+def _kind_of(hypothesis: Hypothesis) -> type[LearnedTerm]:
+    return EncoderError if hypothesis.side == EncoderError.side else LearnedTorque
+
+
+def _learned(fit: SimulatedFit, kind: type[LearnedTerm]) -> LearnedTerm:
+    """What a fit has of this kind, at its optimum."""
+    return next(term for term in learned_terms(fit) if isinstance(term, kind))
+
+
+def _reaches(model: SimulatedSignals, term: LearnedTerm) -> bool:
+    """Whether a term repeats with the load at orders that reach the ringing of an impact."""
+    if term.variable != "load_angle":
         return False
     ringing = ringing_hz(model.bench.vector())
     fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
-    return len(torque.cosine_nm) * fastest >= ringing
+    return term.orders * fastest >= ringing
 
 
 def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Hypothesis]:
@@ -158,9 +165,13 @@ def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> It
         for reverses in (False, True):
             yield Hypothesis(side, "load_angle", turn, reverses)
     own = not motor_angle_known
-    for order in _bases(remaining, "motor angle", lambda entry: entry.lowest_order):
+    orders = _bases(remaining, "motor angle", lambda entry: entry.lowest_order)
+    for order in orders:
         if order * LONGEST_PERIOD >= 1.0:
             yield Hypothesis("motor", "motor_angle", turn / order, False, own)
+    whole = [order for order in orders if order == round(order)]
+    for order in whole[:1]:
+        yield Hypothesis("encoder", "motor_angle", turn / order, False, own)
     for frequency in _bases(remaining, "time", lambda entry: entry.frequency_hz):
         yield Hypothesis("motor", "time", 1.0 / frequency, False, True)
 
@@ -209,14 +220,17 @@ def _bases(
 
 def _groups(fit: SimulatedFit, hypothesis: Hypothesis) -> list[Group] | None:
     """Products of the columns of every recording; of the halves of one that is alone."""
-    names = coefficient_names(LEARNED_HARMONICS)
-    model = _with_torque(fit.model, hypothesis, LEARNED_HARMONICS, [Unknown(n) for n in names])
+    names = _names(hypothesis, LEARNED_HARMONICS)
+    model = _with_term(
+        fit.model, hypothesis, LEARNED_HARMONICS, [Unknown(name) for name in names.values()]
+    )
     size = len(fit.point)
     moved = np.repeat(np.concatenate([fit.point, np.zeros(len(names))])[None], len(names) + 1, 0)
-    step = _typical_torque(fit) * (model.bench.value("gear_ratio") if _at_load(hypothesis) else 1.0)
+    step = _typical_size(fit, hypothesis)
     moved[np.arange(len(names)) + 1, np.arange(len(names)) + size] = step
     z = model.whitened(moved)
-    columns = (z[0] - z[1:]) / step
+    columns = np.zeros((1 + 2 * LEARNED_HARMONICS, z.shape[1]))
+    columns[list(names)] = (z[0] - z[1:]) / step
     if not np.all(np.isfinite(columns)):
         return None
     parts = [model.by_recording(row) for row in (*columns, *fit.jacobian.T, fit.residual)]
@@ -235,28 +249,33 @@ def _groups(fit: SimulatedFit, hypothesis: Hypothesis) -> list[Group] | None:
     return groups
 
 
-def _at_load(hypothesis: Hypothesis) -> bool:
-    return hypothesis.side == "load"
+def _names(hypothesis: Hypothesis, orders: int) -> dict[int, str]:
+    """Slots of the coefficients by their place among constant, cosines and sines."""
+    names = hypothesis.term(np.zeros(2 * orders + 1)).names
+    return dict(enumerate(names, start=2 * orders + 1 - len(names)))
 
 
-def _typical_torque(fit: SimulatedFit) -> float:
-    """Torque at the motor of the size that what is left has, N m: a step for derivatives."""
+def _typical_size(fit: SimulatedFit, hypothesis: Hypothesis) -> float:
+    """Size that what is left would have as this, N m or rad: a step for derivatives."""
     model = fit.model
     seen = model.recordings[0]
     left = np.sqrt(np.mean(seen.left_by(model.signals(fit.point, 0)[0]) ** 2, axis=1))
+    if hypothesis.side == "encoder":
+        return float(left[0]) / abs(seen.reference_speed_rpm)
     if len(left) > 1:
-        return float(left[1]) * model.bench.value("torque_constant_nm_per_a")
-    return float(left[0]) / RPM * model.bench.value("speed_gain_nm_s_per_rad")
+        torque = float(left[1]) * model.bench.value("torque_constant_nm_per_a")
+    else:
+        torque = float(left[0]) / RPM * model.bench.value("speed_gain_nm_s_per_rad")
+    return torque * (model.bench.value("gear_ratio") if hypothesis.side == "load" else 1.0)
 
 
-def _with_torque(
+def _with_term(
     model: SimulatedSignals, hypothesis: Hypothesis, orders: int, unknowns: Sequence[Unknown]
 ) -> SimulatedSignals:
-    """The comparison with a torque of so many orders, all zero, and these unknowns more."""
-    torque = hypothesis.torque(np.zeros(2 * orders + 1))
+    """The comparison with a term of so many orders, all zero, and these unknowns more."""
     return replace(
         model,
-        bench=replace(model.bench, learned_torque=torque),
+        bench=model.bench.with_learned(hypothesis.term(np.zeros(2 * orders + 1))),
         unknowns=(*model.unknowns, *unknowns),
     )
 
@@ -265,7 +284,7 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
     """All unknowns jointly with the coefficients, twice, the noise estimated again between."""
     hypothesis, model = trial.hypothesis, base.fit.model
     reach = RANGE * float(np.abs(trial.coefficients).max())
-    names = coefficient_names(trial.orders)
+    names, kind = _names(hypothesis, trial.orders), _kind_of(hypothesis)
     unknowns = [Unknown(names[k], -reach, reach) for k in trial.free]
     start = [float(trial.coefficients[k]) for k in trial.free]
     if hypothesis.own_zero:
@@ -273,12 +292,13 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
         whole = abs(2.0 * math.pi / hypothesis.period % 1.0) < 1e-6
         if not (hypothesis.variable == "motor_angle" and whole):
             half = 0.5 * WHOLE * hypothesis.period
-            unknowns.append(Unknown(f"{LEARNED_TORQUE}__period", period - half, period + half))
+            unknowns.append(Unknown(kind.period_slot, period - half, period + half))
             start.append(period)
         for seen, shift in zip(model.recordings[1:], trial.shifts[1:], strict=False):
-            unknowns.append(Unknown(SHIFT, -1.5 * period, 1.5 * period, recording=seen.name))
+            reach = 1.5 * period
+            unknowns.append(Unknown(kind.shift_slot, -reach, reach, recording=seen.name))
             start.append((shift + 0.5 * period) % period - 0.5 * period)
-    extended = _with_torque(model, hypothesis, trial.orders, unknowns)
+    extended = _with_term(model, hypothesis, trial.orders, unknowns)
     own = base.fit.point.size
     starts = [np.concatenate([base.fit.point, start])]
     # What was missing may have drawn the gap away: also from where it is with the torque known.
@@ -294,59 +314,66 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
     return with_noise(explanation, remaining_noise(fit))
 
 
-def gap_share(fit: SimulatedFit) -> float:
-    """Information on ln δ with the coefficients free over that with them known."""
+def gap_share(fit: SimulatedFit, term: LearnedTerm) -> float:
+    """Information on ln δ with the term's coefficients free over that with them known."""
     names = [u.name for u in fit.model.unknowns]
     if GAP not in names:
         return 1.0
     gap = names.index(GAP)
-    coefficients = set(coefficient_names(LEARNED_HARMONICS))
-    held = [i for i, name in enumerate(names) if name not in coefficients]
+    held = [i for i, name in enumerate(names) if name not in term.names]
     precision = np.linalg.inv(fit.covariance)
     known = np.linalg.inv(precision[np.ix_(held, held)])[held.index(gap), held.index(gap)]
     return float(known / fit.covariance[gap, gap])
 
 
-def band_of(fit: SimulatedFit, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The torque at these values of its variable and its standard deviation, each as ``x``."""
-    torque = torque_of(fit)
-    orders = np.arange(1, len(torque.cosine_nm) + 1)
-    phase = 2.0 * math.pi * np.outer(x, orders) / torque.period
+def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A term at these values of its variable and its standard deviation, each as ``x``."""
+    phase = 2.0 * math.pi * np.outer(x, np.arange(1, term.orders + 1)) / term.period
     basis = np.hstack([np.ones((x.size, 1)), np.cos(phase), np.sin(phase)])
+    basis = basis[:, -len(term.names) :]  # an encoder has no constant
     places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
-    free = [k for k, name in enumerate(torque.names) if name in places]
-    at = [places[torque.names[k]] for k in free]
+    free = [k for k, name in enumerate(term.names) if name in places]
+    at = [places[term.names[k]] for k in free]
     covariance = fit.covariance[np.ix_(at, at)]
     variance = np.einsum("xi,ij,xj->x", basis[:, free], covariance, basis[:, free])
-    return torque.over(x), np.sqrt(variance)
+    return term.over(x), np.sqrt(variance)
 
 
-def answer_of(learned: Learned, closed: float) -> LearnedAnswer:
-    """What is told of it; ``closed``: share of what repeated that is gone."""
-    torque = learned.torque
-    lowest = 0.0 if torque.belongs_to_recordings else -0.5 * torque.period
-    x = lowest + torque.period * np.linspace(0.0, 1.0, CURVE_POINTS)
-    values, sd = band_of(learned.explanation.fit, x)
+def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
+    """What is told of it.
+
+    ``closed``: share of what repeated that is gone; ``remains``: whether anything still stands out.
+    """
+    term = learned.term
+    lowest = 0.0 if term.belongs_to_recordings else -0.5 * term.period
+    x = lowest + term.period * np.linspace(0.0, 1.0, CURVE_POINTS)
+    values, sd = band_of(learned.explanation.fit, term, x)
     withheld = ""
     if learned.reaches_ringing:
         withheld = (
-            "The learned torque repeats with the load at orders that reach the ringing of an "
+            "What was learned repeats with the load at orders that reach the ringing of an "
             "impact: it could be taken for impacts, so no gap is given."
         )
-    elif closed < ENOUGH_CLOSED:
+    elif remains and closed < ENOUGH_CLOSED:
         withheld = (
-            f"The learned torque removes {100.0 * closed:.0f} % of what repeats; from "
+            f"What was learned removes {100.0 * closed:.0f} % of what repeats; from "
             f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
+        )
+    elif len({other.block for other in (term, *learned.alike)}) > 1:
+        withheld = (
+            "These recordings do not tell an error of the motor's encoder from a torque at the "
+            "motor, nor either from a transmission error, which moves the gap: so no gap is given. "
+            "Record a second speed, and the other direction."
         )
     elif learned.explanation.candidates:
         withheld = (
-            "Beside a torque of no known law a name of the catalogue may be wrong and draw the gap "
+            "Beside what has no known law a name of the catalogue may be wrong and draw the gap "
             "away, so no gap is given. Add what is known of the joint to the bench, and diagnose "
             "again."
         )
-    size = values if torque.reverses else values - values.mean()
+    size = values if term.reverses else values - values.mean()
     return LearnedAnswer(
-        torque,
+        term,
         float(np.abs(size).max()),
         learned.alike,
         LearnedCurve(x, values, sd),

@@ -233,10 +233,10 @@ def _unknowns(
             unknowns.append(known)
         else:
             unknowns.append(start_angle_unknown(seen.name))
-    learned = bench.learned_torque
     told = config.comparison.motor_angle_known
-    if learned is not None and not (told and learned.variable == "motor_angle"):
-        unknowns += shift_unknowns(learned, [seen.name for seen in used])
+    for learned in bench.learned_terms:
+        if not (told and learned.variable == "motor_angle"):
+            unknowns += shift_unknowns(learned, [seen.name for seen in used])
     toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
         if name not in toleranced:

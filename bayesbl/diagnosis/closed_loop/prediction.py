@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.bench.learned_torque import SHIFT
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
@@ -65,9 +64,13 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
         if u.recording == fit.model.recordings[0].name and u.name.endswith("__phase_rad")
     ]
     bench = augmented_bench(explanation)
-    shifts = []
-    if any(u.name == SHIFT for u in fit.model.unknowns) and bench.learned_torque is not None:
-        shifts = shift_unknowns(bench.learned_torque, [seen.name])
+    named = {u.name for u in fit.model.unknowns}
+    shifts = [
+        unknown
+        for term in bench.learned_terms
+        if term.shift_slot in named
+        for unknown in shift_unknowns(term, [seen.name])
+    ]
     unknowns = [start_angle_unknown(seen.name), *phases, *shifts]
     model = SimulatedSignals(
         bench,

@@ -19,7 +19,7 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned_torque import LearnedTorque, variable_of
+from bayesbl.bench.learned import LearnedTorque, variable_of
 from bayesbl.diagnosis.comparison import EffectsFit
 from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn, tried_orders
@@ -75,7 +75,8 @@ def learned_fit(
     if not trials:
         return None
     best, *others = alike(trials, false_alarm)
-    torque = best.hypothesis.torque(best.coefficients)
+    torque = best.hypothesis.term(best.coefficients)
+    assert isinstance(torque, LearnedTorque)
     torque = replace(torque, sd_nm=_deviations(dict(found)[best.hypothesis], best))
     bench = replace(comparison.bench, learned_torque=torque)
     with_torque = replace(comparison, bench=bench, seen=())
@@ -85,7 +86,7 @@ def learned_fit(
         LearnedAnswer(
             torque,
             _largest(torque, comparison),
-            tuple(t.hypothesis.torque(t.coefficients) for t in others),
+            tuple(t.hypothesis.term(t.coefficients) for t in others),
             _curve(torque, comparison),
         ),
     )

@@ -15,15 +15,17 @@ from bayesbl.presentation.figures.stored_figure import StoredFigure, file_ending
 from bayesbl.presentation.figures.style import publication_style, save
 
 
-def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
-    """Write every figure that applies to a result as PDF and PNG.
+def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write every figure that applies to a result.
 
     Parameters
     ----------
     tree
         As :func:`bayesbl.results.store.read_tree` gives it.
     folder
-        Is made if it is missing.
+        Is made if there is a figure and it is missing.
+    formats
+        As of :func:`bayesbl.presentation.figures.style.save`.
 
     Returns
     -------
@@ -42,10 +44,12 @@ def draw_all(tree: xr.DataTree, folder: Path) -> list[Path]:
             expected="a fit, a comparison, a sweep or a diagnosis",
         )
     written: list[Path] = []
+    if not formats:
+        return written
     with publication_style():
         for figure in found:
             for ending, drawn_from in figure.parts(tree):
-                written += save(figure(*drawn_from), folder, figure.name + ending)
+                written += save(figure(*drawn_from), folder, figure.name + ending, formats)
                 # A figure holds itself in circles, and up to 15 MB: freed before the next one.
                 gc.collect()
     return written

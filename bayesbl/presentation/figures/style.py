@@ -14,6 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from bayesbl.results.folder import figure_title
+
 SINGLE_COLUMN_IN = 3.4
 DOUBLE_COLUMN_IN = 7.0
 PNG_DPI = 200
@@ -135,18 +137,20 @@ def _letters(index: int) -> str:
     return ("" if first == 0 else chr(96 + first)) + chr(97 + last)
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write ``name.pdf`` and ``name.png``; the same figure gives the same bytes at any time.
+def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> list[Path]:
+    """Write ``name.pdf``, ``name.png`` or both; the same figure gives the same bytes at any time.
 
-    Where one of them cannot be written, neither is left.
+    Where one of them cannot be written, none is left. Each has a title by which
+    :mod:`bayesbl.results.folder` knows it from a user's file.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    pdf, png = folder / f"{name}.pdf", folder / f"{name}.png"
+    files = [folder / f"{name}.{ending}" for ending in formats]
+    timeless = {"pdf": {"CreationDate": None}}
     try:
-        figure.savefig(pdf, metadata={"CreationDate": None, "Title": name})
-        figure.savefig(png, metadata={"Title": name})
+        for file, ending in zip(files, formats, strict=True):
+            figure.savefig(file, metadata={**timeless.get(ending, {}), "Title": figure_title(name)})
     except BaseException:
-        for path in filter(Path.is_file, (pdf, png)):
-            path.unlink()  # half a figure would pass for a file of the user's
+        for file in filter(Path.is_file, files):
+            file.unlink()  # half a figure would pass for a file of the user's
         raise
-    return [pdf, png]
+    return files

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
 import json
 import os
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -16,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
-from markupsafe import Markup
 
 from bayesbl.errors import UserError
 from bayesbl.presentation import answer, words
@@ -24,6 +21,7 @@ from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex, citations
 from bayesbl.presentation.figures.answer_picture import answer_picture
 from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
+from bayesbl.presentation.page.templates import prose, templates
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
@@ -31,8 +29,6 @@ from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.summary import summarise
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
-
     from bayesbl.measurement.summary_types import SnapshotSummary
 
 PAGE_FILE = "report.html"
@@ -55,6 +51,8 @@ class Picture:
 
     caption: str
     address: str
+    pixels: int = 0
+    """How wide it is, where it is drawn in points of a screen."""
     special: bool = False
     """Whether it is of use to specialists only."""
 
@@ -88,36 +86,13 @@ def write_page_of(tree: xr.DataTree, path: Path, draw: Draw, figures: Path | Non
 
 def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
     """The page as HTML; every text that a user may have given is escaped."""
-    environment = _environment()
-    style = environment.loader.get_source(environment, "page.css")[0]  # type: ignore[union-attr]
-    return environment.get_template("page.html").render(style=style, **_content(tree, pictures))
+    return templates().get_template("page.html").render(**_content(tree, pictures))
 
 
 def fragment(headline: str, blocks: Sequence[Block]) -> str:
     """The answer as a piece of HTML without a style of its own, for a notebook."""
-    macros: Any = _environment().get_template("blocks.html").module
-    return f"<p><strong>{_prose(headline)}</strong></p>{macros.blocks(blocks)}"
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("bayesbl.presentation.page", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["glued"] = _prose
-    return environment
-
-
-def _prose(sentence: str) -> Markup:
-    """A sentence as HTML: commands as code, no break inside a quantity or an option."""
-    text = html.escape(words.glued(sentence), quote=False)
-    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
-    return Markup(re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="option">\g<0></span>', text))
+    macros: Any = templates().get_template("blocks.html").module
+    return f"<p><strong>{prose(headline)}</strong></p>{macros.blocks(blocks)}"
 
 
 def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
@@ -182,7 +157,8 @@ def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Pictur
         return [
             Picture(
                 caption(stem, known),
-                _address(files[stem].read_bytes(), "png"),
+                _address(data := files[stem].read_bytes(), "png"),
+                int.from_bytes(data[16:20]),  # in the head of every PNG
                 (figure := figure_of(stem, known)) is not None and figure.for_specialists,
             )
             for stem in reading_order(files, known, _snapshot_names(tree))

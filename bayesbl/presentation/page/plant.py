@@ -19,6 +19,7 @@ from urllib.parse import quote
 from bayesbl.presentation import words
 from bayesbl.presentation.fleet import headline, types_in_words, unlike_type
 from bayesbl.presentation.page.history import history, sparkline
+from bayesbl.presentation.page.templates import source, templates
 from bayesbl.presentation.wear import LAWS, median_in_mrad, month
 from bayesbl.results.folder import SUMMARY_FILE
 from bayesbl.results.store import write_text
@@ -50,32 +51,22 @@ class Cell:
 def write_pages(folder: Path) -> list[Path]:
     """``index.html`` and ``joints/<joint>.html`` from what stands in a fleet's folder."""
     import pyarrow.parquet
-    from jinja2 import Environment, PackageLoader, StrictUndefined
 
     summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))
     joints, recordings = (
         pyarrow.parquet.read_table(folder / f"{name}.parquet").to_pylist()
         for name in ("joints", "recordings")
     )
-    environment = Environment(
-        loader=PackageLoader("bayesbl.presentation.page", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["glued"] = words.glued
-    source = environment.loader.get_source  # type: ignore[union-attr]
-    style = "".join(source(environment, name)[0] for name in ("page.css", "plant.css"))
-    script = source(environment, "plant.js")[0]
+    environment = templates("plant.css")
+    script = source(environment, "plant.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     of_joint: dict[str, list[Row]] = defaultdict(list)
     for row in recordings:
         of_joint[str(row["joint"])].append(row)
     names = {str(row["joint"]) for row in joints}
-    shared = {"style": style, "level": _level(summary)}
+    level = _level(summary)
     index = environment.get_template("plant.html").render(
-        **shared,
+        level=level,
         script=script,
         script_digest=digest,
         headline=headline(summary),
@@ -94,7 +85,7 @@ def write_pages(folder: Path) -> list[Path]:
     for row in joints:
         # Not by a writer that makes each file whole: the folder as a whole appears so.
         paths.append(pages / f"{row['joint']}.html")
-        text = template.render(**shared, **_page(row, of_joint[str(row["joint"])], summary))
+        text = template.render(level=level, **_page(row, of_joint[str(row["joint"])], summary))
         paths[-1].write_text(text, encoding="utf-8")
     return paths
 

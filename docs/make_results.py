@@ -1,0 +1,164 @@
+"""Every key of ``summary.json``, variable of ``result.nc`` and column of a fleet's tables.
+
+    python docs/make_results.py
+
+writes ``docs/results.md`` from the types and declarations that the program itself goes by.
+``tests/test_docs.py`` holds that it is as they are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, NotRequired, get_args, get_origin, get_type_hints, is_typeddict
+
+from bayesbl.fleet.plant_tables import JOINT_COLUMNS, RECORDING_COLUMNS
+from bayesbl.results.summary_types import Head
+from bayesbl.results.variables import Group, Variable
+
+PAGE = Path(__file__).parent / "results.md"
+
+SUMMARIES = {
+    "fit": "bayesbl.measurement.summary_types:FitSummary",
+    "compare": "bayesbl.measurement.summary_types:ComparisonSummary",
+    "identify": "bayesbl.identification.summary:IdentificationSummary",
+    "diagnose": "bayesbl.diagnosis.summary:DiagnosisSummary",
+    "sweep": "bayesbl.runs.sweep_summary:SweepSummary",
+    "plan": "bayesbl.runs.plan:PlanSummary",
+}
+
+GROUPS = {
+    "Of every measurement": "bayesbl.measurement.shared_groups",
+    "Of the route that does not answer": "bayesbl.measurement.other_route",
+    "Of the curve": "bayesbl.measurement.stored_curve",
+    "By the amplitude of the ringing": "bayesbl.measurement.amplitude_groups",
+    "By simulation of the bench": "bayesbl.measurement.direct_groups",
+    "By ramps of torque": "bayesbl.measurement.ramp_groups",
+    "Of wear": "bayesbl.measurement.dated_wear",
+    "Of an identification": "bayesbl.results.identified",
+    "Of a diagnosis": "bayesbl.diagnosis.groups",
+    "Of a sweep": "bayesbl.runs.sweep_groups",
+    "Of a plan": "bayesbl.runs.plan",
+}
+
+HEAD = """# Keys, variables and columns of results
+
+Made by `python docs/make_results.py` from the declarations that the program goes by.
+
+A result folder holds `summary.json` (the answer), `result.nc` (everything, an xarray tree with
+units on every variable), `config.toml` (the configuration as it ran) and `figures`. A fleet's
+folder holds tables instead. A quantity that is withheld is null, and `reason` says why.
+"""
+
+
+def pages() -> dict[Path, str]:
+    """What the files should hold."""
+    return {PAGE: "\n".join([HEAD, *_keys(), *_variables(), *_columns()])}
+
+
+def _keys() -> Iterator[str]:
+    yield "## Keys of `summary.json`\n"
+    parts: list[Any] = []
+    yield "### Of every kind\n"
+    yield from _keys_of(Head, parts)
+    for kind, address in SUMMARIES.items():
+        module, _, name = address.partition(":")
+        yield f'### `kind = "{kind}"`\n'
+        yield from _keys_of(getattr(import_module(module), name), parts)
+    yield "### Their parts\n"
+    for part in parts:  # which grows on the way
+        yield f"#### {_title(part)}\n"
+        yield from _keys_of(part, parts)
+
+
+def _keys_of(table: Any, parts: list[Any]) -> Iterator[str]:
+    """A table of its keys; those of which one is a table itself join the parts."""
+    if table.__doc__ and "``summary.json``" not in table.__doc__.partition("\n")[0]:
+        yield re.sub(r":class:`(\w+)`", r"\1", re.sub("``(.+?)``", r"`\1`", _plain(table.__doc__)))
+        yield ""
+    yield "| key | value |\n|---|---|"
+    for key, hint in get_type_hints(table, include_extras=True).items():
+        if table is not Head and key in Head.__annotations__:
+            continue
+        always = get_origin(hint) is not NotRequired and key in table.__required_keys__
+        yield f"| `{key}`{'' if always else ' (where it applies)'} | {_value(hint, parts)} |"
+    yield ""
+
+
+def _value(hint: Any, parts: list[Any]) -> str:
+    """A type in words."""
+    inner = [_value(part, parts) for part in get_args(hint) if get_origin(hint) is not Literal]
+    if is_typeddict(hint):
+        if hint not in parts:
+            parts.append(hint)
+        return f"[{_title(hint)}](#{_title(hint).replace(' ', '-')})"
+    if get_origin(hint) is Literal:
+        return ", ".join(f'`"{choice}"`' for choice in get_args(hint))
+    if get_origin(hint) is list:
+        return f"list: {inner[0]}"
+    if get_origin(hint) is dict:
+        return f"by name: {inner[1]}"
+    if inner:
+        return " or ".join(inner)
+    words = {str: "text", float: "number", int: "whole number", bool: "true or false"}
+    return words.get(hint, "null" if hint is type(None) else "any")
+
+
+def _title(part: Any) -> str:
+    """``RouteSummary`` as ``route``."""
+    name = part.__name__.removesuffix("Summary").strip("_")
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
+
+
+def _variables() -> Iterator[str]:
+    yield "## Variables of `result.nc`\n"
+    yield (
+        "Of a comparison, what is kept for each recording has a dimension `snapshot` in front. "
+        "Variables named after a symbol, a parameter or a channel are not listed; their attributes "
+        "`units` and `long_name` tell what they are.\n"
+    )
+    told: list[Group] = []
+    for title, module in GROUPS.items():
+        yield f"### {title}\n"
+        own = list(_groups(vars(import_module(module)).values(), told))
+        told += own
+        for group in own:
+            yield f"#### `{group.name}`\n"
+            yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
+            for variable in (*group.variables, *group.coordinates):
+                yield _row(variable)
+            yield ""
+
+
+def _groups(values: Iterable[object], told: Sequence[Group]) -> Iterator[Group]:
+    """Those that declare variables by name, but for those that a module only imports."""
+    for value in values:
+        for one in value.values() if isinstance(value, dict) else (value,):
+            if isinstance(one, Group) and one.variables and one not in told:
+                yield one
+
+
+def _row(variable: Variable) -> str:
+    cells = (f"`{variable.name}`", ", ".join(variable.dims), variable.unit, variable.meaning)
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def _columns() -> Iterator[str]:
+    yield "## Columns of a fleet's tables\n"
+    for file, columns in (("recordings", RECORDING_COLUMNS), ("joints", JOINT_COLUMNS)):
+        yield f"### `{file}.parquet`\n\n| column | type | meaning |\n|---|---|---|"
+        for name, (kind, meaning) in columns.items():
+            yield f"| `{name}` | {kind} | {meaning} |"
+        yield ""
+
+
+def _plain(text: str) -> str:
+    """A docstring as paragraphs."""
+    return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n")).strip()
+
+
+if __name__ == "__main__":
+    for file, content in pages().items():
+        file.write_text(content, encoding="utf-8")
