@@ -275,7 +275,9 @@ def _channel(column: _Named) -> str | None:
     if column.name in (TIME, *CHANNELS):
         return column.name
     kinds = [c for c in _NAMES_OF if column.unit in accepted_units(c)] if column.unit else []
-    kinds = kinds or [c for c, words in _NAMES_OF.items() if column.is_called(words)]
+    # A current is often called I_q, of which the letter q alone would be a joint's position.
+    words = column.words - {"q"} if column.is_called("i current strom") else column.words
+    kinds = kinds or [c for c, named in _NAMES_OF.items() if not words.isdisjoint(named.split())]
     if not kinds:
         return None
     kind = kinds[0]

@@ -43,6 +43,17 @@ def test_the_first_configuration_passes_its_check(recordings, tmp_path, capsys):
     assert [entry.file for entry in config.recordings] == recordings
 
 
+@pytest.mark.parametrize("name", ["I_q", "Iq", "iq_measured", "motorCurrent_q", "I_q [A]"])
+def test_a_current_is_no_position(name, measured, tmp_path):
+    path = write_csv(
+        tmp_path / "joint.csv",
+        {"t": measured.time_s, "n": measured.motor_speed_rpm, name: np.sin(measured.time_s)},
+    )
+    found = guessed(path)
+    assert found["motor_current_a"][0] == name
+    assert "motor_position_rad" not in found
+
+
 @pytest.mark.parametrize("time", TIME)
 @pytest.mark.parametrize("speed", SPEED)
 @pytest.mark.parametrize("angle", ["rad", "rev"])
