@@ -132,7 +132,8 @@ def test_a_number_that_moved_is_told() -> None:
     }
 
     def told(section: str, name: str, value: Any, *, exact: bool) -> list[str]:
-        return list(differences(kept, kept | {section: {name: value}}, exact=exact))
+        changed = kept | {section: kept[section] | {name: value}}
+        return list(differences(kept, changed, exact=exact))
 
     moved = dict(kept["draws"]["delta_rad"], mean=8.1e-4)
     for exact in (True, False):
