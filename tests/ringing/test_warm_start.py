@@ -185,7 +185,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict
         short = two_ensembles(folder, kind)
         options["curve"] = "published"
         config = config_from_options(kind, files, short, out=folder / out, **options)
-        return run(config, lambda tree, place: None, say=said.append), " ".join(said)
+        return run(config, lambda *_: None, say=said.append), " ".join(said)
 
     run_one("compare", ["before", "after"], "old")
     return run_one

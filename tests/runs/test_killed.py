@@ -237,7 +237,7 @@ def test_a_stored_optimum_that_the_recording_denies_is_refused(tmp_path):
 
 
 def test_a_figure_that_cannot_be_drawn_costs_no_result(tmp_path):
-    def draw(tree: object, place: Path) -> None:
+    def draw(tree: object, place: Path, formats: object) -> None:
         raise ValueError("no such colour")
 
     config = configure(tmp_path / "run", "sweep")
