@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -57,7 +58,7 @@ def refuse(
 
 def require_different(values: Sequence[str], problem: str) -> None:
     """Refuse texts of which two are the same, with this sentence."""
-    twice = sorted({value for value in values if values.count(value) > 1})
+    twice = sorted(value for value, count in Counter(values).items() if count > 1)
     if twice:
         named = ", ".join(f'"{value}"' for value in twice)
         refuse(problem, found=named, expected="a different one for each")
