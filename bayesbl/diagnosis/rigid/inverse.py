@@ -27,6 +27,8 @@ from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orde
 from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray
 
+ROUNDING = 1e-12
+"""What two predictions may differ by, as a share of the larger, and still be the same."""
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 """In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
 
@@ -366,7 +368,9 @@ class InverseComparison(ComparedColumns):
                     self._prediction(i, effects, {**shapes, name: shapes[name] + s}, linear)
                     for s in (step, -step)
                 )
-                made.append((up - down) / (2.0 * step))
+                # What is rounding alone must be no column: scaled, it would blur the others.
+                is_seen = np.abs(up - down).max() > ROUNDING * np.abs(up).max()
+                made.append((up - down) / (2.0 * step) if is_seen else nothing)
                 continue
             effect, _, parameter = name.partition("@")[0].partition(".")
             waves = [k for k in columns if k.startswith(f"{effect}.sine")] if parameter else []
