@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
+from abc import ABC, abstractmethod
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -190,7 +191,9 @@ class EffectEntry(Section):
         return self
 
 
-class _LearnedSection(Section):
+class _LearnedSection(Section, ABC):
+    """A term of no known law; what makes no sense is refused as the term itself refuses it."""
+
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
         try:
@@ -199,8 +202,9 @@ class _LearnedSection(Section):
             refuse(error.problem, found=error.found, expected=error.expected)
         return self
 
+    @abstractmethod
     def learned(self) -> LearnedTerm:
-        raise NotImplementedError
+        """As the bench takes it."""
 
 
 class LearnedTorqueSection(_LearnedSection):
