@@ -195,8 +195,13 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
 
 
 def _learned(told: LearnedAnswer) -> LearnedSummary:
+    term = told.term
     return {
-        **_dependence(told.term),
+        "side": term.side,
+        "variable": term.variable,
+        "reverses": term.reverses,
+        "period": term.period,
+        "orders": term.orders,
         "alike": [_dependence(other) for other in told.alike],
         "gap_share": told.gap_share,
         "gap_withheld": told.gap_withheld,
