@@ -31,6 +31,7 @@ OF_JOINT = (
     "bench",
     "curve",
     "limit_rad",
+    "cost_at_limit",
     "gear_ratio",
     "in_service_since",
     "repaired",
@@ -48,6 +49,8 @@ class Joint:
         Type of the gearbox; empty where it is not given.
     bench, curve
         Where δ comes from; neither gives the ringing alone.
+    cost_at_limit
+        What it costs if the joint reaches its limit; in one currency for all.
     repaired
         Date of the last repair: what was recorded on it or later is of the repaired joint.
     covariates
@@ -59,6 +62,7 @@ class Joint:
     bench: str | None = None
     curve: str | None = None
     limit_rad: float | None = None
+    cost_at_limit: float | None = None
     gear_ratio: float | None = None
     in_service_since: str | None = None
     repaired: str | None = None
@@ -106,6 +110,17 @@ def read_joints(section: FleetSection) -> list[Joint]:
                 found=joint.name if joint.name == other else f"{other} and {joint.name}",
                 expected="a different one for each, in more than large and small letters",
             )
+    costs = [joint.cost_at_limit for joint in joints]
+    if any(costs) and not all(costs):
+        expected = "a cost for every joint, or for none: the others would have no rank"
+        _refuse(file, costs.index(None) + 1, "cost_at_limit", "nothing", expected)
+    if any(costs) and section.decide_before is None:
+        raise ConfigError(
+            "What a cost is expected by is not said.",
+            file=file,
+            where="cost_at_limit",
+            expected="[fleet] decide_before: a date, such as that of the next shutdown",
+        )
     columns = {*OF_JOINT, *(name for joint in joints for name in joint.covariates)}
     if section.pool_by is not None and section.pool_by not in columns:
         raise ConfigError(
@@ -239,6 +254,7 @@ def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
         bench,
         curve,
         limit,
+        _number(row.get("cost_at_limit"), file, number, "cost_at_limit"),
         _number(row.get("gear_ratio"), file, number, "gear_ratio"),
         _day(row.get("in_service_since"), file, number, "in_service_since"),
         _day(row.get("repaired"), file, number, "repaired"),
