@@ -8,7 +8,15 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from bayesbl.config.fields import InputPath, Range, Section, refuse, resolve
+from bayesbl.config.fields import (
+    InputPath,
+    Range,
+    Section,
+    as_tuple,
+    refuse,
+    require_different,
+    resolve,
+)
 from bayesbl.config.measurement import Curve, Noise, Posterior, WearOverDates
 from bayesbl.config.sections import ClusterRun, Interval, Model, RecordedConfig
 
@@ -47,13 +55,27 @@ class FleetSection(Section):
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
     ``joint``, ``date`` and ``file``. ``pool_by`` is the column of the inventory whose joints wear
-    alike; without it every joint stands alone.
+    alike; without it every joint stands alone. ``covariates`` are columns of numbers, such as a
+    load, that the rates of joints of one type may depend on.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]
     recordings: Annotated[str, BeforeValidator(_source_of_recordings)]
     pool_by: str | None = None
+    covariates: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     decide_before: Date | None = None
+
+    @model_validator(mode="after")
+    def _covariates_of_a_type(self) -> Self:
+        if self.covariates and self.pool_by is None:
+            refuse(
+                "What rates depend on is learned from joints of one type.",
+                found="covariates without pool_by",
+                expected='pool_by as well, e.g. "gearbox"',
+                at=("covariates",),
+            )
+        require_different(self.covariates, "Two covariates are the same.")
+        return self
 
     @property
     def is_pattern(self) -> bool:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import math
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date as Date
 from datetime import datetime
@@ -121,16 +122,28 @@ def read_joints(section: FleetSection) -> list[Joint]:
             where="cost_at_limit",
             expected="[fleet] decide_before: a date, such as that of the next shutdown",
         )
-    columns = {*OF_JOINT, *(name for joint in joints for name in joint.covariates)}
-    if section.pool_by is not None and section.pool_by not in columns:
+    own = {name for joint in joints for name in joint.covariates}
+    if section.pool_by is not None:
+        _require_column("pool_by", section.pool_by, {*OF_JOINT, *own}, file)
+    for name in section.covariates:
+        _require_column("covariates", name, own, file)
+        for number, joint in enumerate(joints, start=1):
+            value = joint.covariates.get(name)
+            if not isinstance(value, float) or not math.isfinite(value):
+                found = str(value) if value not in (None, "") else "nothing"
+                _refuse(file, number, name, found, "a number in every row, for [fleet] covariates")
+    return joints
+
+
+def _require_column(key: str, name: str, columns: Collection[str], file: Path) -> None:
+    if name not in columns:
         raise ConfigError(
-            "There is no such column in the inventory." + did_you_mean(section.pool_by, columns),
+            "There is no such column in the inventory." + did_you_mean(name, columns),
             file=file,
-            where="[fleet] pool_by",
-            found=section.pool_by,
+            where=f"[fleet] {key}",
+            found=name,
             expected="one of " + ", ".join(sorted(columns)),
         )
-    return joints
 
 
 def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Found]:

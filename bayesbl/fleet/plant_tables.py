@@ -150,18 +150,23 @@ class Measured:
 
 
 def pool(
-    measured: Sequence[Measured], column: str | None, seed: int
+    measured: Sequence[Measured], column: str | None, seed: int, covariates: Sequence[str] = ()
 ) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
-    """Rates by type, and by joint what its type says of it."""
+    """Rates by type, and by joint what its type says of it; ``covariates`` are columns."""
     groups: dict[str, dict[str, Draws]] = defaultdict(dict)
     for one in measured:
         draws = _draws(one.answer)
         if column and draws is not None and one.joint.group(column):
             groups[one.joint.group(column)][one.joint.name] = draws
+    joints = {one.joint.name: one.joint for one in measured}
     types: dict[str, TypeRates] = {}
     borrowed: dict[str, Borrowed] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        found = pooled(list(members.values()), np.random.default_rng([seed, place]))
+        found = pooled(
+            list(members.values()),
+            np.random.default_rng([seed, place]),
+            {key: np.array([joints[one].covariates[key] for one in members]) for key in covariates},
+        )
         if found is not None:
             types[name] = found.rates
             borrowed |= dict(zip(members, found.joints, strict=True))

@@ -333,11 +333,11 @@ def _write(
         answer = RecordingAnswer(REFUSED, one.reason)
         rows.append({**recording_row(answer, None, False, level), **identity(one, digest)})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
-    types, borrowed = pool(measured, config.fleet.pool_by, config.run.seed)
-    of_joints = joint_rows(measured, borrowed, level, config.fleet.decide_before)
+    asked = config.fleet
+    types, borrowed = pool(measured, asked.pool_by, config.run.seed, asked.covariates)
+    of_joints = joint_rows(measured, borrowed, level, asked.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
-    asked = config.fleet
     summary = summary_of(
         rows, of_joints, types, level, config.run.seed, asked.pool_by, asked.decide_before
     )
@@ -385,6 +385,10 @@ def summary_of(
             "spread": interval(found.spread, level.level, level.kind),
             "law": dict(found.law),
             "own": interval(found.own, level.level, level.kind),
+            "covariates": {
+                key: {"sd": one.sd, "factor": interval(one.draws, level.level, level.kind)}
+                for key, one in found.factors.items()
+            },
         }
         for name, found in types.items()
     }

@@ -126,6 +126,15 @@ def test_a_row_that_cannot_be_used_is_told_with_its_place(plant, line, told):
         ('recordings = "data/*.csv"', "which joint"),
         ('recordings = "none.csv"', "no such file"),
         ('recordings = "{joint}/{date}.csv"\npool_by = "gearbocks"', 'did you mean "gearbox'),
+        (
+            'recordings = "{joint}/{date}.csv"\npool_by = "gearbox"\ncovariates = ["payload"]',
+            'did you mean "payload_kg',
+        ),
+        (
+            'recordings = "{joint}/{date}.csv"\npool_by = "gearbox"\ncovariates = ["payload_kg"]',
+            "row 2, payload_kg",
+        ),
+        ('recordings = "{joint}/{date}.csv"\ncovariates = ["payload_kg"]', "without pool_by"),
         ('recordings = "{joint}/{date}.csv"\n[curve]\nsource = "published"', "belongs to a joint"),
     ],
 )
