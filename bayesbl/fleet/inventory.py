@@ -10,7 +10,7 @@ import os
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from datetime import datetime
 from glob import glob
@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from bayesbl.config.fields import LONGEST_NAME, PUBLISHED, RESULT_FILE
-from bayesbl.config.fleet import FleetSection
+from bayesbl.config.fleet import FleetSection, is_address
 from bayesbl.config.measurement import LARGEST_LIMIT_RAD
 from bayesbl.errors import ConfigError
+from bayesbl.fleet.object_store import copied, listed
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
 from bayesbl.recording.input_bytes import read_input
 
@@ -76,13 +77,24 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A recording that belongs to a joint; ``reason`` says why it cannot be one."""
+    """A recording that belongs to a joint.
+
+    Attributes
+    ----------
+    file
+        Path, or its address in an object store until it is copied from there.
+    reason
+        Why it cannot be one.
+    address
+        In an object store, of what ``file`` is a copy of.
+    """
 
     joint: str
     date: str
     file: str
     reference_speed_rpm: float | None = None
     reason: str | None = None
+    address: str | None = None
 
 
 def read_joints(section: FleetSection) -> list[Joint]:
@@ -169,6 +181,28 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
     return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
 
 
+def fetched(found: Sequence[Found], folder: Path) -> list[Found]:
+    """The same recordings, those in an object store copied into ``folder``.
+
+    One that cannot be had gets its reason; copies that nothing leads to any more are deleted.
+    """
+    taken = [_fetched(one, folder) for one in found]
+    needed = {Path(one.file).name for one in taken if one.address is not None}
+    for path in folder.glob("*") if folder.is_dir() else ():
+        if path.name not in needed:
+            path.unlink()
+    return taken
+
+
+def _fetched(one: Found, folder: Path) -> Found:
+    if one.reason is not None or not is_address(one.file):
+        return one
+    try:
+        return replace(one, file=str(copied(one.file, folder)), address=one.file)
+    except OSError as error:
+        return replace(one, reason=f"The file cannot be read: {error.strerror}.")
+
+
 def is_joint_name(text: str) -> bool:
     """Whether a joint may be called so: the name of its page, so no path and no markup."""
     return _NAME.fullmatch(text) is not None
@@ -197,6 +231,7 @@ def _refused(one: Found, reason: str) -> Found:
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
+    remote = is_address(pattern)
     parts = re.split(r"(\{joint\}|\{date\})", pattern)
     anything = "".join("*" if part.startswith("{") else _glob_escaped(part) for part in parts)
     seen: set[str] = set()
@@ -206,9 +241,9 @@ def _by_pattern(section: FleetSection) -> Iterator[Found]:
         again = f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+)"
         exact += again if name else re.escape(part)
         seen.add(name)
-    for path in glob(anything):
+    for path in listed(anything) if remote else glob(anything):
         match = re.fullmatch(exact, path)
-        if match and os.path.isfile(path):
+        if match and (remote or os.path.isfile(path)):
             yield _dated(match["joint"], match["date"], path)
 
 
@@ -222,8 +257,11 @@ def _by_table(section: FleetSection) -> Iterator[Found]:
         for column in ("joint", "date", "file"):
             if row.get(column) in (None, ""):
                 _refuse(file, number, column, "nothing", "joint, date and file in every row")
-        path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
         speed = _number(row.get("reference_speed_rpm"), file, number, "reference_speed_rpm")
+        if is_address(str(row["file"])):
+            yield _dated(str(row["joint"]), row["date"], str(row["file"]), speed)
+            continue
+        path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
         one = _dated(str(row["joint"]), row["date"], str(path), speed)
         if one.reason is None and not path.is_file():
             one = _refused(one, f"There is no such file.{did_you_mean_file(path)}")
