@@ -76,7 +76,7 @@ def of_study(summary: StudySummary) -> Advice:
 def of_snapshots(summary: MeasuredSummary) -> Advice:
     """Whether and when to repair, by the last snapshot."""
     last = answer.snapshots(summary)[-1][1]
-    if ringing.is_alone(summary):
+    if summary["outcome"] == "no_curve":
         return _of_ringing(summary)
     if last["delta_rad"] is None:
         again = "longer and at one constant speed"

@@ -64,7 +64,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
-    if ringing.is_alone(summary):
+    if summary["outcome"] == "no_curve":
         yield Sentence(summary["reason"] or "", "warning", "No gap")
     elif change_is_withheld(summary):
         yield Sentence(summary["reason"] or "", "warning", "Withheld")

@@ -54,9 +54,11 @@ def _of_ringing(summary: MeasuredSummary) -> Iterator[Card]:
     for name, part in answer.snapshots(summary):
         found = part["amplitude_rpm"]
         label = f"Ringing A, {name}" if name else "Ringing A"
-        if found is not None:
+        if found is not None and not part["reason"]:
             value = number(found["median"], words.decimals(found))
             yield Card(label, value, "rpm", _note(found, words.bounds(found)))
+    if summary["outcome"] == "withheld":
+        return
     if summary["kind"] == "compare" and summary["ringing_change"] is not None:
         change = summary["ringing_change"]
         sign = "+" if change["median"] > 0.0 else ""

@@ -16,11 +16,15 @@ EXPLAINED = "The amplitude A is that of the ringing after each impact, in the mo
 
 def is_alone(summary: MeasuredSummary) -> bool:
     """Whether there is no curve, so no gap."""
-    return summary["outcome"] == "no_curve"
+    parts = summary["snapshots"] if summary["kind"] == "compare" else [summary]
+    return summary["curve"] is None and all(part["route"] == "amplitude" for part in parts)
 
 
 def headline(summary: MeasuredSummary) -> str:
     """The amplitude, or its change from first to last."""
+    if summary["outcome"] == "withheld":
+        what = "change of the ringing" if summary["kind"] == "compare" else "ringing"
+        return f"The {what} is withheld: these data do not give an answer that can be trusted."
     if summary["kind"] == "compare":
         change, grew = summary["ringing_change"], summary["probability_ringing_grew"]
         if change is None or grew is None:
