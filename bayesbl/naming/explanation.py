@@ -25,9 +25,8 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
-ROUGHLY_CONVERGED = 0.01
-"""A fit that closes less than this share of the residual in a round is no contender as it is;
-those that are the best none the less are fitted to the end."""
+BEHIND = 2.0
+"""A place of a scan that leaves this multiple of what the best leaves is not fitted from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,15 @@ def explain(base: Explanation, candidate: Candidate) -> Explanation | None:
 def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
     """As :func:`explain`, but from the best places in the candidate's whole range."""
     model = extended(base.fit.model, candidate)
-    return _best(base, candidate, model, _scanned_starts(model, base, candidate))
+    starts = _scanned_starts(model, base, candidate)
+    left = [_chi_square(model, start) for start in starts]
+    near = BEHIND * min(left)
+    return _best(
+        base,
+        candidate,
+        model,
+        [start for start, value in zip(starts, left, strict=True) if value <= near],
+    )
 
 
 def _best(
@@ -123,7 +130,7 @@ def _best(
     fits = []
     for start in starts:
         with suppress(BenchError):
-            fits.append(fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED))
+            fits.append(fit_simulated(model, start, base.fit.steps, rough=True))
     best = min(fits, key=lambda fit: fit.chi_square, default=None)
     return None if best is None else Explanation((*base.candidates, candidate), best)
 
@@ -140,9 +147,7 @@ def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
 def refitted(explanation: Explanation) -> Explanation:
     """The same explanation, fitted roughly from where it is."""
     fit = explanation.fit
-    return replace(
-        explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, ROUGHLY_CONVERGED)
-    )
+    return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, rough=True))
 
 
 def polished(explanation: Explanation) -> Explanation:
@@ -154,16 +159,18 @@ def polished(explanation: Explanation) -> Explanation:
 def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanation | None:
     """An explanation less one of its candidates, fitted from where it is."""
     model, own = nominal.fit.model, nominal.fit.point.size
-    kept, parts = [], [full.fit.point[:own]]
+    kept, places = [], [np.arange(own)]
     for k, candidate in enumerate(full.candidates):
-        part = full.fit.point[own : own + len(candidate.unknowns)]
-        own += part.size
+        own += len(candidate.unknowns)
         if k != without:
             model = extended(model, candidate)
             kept.append(candidate)
-            parts.append(part)
+            places.append(np.arange(own - len(candidate.unknowns), own))
+    at = np.concatenate(places)
     try:
-        return Explanation(tuple(kept), fit_simulated(model, np.concatenate(parts)))
+        return Explanation(
+            tuple(kept), fit_simulated(model, full.fit.point[at], full.fit.steps[at])
+        )
     except BenchError:
         return None
 
@@ -254,8 +261,9 @@ def _gain(explained: FloatArray, residual: FloatArray, columns: list[FloatArray]
     if not columns:
         return 0.0
     more = np.pad(np.stack(columns), ((0, 0), (0, len(residual) - columns[0].size)))
-    added, _ = np.linalg.qr((more - (more @ explained) @ explained.T).T)
-    return float(np.sum((added.T @ residual) ** 2))
+    more -= (more @ explained) @ explained.T
+    along = more @ residual
+    return float(along @ np.linalg.pinv(more @ more.T, 1e-10, hermitian=True) @ along)
 
 
 def _phased(model: SimulatedSignals, candidate: Candidate, start: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,17 @@ import numpy as np
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.naming.candidates import Candidate, steady_torque
-from bayesbl.naming.criteria import ALIKE, consistency, explains, is_gross
+from bayesbl.naming.criteria import (
+    ALIKE,
+    consistency,
+    contends,
+    explains,
+    is_gross,
+    least_ratio,
+    left,
+    misfit_scale,
+    stands_out_of_misfit,
+)
 from bayesbl.naming.explanation import (
     Explanation,
     distance,
@@ -254,10 +265,10 @@ class _Search:
         while beams and len(final.candidates) < most and not self.is_done(final):
             following: list[Explanation] = []
             for beam in beams:
-                following += self.next(beam)
+                following += self.next(beam, max([final, *following], key=_evidence))
                 if any(self.is_done(e) for e in following):
                     break
-            following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
+            following = _distinct(sorted(following, key=_evidence, reverse=True))
             if not following or following[0].log_evidence <= final.log_evidence:
                 break
             beams, final = following[:BEAMS], following[0]
@@ -272,9 +283,12 @@ class _Search:
             base = more[0]
         return base
 
-    def next(self, base: Explanation) -> list[Explanation]:
-        """The few candidates that the derivatives speak for, added to ``base`` and significant."""
-        fits = self._contenders([self._fit(base, c) for c in self._screened(base)])
+    def next(self, base: Explanation, rival: Explanation | None = None) -> list[Explanation]:
+        """The few candidates that the derivatives speak for, added to ``base`` and significant.
+
+        ``rival``: what they are to be better than.
+        """
+        fits = self._contenders([self._fit(base, c) for c in self._screened(base, rival)])
         return [f for f in fits if self.is_significant(base, f)]
 
     def add_late(self, found: Sequence[Candidate], beside: Explanation) -> bool:
@@ -340,9 +354,15 @@ class _Search:
             return final
         for k in range(len(final.candidates)):
             rest = self._rebuilt(nominal, final, k, first)
-            if rest is not None and not self.is_significant(rest, final):
+            if rest is not None and not self._is_worth_naming(rest, final):
                 return self.without_idle(nominal, rest, first)
         return final
+
+    def _is_worth_naming(self, rest: Explanation, final: Explanation) -> bool:
+        """Whether a name stands out of the noise, and of what all names together leave."""
+        return self.is_significant(rest, final) and stands_out_of_misfit(
+            rest, final, len(self._candidates), self._false_alarm
+        )
 
     def named(
         self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
@@ -369,7 +389,7 @@ class _Search:
         rest = self._rebuilt(nominal, final, k, first)
         if rest is None:
             return []
-        tried = [c for c in self._screened(rest) if c is not candidate]
+        tried = [c for c in self._screened(rest, final) if c is not candidate]
         return self._contenders([self._fit(rest, c) for c in tried])
 
     def _rivals(
@@ -377,10 +397,12 @@ class _Search:
     ) -> tuple[Explanation, ...]:
         """Alternatives that look alike; larger ones that hold this one and gain nothing are not."""
         near = []
+        # Where something remains that no name explains, it blurs the difference as noise does.
+        scale = misfit_scale(final.fit, self._false_alarm)
         for other in alternatives:
             if other.candidates[-1].label == candidate.label:
                 continue
-            if distance(final, other) >= ALIKE:
+            if distance(final, other) >= ALIKE * math.sqrt(scale):
                 continue
             more = other.parameters - final.parameters
             gain = final.fit.chi_square - other.fit.chi_square
@@ -408,10 +430,29 @@ class _Search:
     def _threshold(self, parameters: int) -> float:
         return gain_threshold(parameters, len(self._candidates), self._false_alarm)
 
-    def _screened(self, base: Explanation) -> list[Candidate]:
+    def _screened(self, base: Explanation, rival: Explanation | None = None) -> list[Candidate]:
+        """Few candidates that promise to leave no more than the best of them, or a rival, does.
+
+        The last one that may be added must promise to stand out of what it then leaves.
+        """
         gains = self._promised(base)
-        order = np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]
-        return [self._candidates[int(i)] for i in order if gains[int(i)] > 0.0]
+        size = base.fit.residual.size
+        left = base.fit.chi_square - gains - size
+        least = min(left, default=0.0)
+        if rival is not None:
+            least = min(least, rival.fit.chi_square - size)
+        needed = 0.0
+        if len(base.candidates) == self._max_effects - 1:
+            needed = WORTH_FITTING * self._least_ratio(base)
+        order = [int(i) for i in np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]]
+        return [
+            self._candidates[i]
+            for i in order
+            if gains[i] > needed * left[i] and gains[i] > 0.0 and contends(left[i], least)
+        ]
+
+    def _least_ratio(self, explanation: Explanation) -> float:
+        return least_ratio(explanation.fit, 1, len(self._candidates), self._false_alarm)
 
     def _best_promise(self, base: Explanation) -> float:
         return float(np.max(self._promised(base), initial=0.0))
@@ -432,10 +473,17 @@ class _Search:
         return self._fits[key][1]
 
     def _contenders(self, fits: Sequence[Explanation | None]) -> list[Explanation]:
-        """Most probable first, the first few fitted to the end."""
-        found = sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
-        best = [self._to_the_end(e) for e in found[:CONTENDERS]]
-        return sorted([*best, *found[CONTENDERS:]], key=lambda e: -e.log_evidence)
+        """Most probable first, the first few fitted to the end where they could be the best."""
+        found = sorted((f for f in fits if f is not None), key=_evidence, reverse=True)
+        if not found:
+            return []
+        best = found[0]
+        for rough in found[:CONTENDERS]:
+            if contends(left(rough), left(best)):
+                fine = self._to_the_end(rough)
+                found[found.index(rough)] = fine
+                best = _better(best, fine)
+        return sorted(found, key=_evidence, reverse=True)
 
     def _to_the_end(self, rough: Explanation) -> Explanation:
         if id(rough) not in self._polished:
@@ -443,6 +491,10 @@ class _Search:
             self._polished[id(rough)] = rough, fine
             self._polished[id(fine)] = fine, fine
         return self._polished[id(rough)][1]
+
+
+def _evidence(explanation: Explanation) -> float:
+    return explanation.log_evidence
 
 
 def _better(a: Explanation, b: Explanation) -> Explanation:

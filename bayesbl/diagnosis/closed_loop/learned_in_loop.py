@@ -25,7 +25,7 @@ from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places
 from bayesbl.naming.criteria import ENOUGH_CLOSED
-from bayesbl.naming.explanation import ROUGHLY_CONVERGED, Explanation, gain_threshold, with_noise
+from bayesbl.naming.explanation import Explanation, gain_threshold, with_noise
 from bayesbl.recording.types import FloatArray
 
 LONGEST_PERIOD = 5.0
@@ -307,7 +307,7 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
         starts.append(with_shifts(extended, aligned))
     left = [float(z @ z) for z in extended.whitened(np.stack(starts))]
     begin = starts[int(np.argmin(np.nan_to_num(left, nan=np.inf)))]
-    fit = fit_simulated(extended, begin, base.fit.steps, ROUGHLY_CONVERGED)
+    fit = fit_simulated(extended, begin, base.fit.steps, rough=True)
     if fit.chi_square >= base.fit.chi_square:
         return None
     explanation = replace(base, fit=fit)
