@@ -16,7 +16,7 @@ from bayesbl.matching.predictive_check import (
     disagreements,
     whole_rotations,
 )
-from bayesbl.naming.explanation import Explanation
+from bayesbl.naming.explanation import BEHIND, Explanation
 from bayesbl.recording.types import FloatArray
 
 ALIKE = 5.0
@@ -42,10 +42,9 @@ in six times at N = 1800, which costs only the wider search.
 BEYOND_CHANCE = 2.0
 """Standard deviations of noise subtracted from the remainder before it speaks against a name."""
 
-BEHIND = 2.0
 SLACK = 100.0
-"""An explanation that leaves more than this multiple of what the best one leaves beyond noise, and
-this χ² more besides, is not worth fitting to the end, nor trying if derivatives promise no more."""
+"""χ² by which what a rough fit or a promise leaves may besides be larger than what the best leaves:
+rivals are those within 25."""
 
 CHANCE_LOSS = 6.6
 """χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""

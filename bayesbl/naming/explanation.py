@@ -26,7 +26,7 @@ from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
 BEHIND = 2.0
-"""A place of a scan that leaves this multiple of what the best leaves is not fitted from."""
+"""What is far from its optimum and leaves this multiple of what the best leaves is not pursued."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +35,7 @@ from bayesbl.naming.explanation import (
     refitted,
 )
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
+from bayesbl.naming.naming import NamedCandidate, Naming
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress
 
@@ -65,60 +65,6 @@ of 4 rotations, 4 of 5, 6 of 10. Gains that scatter about zero pass with the pro
 Student's t, 0.6 % in three recordings of five rotations (12 degrees of freedom), 2 % in one (4),
 and only after the whole gain has passed a threshold of its own.
 """
-
-
-@dataclass(frozen=True, slots=True)
-class RankedCandidate:
-    """What one candidate alone gains over the bench as believed."""
-
-    candidate: str
-    chi_square_gain: float
-    log_evidence_gain: float
-
-
-@dataclass(frozen=True, slots=True)
-class NamedCandidate:
-    """One explanation found, with those that these recordings cannot tell from it."""
-
-    candidate: Candidate
-    gain: float
-    indistinguishable: tuple[Explanation, ...]
-
-    @property
-    def name(self) -> str:
-        """Of the effect or parameter."""
-        return self.candidate.name
-
-    @property
-    def members(self) -> tuple[str, ...]:
-        """The set of names, the most probable first."""
-        return (self.name, *(e.candidates[-1].name for e in self.indistinguishable))
-
-
-@dataclass(frozen=True, slots=True)
-class Naming:
-    """What was found.
-
-    Attributes
-    ----------
-    nominal, final
-        Before and after adding what is named; the same where nothing is.
-    repeats
-        Whether something repeats that nothing explains.
-    alone
-        The nominal bench with one candidate each, most probable first.
-    """
-
-    nominal: Explanation
-    final: Explanation
-    effects: tuple[NamedCandidate, ...]
-    alone: tuple[Explanation, ...]
-    repeats: bool
-
-    @property
-    def ranking(self) -> tuple[RankedCandidate, ...]:
-        """What each of ``alone`` gains over the nominal bench."""
-        return tuple(_ranked(self.nominal, other) for other in self.alone)
 
 
 def name_missing(
@@ -176,14 +122,6 @@ def name_missing(
         return Naming(nominal, nominal, (), alone, True)
     effects = tuple(search.named(nominal, final, first))
     return Naming(nominal, final, effects, alone, False)
-
-
-def _ranked(nominal: Explanation, other: Explanation) -> RankedCandidate:
-    return RankedCandidate(
-        other.candidates[-1].name,
-        nominal.fit.chi_square - other.fit.chi_square,
-        other.log_evidence - nominal.log_evidence,
-    )
 
 
 class _Search:
@@ -261,7 +199,7 @@ class _Search:
         if not self.agrees(nominal):
             # One of two effects alone may fit one recording better and another worse.
             beams = [e for e in first if self._gains_enough(nominal, e)]
-        beams = beams[: BEAMS if self.agrees(final) else BEAMS_ALONE]
+        beams = _apart(beams)[: BEAMS if self.agrees(final) else BEAMS_ALONE]
         while beams and len(final.candidates) < most and not self.is_done(final):
             following: list[Explanation] = []
             for beam in beams:
@@ -271,7 +209,7 @@ class _Search:
             following = _distinct(sorted(following, key=_evidence, reverse=True))
             if not following or following[0].log_evidence <= final.log_evidence:
                 break
-            beams, final = following[:BEAMS], following[0]
+            beams, final = _apart(following)[:BEAMS], following[0]
         return final
 
     def continued(self, base: Explanation) -> Explanation:
@@ -286,9 +224,13 @@ class _Search:
     def next(self, base: Explanation, rival: Explanation | None = None) -> list[Explanation]:
         """The few candidates that the derivatives speak for, added to ``base`` and significant.
 
-        ``rival``: what they are to be better than.
+        ``rival``: tried is only what promises to leave less than this one does.
         """
-        fits = self._contenders([self._fit(base, c) for c in self._screened(base, rival)])
+        tried = self._screened(base)
+        if rival is not None:
+            promised = dict(zip(map(id, self._candidates), self._promised(base), strict=True))
+            tried = [c for c in tried if left(base) - promised[id(c)] < left(rival)]
+        fits = self._contenders([self._fit(base, c) for c in tried])
         return [f for f in fits if self.is_significant(base, f)]
 
     def add_late(self, found: Sequence[Candidate], beside: Explanation) -> bool:
@@ -436,11 +378,8 @@ class _Search:
         The last one that may be added must promise to stand out of what it then leaves.
         """
         gains = self._promised(base)
-        size = base.fit.residual.size
-        left = base.fit.chi_square - gains - size
-        least = min(left, default=0.0)
-        if rival is not None:
-            least = min(least, rival.fit.chi_square - size)
+        remains = left(base) - gains
+        least = min([*remains, *([] if rival is None else [left(rival)])], default=0.0)
         needed = 0.0
         if len(base.candidates) == self._max_effects - 1:
             needed = WORTH_FITTING * self._least_ratio(base)
@@ -448,7 +387,7 @@ class _Search:
         return [
             self._candidates[i]
             for i in order
-            if gains[i] > needed * left[i] and gains[i] > 0.0 and contends(left[i], least)
+            if gains[i] > max(needed * remains[i], 0.0) and contends(remains[i], least)
         ]
 
     def _least_ratio(self, explanation: Explanation) -> float:
@@ -500,6 +439,15 @@ def _evidence(explanation: Explanation) -> float:
 def _better(a: Explanation, b: Explanation) -> Explanation:
     """The more probable one, the first if neither is."""
     return max(a, b, key=lambda e: e.log_evidence)
+
+
+def _apart(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Without those that look like one before them: what can be added to them does, too."""
+    kept: list[Explanation] = []
+    for explanation in explanations:
+        if all(distance(explanation, other) >= ALIKE for other in kept):
+            kept.append(explanation)
+    return kept
 
 
 def _distinct(explanations: Sequence[Explanation]) -> list[Explanation]:
