@@ -17,6 +17,7 @@ from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import (
     Candidate,
     amplitude_places,
+    is_harmonic,
     is_periodic,
     quadrant_phases,
     wrapped,
@@ -178,7 +179,8 @@ def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanatio
 def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArray:
     """Drop of χ² that the derivatives at the base promise of each candidate, shape (candidates,).
 
-    However far that extrapolates; 0 of those that are in the base already.
+    However far that extrapolates; 0 of those that are in the base already, and
+    of what may be a harmonic of one.
     """
     fit = base.fit
     rows = fit.model.normal_prior.rows
@@ -186,7 +188,7 @@ def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArr
     residual = np.concatenate([fit.residual, fit.deviations])
     gains = np.zeros(len(candidates))
     for place, candidate in enumerate(candidates):
-        if candidate.label not in base.names:
+        if candidate.label not in base.names and not is_harmonic(candidate, base.candidates):
             found = (_gain(explained, residual, c) for c in columns_of(fit, candidate))
             gains[place] = max(found, default=0.0)
     return gains
