@@ -171,6 +171,9 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         "clear": float(clear.sum()),
         "right_of_clear": _mean(column["right"][clear] >= 1.0),
         "all_right_of_clear": _mean(column["right"][clear] >= row.laws),
+        "right_or_learned_of_clear": _mean(
+            (column["right"] >= 1.0)[clear] | (some & (column["closed_held_out"] >= 0.8))[clear]
+        ),
         "false_name": _mean(column["false"] > 0.0),
         "learned": float(some.sum()),
         "closed_learned_median": float(np.median(column["closed_held_out"][some]))

@@ -17,7 +17,7 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.naming.search import RankedCandidate
+from bayesbl.naming.naming import RankedCandidate
 from bayesbl.recording.types import FloatArray
 
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]

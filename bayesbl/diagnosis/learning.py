@@ -45,7 +45,8 @@ _FINER = 16
 class Hypothesis:
     """Where something could act, and what it could depend on.
 
-    ``own_zero``: the variable's zero is another one in every recording.
+    ``own_zero``: the variable's zero is another one in every recording. ``most``: orders that the
+    sampling shows.
     """
 
     side: Side | Literal["encoder"]
@@ -53,6 +54,7 @@ class Hypothesis:
     period: float
     reverses: bool = False
     own_zero: bool = False
+    most: int = LEARNED_HARMONICS
 
     def term(self, coefficients: FloatArray) -> LearnedTerm:
         """With these coefficients: the constant, which no encoder has, cosines, sines."""
@@ -161,7 +163,7 @@ def tried_orders(
 def _trials(
     hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
 ) -> Iterator[Trial]:
-    for orders in ORDERS:
+    for orders in sorted({min(orders, hypothesis.most) for orders in ORDERS}):
         free = _free(groups, hypothesis, orders)
         if not free:
             continue

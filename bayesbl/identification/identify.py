@@ -44,7 +44,8 @@ from bayesbl.naming.explanation import (
     polished,
     with_noise,
 )
-from bayesbl.naming.search import Naming, name_missing
+from bayesbl.naming.naming import Naming
+from bayesbl.naming.search import name_missing
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress, SamplerSettings
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import CURRENT, LEARNED_HARMONICS, SPEED
+from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.motions import motion_starts, noise_of, start_angles, undecided_starts
@@ -22,8 +22,8 @@ from bayesbl.recording.moving import first_move
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
-SHIFTS_TRIED = 4 * LEARNED_HARMONICS
-"""Of what was learned: four in a period of its highest order."""
+SHIFTS_TRIED = 4
+"""Of what was learned, in a period of its highest order."""
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 
@@ -127,8 +127,9 @@ def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
         if (term.shift_slot, seen.name) not in own:
             continue
         place = model.index(term.shift_slot, seen.name)
-        trials = np.repeat(start[None], SHIFTS_TRIED, axis=0)
-        trials[:, place] = np.linspace(-0.5, 0.5, SHIFTS_TRIED, endpoint=False)
+        tried = SHIFTS_TRIED * term.orders
+        trials = np.repeat(start[None], tried, axis=0)
+        trials[:, place] = np.linspace(-0.5, 0.5, tried, endpoint=False)
         trials[:, place] *= term.period
         left = model.whitened_of(trials, i)
         start = trials[int(np.argmin(np.nan_to_num(np.einsum("ij,ij->i", left, left), nan=np.inf)))]

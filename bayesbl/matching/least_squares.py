@@ -19,6 +19,9 @@ MOST_ROUNDS = 30
 CONVERGED = 0.01
 CONVERGED_SHARE = 1e-4
 """Rounds end when one lowers χ² by less than this, or by this share of its excess over noise."""
+ROUGHLY_CONVERGED = 0.01
+"""The share of a rough fit. One that closes less of what it leaves in a round is no contender as it
+is; those that are the best none the less are fitted to the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,8 @@ def fit_simulated(
     model: SimulatedSignals,
     start: FloatArray,
     steps: FloatArray | None = None,
-    converged_share: float = CONVERGED_SHARE,
+    *,
+    rough: bool = False,
 ) -> SimulatedFit:
     """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
 
@@ -97,8 +101,8 @@ def fit_simulated(
         Shape (d,); moved into the ranges if outside.
     steps
         Of the derivatives by the first unknowns, from a fit without the others.
-    converged_share
-        Rounds end when one lowers χ² by less than this share of its excess over noise.
+    rough
+        Only as near as comparing it takes: by one-sided differences, those of the last round kept.
 
     Raises
     ------
@@ -106,8 +110,8 @@ def fit_simulated(
         If the bench cannot be simulated at the start.
     """
     point = np.clip(start, model.low, model.high)
-    rough = _first_steps(model, point)
-    steps = rough if steps is None else np.concatenate([steps, rough[len(steps) :]])
+    first = _first_steps(model, point)
+    steps = first if steps is None else np.concatenate([steps, first[len(steps) :]])
     residual = model.whitened(point)[0]
     if not np.all(np.isfinite(residual)):
         raise BenchError(
@@ -121,8 +125,9 @@ def fit_simulated(
     damping = 1e-3
     jacobian = np.zeros((residual.size, point.size))
     precision, normal = model.prior_precision(), model.normal_prior.precision
+    least = ROUGHLY_CONVERGED if rough else CONVERGED_SHARE
     for _ in range(MOST_ROUNDS):
-        jacobian, steps = _jacobian(model, point, residual, steps)
+        jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
         gradient = jacobian.T @ residual + _prior_pull(model, point)
         curvature = jacobian.T @ jacobian + normal
         gained = 0.0
@@ -139,9 +144,10 @@ def fit_simulated(
             if np.all(np.abs(move) < 1e-3 * np.sqrt(1.0 / np.diag(curvature).clip(1e-300))):
                 break
             damping *= 10.0
-        if gained < max(CONVERGED, converged_share * (value - residual.size)):
+        if gained < max(CONVERGED, least * (value - residual.size)):
             break
-    jacobian, steps = _jacobian(model, point, residual, steps)
+    if not rough:
+        jacobian, steps = _jacobian(model, point, residual, steps)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
     return SimulatedFit(model, point, residual, jacobian, covariance, steps)
 
@@ -222,37 +228,44 @@ def _first_steps(model: SimulatedSignals, point: FloatArray) -> FloatArray:
 
 
 def _jacobian(
-    model: SimulatedSignals, point: FloatArray, residual: FloatArray, steps: FloatArray
+    model: SimulatedSignals,
+    point: FloatArray,
+    residual: FloatArray,
+    steps: FloatArray,
+    one_sided: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
-    """Central differences of the whitened signals, and better steps for the next time.
+    """Differences of the whitened signals, and better steps for the next time.
 
     Steps whose change is not of the order of the noise are tried again: the simulator's own error
-    drowns a shorter one, curvature spoils a longer one.
+    drowns a shorter one, curvature spoils a longer one. Central differences unless ``one_sided``.
     """
     d = point.size
     columns = np.empty((d, residual.size)).T
     pending = np.arange(d)
     steps = steps.copy()
+    sides = 1.0 if one_sided else 2.0
     for attempt in range(4):
         moved = np.repeat(point[None], 2 * pending.size, axis=0)
+        ends = moved[: pending.size], moved[pending.size :]
         for row, i in enumerate(pending):
-            moved[2 * row, i] = min(point[i] + steps[i], model.high[i])
-            moved[2 * row + 1, i] = max(point[i] - steps[i], model.low[i])
+            ends[0][row, i] = min(point[i] + steps[i], model.high[i])
+            if not one_sided or ends[0][row, i] <= point[i]:
+                ends[1][row, i] = max(point[i] - steps[i], model.low[i])
         z = model.whitened(moved)
         again = []
         for row, i in enumerate(pending):
-            distance = moved[2 * row, i] - moved[2 * row + 1, i]
-            change = z[2 * row + 1] - z[2 * row]  # residual falls where the simulation rises
+            distance = ends[0][row, i] - ends[1][row, i]
+            change = z[pending.size + row] - z[row]  # residual falls where the simulation rises
             if not np.all(np.isfinite(change)):
                 steps[i] *= 0.1
                 again.append(i)
                 continue
             columns[:, i] = change / distance
-            size = float(np.linalg.norm(change))
-            better = steps[i] * float(np.clip(2.0 * STEP_CHANGE / max(size, 1e-12), 1e-3, 1e3))
+            size = float(np.linalg.norm(change)) / sides
+            better = steps[i] * float(np.clip(STEP_CHANGE / max(size, 1e-12), 1e-3, 1e3))
             width = model.high[i] - model.low[i]
             better = min(better, 0.25 * width) if np.isfinite(width) else better
-            if not 0.2 < size / (2.0 * STEP_CHANGE) < 5.0 and not np.isclose(better, steps[i]):
+            if not 0.2 < size / STEP_CHANGE < 5.0 and not np.isclose(better, steps[i]):
                 again.append(i)
             steps[i] = better
         pending = np.array(again, dtype=int)

@@ -225,6 +225,19 @@ def is_periodic(candidate: Candidate) -> bool:
     return candidate.effect is not None and effect_named(candidate.name).is_periodic
 
 
+def is_harmonic(candidate: Candidate, present: Sequence[Candidate]) -> bool:
+    """Whether its order goes with that of something present, up or down, and may be its harmonic.
+
+    A real ripple has several orders, a bench one of each effect: beside it another effect at a
+    harmonic has no rival and would be named whatever it is.
+    """
+    order = candidate.key[1]
+    others = [other.key[1] for other in present]
+    return order is not None and any(
+        o is not None and o != order and max(o, order) % min(o, order) == 0.0 for o in others
+    )
+
+
 def quadrant_phases(candidate: Candidate) -> list[int]:
     """Places of the phases among the candidate's unknowns."""
     return _places(candidate, "phase")

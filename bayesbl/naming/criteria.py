@@ -6,10 +6,17 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, whole_rotations
-from bayesbl.naming.explanation import Explanation
+from bayesbl.matching.observed import begin_of
+from bayesbl.matching.predictive_check import (
+    RepeatingPower,
+    agrees,
+    disagreements,
+    whole_rotations,
+)
+from bayesbl.naming.explanation import BEHIND, Explanation
 from bayesbl.recording.types import FloatArray
 
 ALIKE = 5.0
@@ -35,6 +42,10 @@ in six times at N = 1800, which costs only the wider search.
 BEYOND_CHANCE = 2.0
 """Standard deviations of noise subtracted from the remainder before it speaks against a name."""
 
+SLACK = 100.0
+"""χ² by which what a rough fit or a promise leaves may besides be larger than what the best leaves:
+rivals are those within 25."""
+
 CHANCE_LOSS = 6.6
 """χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
 
@@ -42,6 +53,71 @@ CHANCE_LOSS = 6.6
 def is_gross(explanation: Explanation) -> bool:
     """Whether the simulation is far off, so that other optima of the gap come into question."""
     return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
+
+
+def left(explanation: Explanation) -> float:
+    """χ² beyond that of noise."""
+    return explanation.fit.chi_square - explanation.fit.residual.size
+
+
+def contends(left: float, least: float) -> bool:
+    """Whether what a rough fit or a promise leaves is near enough to the least that one leaves."""
+    return left < BEHIND * max(least, 0.0) + SLACK
+
+
+def misfit_scale(fit: SimulatedFit, false_alarm: float) -> float:
+    """Variance, over that of noise, of what repeats and no name explains; 1 where only noise is."""
+    scale, _ = _misfit(fit, false_alarm)
+    return scale
+
+
+def least_ratio(fit: SimulatedFit, added: int, trials: int, false_alarm: float) -> float:
+    """Gain over what is left beyond noise that a name asks for, so many unknowns added; 0 if none.
+
+    Beside a law that no catalogue has, every column gains something: what is left is the noise that
+    a gain is held against, in an F test.
+    """
+    _, degrees = _misfit(fit, false_alarm)
+    if math.isinf(degrees):
+        return 0.0
+    return added / degrees * float(f_distribution.isf(false_alarm / max(trials, 1), added, degrees))
+
+
+def stands_out_of_misfit(
+    base: Explanation, more: Explanation, trials: int, false_alarm: float
+) -> bool:
+    """Whether a name explains more than chance would of what ``more`` leaves."""
+    scale, degrees = _misfit(more.fit, false_alarm)
+    if math.isinf(degrees):
+        return True
+    least = least_ratio(more.fit, more.parameters - base.parameters, trials, false_alarm)
+    return base.fit.chi_square - more.fit.chi_square > least * degrees * scale
+
+
+def _misfit(fit: SimulatedFit, false_alarm: float) -> tuple[float, float]:
+    """What repeats beyond noise: its χ² per degree of freedom, and how many degrees it has.
+
+    Of P = |s|² + noise at every order, with the noise's χ² of two degrees, Σ(P − 2) and
+    Σ(P² − 8P + 8) estimate Σ|s|² and Σ|s|⁴, and 2 (Σ|s|²)²/Σ|s|⁴ is the number of degrees that a
+    misfit of few orders has. (1, ∞) where all that is left is noise.
+    """
+    if agrees(disagreements(fit), false_alarm):
+        return 1.0, math.inf
+    first = second = 0.0
+    parts = fit.model.by_recording(fit.residual)
+    for seen, part in zip(fit.model.recordings, parts, strict=True):
+        repeats = seen.motion is None or seen.cycle is not None
+        for row in part[:, begin_of(seen) :]:
+            turns = whole_rotations(row, seen.lag) if repeats else row[None]
+            power = np.abs(np.fft.rfft(turns.mean(axis=0))) ** 2
+            power *= len(turns) * 2.0 / turns.shape[1]
+            power[0] *= 0.5
+            first += float(np.sum(power - 2.0))
+            second += float(np.sum(power**2 - 8.0 * power + 8.0))
+    if first <= 0.0 or second <= 0.0:
+        return 1.0, math.inf
+    degrees = 2.0 * first**2 / second
+    return max(first / degrees, 1.0), degrees
 
 
 def explains(

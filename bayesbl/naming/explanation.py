@@ -17,6 +17,7 @@ from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import (
     Candidate,
     amplitude_places,
+    is_harmonic,
     is_periodic,
     quadrant_phases,
     wrapped,
@@ -25,9 +26,8 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
-ROUGHLY_CONVERGED = 0.01
-"""A fit that closes less than this share of the residual in a round is no contender as it is;
-those that are the best none the less are fitted to the end."""
+BEHIND = 2.0
+"""What is far from its optimum and leaves this multiple of what the best leaves is not pursued."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,15 @@ def explain(base: Explanation, candidate: Candidate) -> Explanation | None:
 def from_afar(base: Explanation, candidate: Candidate) -> Explanation | None:
     """As :func:`explain`, but from the best places in the candidate's whole range."""
     model = extended(base.fit.model, candidate)
-    return _best(base, candidate, model, _scanned_starts(model, base, candidate))
+    starts = _scanned_starts(model, base, candidate)
+    left = [_chi_square(model, start) for start in starts]
+    near = BEHIND * min(left)
+    return _best(
+        base,
+        candidate,
+        model,
+        [start for start, value in zip(starts, left, strict=True) if value <= near],
+    )
 
 
 def _best(
@@ -123,7 +131,7 @@ def _best(
     fits = []
     for start in starts:
         with suppress(BenchError):
-            fits.append(fit_simulated(model, start, base.fit.steps, ROUGHLY_CONVERGED))
+            fits.append(fit_simulated(model, start, base.fit.steps, rough=True))
     best = min(fits, key=lambda fit: fit.chi_square, default=None)
     return None if best is None else Explanation((*base.candidates, candidate), best)
 
@@ -140,9 +148,7 @@ def last_alone(nominal: Explanation, full: Explanation) -> Explanation:
 def refitted(explanation: Explanation) -> Explanation:
     """The same explanation, fitted roughly from where it is."""
     fit = explanation.fit
-    return replace(
-        explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, ROUGHLY_CONVERGED)
-    )
+    return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps, rough=True))
 
 
 def polished(explanation: Explanation) -> Explanation:
@@ -154,16 +160,18 @@ def polished(explanation: Explanation) -> Explanation:
 def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanation | None:
     """An explanation less one of its candidates, fitted from where it is."""
     model, own = nominal.fit.model, nominal.fit.point.size
-    kept, parts = [], [full.fit.point[:own]]
+    kept, places = [], [np.arange(own)]
     for k, candidate in enumerate(full.candidates):
-        part = full.fit.point[own : own + len(candidate.unknowns)]
-        own += part.size
+        own += len(candidate.unknowns)
         if k != without:
             model = extended(model, candidate)
             kept.append(candidate)
-            parts.append(part)
+            places.append(np.arange(own - len(candidate.unknowns), own))
+    at = np.concatenate(places)
     try:
-        return Explanation(tuple(kept), fit_simulated(model, np.concatenate(parts)))
+        return Explanation(
+            tuple(kept), fit_simulated(model, full.fit.point[at], full.fit.steps[at])
+        )
     except BenchError:
         return None
 
@@ -171,7 +179,8 @@ def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanatio
 def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArray:
     """Drop of χ² that the derivatives at the base promise of each candidate, shape (candidates,).
 
-    However far that extrapolates; 0 of those that are in the base already.
+    However far that extrapolates; 0 of those that are in the base already, and
+    of what may be a harmonic of one.
     """
     fit = base.fit
     rows = fit.model.normal_prior.rows
@@ -179,7 +188,7 @@ def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArr
     residual = np.concatenate([fit.residual, fit.deviations])
     gains = np.zeros(len(candidates))
     for place, candidate in enumerate(candidates):
-        if candidate.label not in base.names:
+        if candidate.label not in base.names and not is_harmonic(candidate, base.candidates):
             found = (_gain(explained, residual, c) for c in columns_of(fit, candidate))
             gains[place] = max(found, default=0.0)
     return gains
@@ -254,8 +263,9 @@ def _gain(explained: FloatArray, residual: FloatArray, columns: list[FloatArray]
     if not columns:
         return 0.0
     more = np.pad(np.stack(columns), ((0, 0), (0, len(residual) - columns[0].size)))
-    added, _ = np.linalg.qr((more - (more @ explained) @ explained.T).T)
-    return float(np.sum((added.T @ residual) ** 2))
+    more -= (more @ explained) @ explained.T
+    along = more @ residual
+    return float(along @ np.linalg.pinv(more @ more.T, 1e-10, hermitian=True) @ along)
 
 
 def _phased(model: SimulatedSignals, candidate: Candidate, start: FloatArray) -> FloatArray:

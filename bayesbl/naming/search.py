@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.naming.candidates import Candidate, steady_torque
-from bayesbl.naming.criteria import ALIKE, consistency, explains, is_gross
+from bayesbl.naming.criteria import (
+    ALIKE,
+    consistency,
+    contends,
+    explains,
+    is_gross,
+    least_ratio,
+    left,
+    misfit_scale,
+    stands_out_of_misfit,
+)
 from bayesbl.naming.explanation import (
     Explanation,
     distance,
@@ -25,6 +35,7 @@ from bayesbl.naming.explanation import (
     refitted,
 )
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
+from bayesbl.naming.naming import NamedCandidate, Naming
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress
 
@@ -54,60 +65,6 @@ of 4 rotations, 4 of 5, 6 of 10. Gains that scatter about zero pass with the pro
 Student's t, 0.6 % in three recordings of five rotations (12 degrees of freedom), 2 % in one (4),
 and only after the whole gain has passed a threshold of its own.
 """
-
-
-@dataclass(frozen=True, slots=True)
-class RankedCandidate:
-    """What one candidate alone gains over the bench as believed."""
-
-    candidate: str
-    chi_square_gain: float
-    log_evidence_gain: float
-
-
-@dataclass(frozen=True, slots=True)
-class NamedCandidate:
-    """One explanation found, with those that these recordings cannot tell from it."""
-
-    candidate: Candidate
-    gain: float
-    indistinguishable: tuple[Explanation, ...]
-
-    @property
-    def name(self) -> str:
-        """Of the effect or parameter."""
-        return self.candidate.name
-
-    @property
-    def members(self) -> tuple[str, ...]:
-        """The set of names, the most probable first."""
-        return (self.name, *(e.candidates[-1].name for e in self.indistinguishable))
-
-
-@dataclass(frozen=True, slots=True)
-class Naming:
-    """What was found.
-
-    Attributes
-    ----------
-    nominal, final
-        Before and after adding what is named; the same where nothing is.
-    repeats
-        Whether something repeats that nothing explains.
-    alone
-        The nominal bench with one candidate each, most probable first.
-    """
-
-    nominal: Explanation
-    final: Explanation
-    effects: tuple[NamedCandidate, ...]
-    alone: tuple[Explanation, ...]
-    repeats: bool
-
-    @property
-    def ranking(self) -> tuple[RankedCandidate, ...]:
-        """What each of ``alone`` gains over the nominal bench."""
-        return tuple(_ranked(self.nominal, other) for other in self.alone)
 
 
 def name_missing(
@@ -165,14 +122,6 @@ def name_missing(
         return Naming(nominal, nominal, (), alone, True)
     effects = tuple(search.named(nominal, final, first))
     return Naming(nominal, final, effects, alone, False)
-
-
-def _ranked(nominal: Explanation, other: Explanation) -> RankedCandidate:
-    return RankedCandidate(
-        other.candidates[-1].name,
-        nominal.fit.chi_square - other.fit.chi_square,
-        other.log_evidence - nominal.log_evidence,
-    )
 
 
 class _Search:
@@ -250,17 +199,17 @@ class _Search:
         if not self.agrees(nominal):
             # One of two effects alone may fit one recording better and another worse.
             beams = [e for e in first if self._gains_enough(nominal, e)]
-        beams = beams[: BEAMS if self.agrees(final) else BEAMS_ALONE]
+        beams = _apart(beams)[: BEAMS if self.agrees(final) else BEAMS_ALONE]
         while beams and len(final.candidates) < most and not self.is_done(final):
             following: list[Explanation] = []
             for beam in beams:
-                following += self.next(beam)
+                following += self.next(beam, max([final, *following], key=_evidence))
                 if any(self.is_done(e) for e in following):
                     break
-            following = _distinct(sorted(following, key=lambda e: -e.log_evidence))
+            following = _distinct(sorted(following, key=_evidence, reverse=True))
             if not following or following[0].log_evidence <= final.log_evidence:
                 break
-            beams, final = following[:BEAMS], following[0]
+            beams, final = _apart(following)[:BEAMS], following[0]
         return final
 
     def continued(self, base: Explanation) -> Explanation:
@@ -272,9 +221,16 @@ class _Search:
             base = more[0]
         return base
 
-    def next(self, base: Explanation) -> list[Explanation]:
-        """The few candidates that the derivatives speak for, added to ``base`` and significant."""
-        fits = self._contenders([self._fit(base, c) for c in self._screened(base)])
+    def next(self, base: Explanation, rival: Explanation | None = None) -> list[Explanation]:
+        """The few candidates that the derivatives speak for, added to ``base`` and significant.
+
+        ``rival``: tried is only what promises to leave less than this one does.
+        """
+        tried = self._screened(base)
+        if rival is not None:
+            promised = dict(zip(map(id, self._candidates), self._promised(base), strict=True))
+            tried = [c for c in tried if left(base) - promised[id(c)] < left(rival)]
+        fits = self._contenders([self._fit(base, c) for c in tried])
         return [f for f in fits if self.is_significant(base, f)]
 
     def add_late(self, found: Sequence[Candidate], beside: Explanation) -> bool:
@@ -340,9 +296,15 @@ class _Search:
             return final
         for k in range(len(final.candidates)):
             rest = self._rebuilt(nominal, final, k, first)
-            if rest is not None and not self.is_significant(rest, final):
+            if rest is not None and not self._is_worth_naming(rest, final):
                 return self.without_idle(nominal, rest, first)
         return final
+
+    def _is_worth_naming(self, rest: Explanation, final: Explanation) -> bool:
+        """Whether a name stands out of the noise, and of what all names together leave."""
+        return self.is_significant(rest, final) and stands_out_of_misfit(
+            rest, final, len(self._candidates), self._false_alarm
+        )
 
     def named(
         self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
@@ -369,7 +331,7 @@ class _Search:
         rest = self._rebuilt(nominal, final, k, first)
         if rest is None:
             return []
-        tried = [c for c in self._screened(rest) if c is not candidate]
+        tried = [c for c in self._screened(rest, final) if c is not candidate]
         return self._contenders([self._fit(rest, c) for c in tried])
 
     def _rivals(
@@ -377,10 +339,12 @@ class _Search:
     ) -> tuple[Explanation, ...]:
         """Alternatives that look alike; larger ones that hold this one and gain nothing are not."""
         near = []
+        # Where something remains that no name explains, it blurs the difference as noise does.
+        scale = misfit_scale(final.fit, self._false_alarm)
         for other in alternatives:
             if other.candidates[-1].label == candidate.label:
                 continue
-            if distance(final, other) >= ALIKE:
+            if distance(final, other) >= ALIKE * math.sqrt(scale):
                 continue
             more = other.parameters - final.parameters
             gain = final.fit.chi_square - other.fit.chi_square
@@ -408,10 +372,26 @@ class _Search:
     def _threshold(self, parameters: int) -> float:
         return gain_threshold(parameters, len(self._candidates), self._false_alarm)
 
-    def _screened(self, base: Explanation) -> list[Candidate]:
+    def _screened(self, base: Explanation, rival: Explanation | None = None) -> list[Candidate]:
+        """Few candidates that promise to leave no more than the best of them, or a rival, does.
+
+        The last one that may be added must promise to stand out of what it then leaves.
+        """
         gains = self._promised(base)
-        order = np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]
-        return [self._candidates[int(i)] for i in order if gains[int(i)] > 0.0]
+        remains = left(base) - gains
+        least = min([*remains, *([] if rival is None else [left(rival)])], default=0.0)
+        needed = 0.0
+        if len(base.candidates) == self._max_effects - 1:
+            needed = WORTH_FITTING * self._least_ratio(base)
+        order = [int(i) for i in np.argsort(gains)[::-1][:FITTED_AFTER_SCREENING]]
+        return [
+            self._candidates[i]
+            for i in order
+            if gains[i] > max(needed * remains[i], 0.0) and contends(remains[i], least)
+        ]
+
+    def _least_ratio(self, explanation: Explanation) -> float:
+        return least_ratio(explanation.fit, 1, len(self._candidates), self._false_alarm)
 
     def _best_promise(self, base: Explanation) -> float:
         return float(np.max(self._promised(base), initial=0.0))
@@ -432,10 +412,17 @@ class _Search:
         return self._fits[key][1]
 
     def _contenders(self, fits: Sequence[Explanation | None]) -> list[Explanation]:
-        """Most probable first, the first few fitted to the end."""
-        found = sorted((f for f in fits if f is not None), key=lambda e: -e.log_evidence)
-        best = [self._to_the_end(e) for e in found[:CONTENDERS]]
-        return sorted([*best, *found[CONTENDERS:]], key=lambda e: -e.log_evidence)
+        """Most probable first, the first few fitted to the end where they could be the best."""
+        found = sorted((f for f in fits if f is not None), key=_evidence, reverse=True)
+        if not found:
+            return []
+        best = found[0]
+        for rough in found[:CONTENDERS]:
+            if contends(left(rough), left(best)):
+                fine = self._to_the_end(rough)
+                found[found.index(rough)] = fine
+                best = _better(best, fine)
+        return sorted(found, key=_evidence, reverse=True)
 
     def _to_the_end(self, rough: Explanation) -> Explanation:
         if id(rough) not in self._polished:
@@ -445,9 +432,22 @@ class _Search:
         return self._polished[id(rough)][1]
 
 
+def _evidence(explanation: Explanation) -> float:
+    return explanation.log_evidence
+
+
 def _better(a: Explanation, b: Explanation) -> Explanation:
     """The more probable one, the first if neither is."""
     return max(a, b, key=lambda e: e.log_evidence)
+
+
+def _apart(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """Without those that look like one before them: what can be added to them does, too."""
+    kept: list[Explanation] = []
+    for explanation in explanations:
+        if all(distance(explanation, other) >= ALIKE for other in kept):
+            kept.append(explanation)
+    return kept
 
 
 def _distinct(explanations: Sequence[Explanation]) -> list[Explanation]:

@@ -39,10 +39,8 @@ from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, reduced, with_noise
-from bayesbl.naming.search import (
-    Naming,
-    name_missing,
-)
+from bayesbl.naming.naming import Naming
+from bayesbl.naming.search import name_missing
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress
 

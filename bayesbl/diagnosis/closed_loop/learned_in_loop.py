@@ -22,10 +22,11 @@ from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, Wha
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places
 from bayesbl.naming.criteria import ENOUGH_CLOSED
-from bayesbl.naming.explanation import ROUGHLY_CONVERGED, Explanation, gain_threshold, with_noise
+from bayesbl.naming.explanation import Explanation, gain_threshold, with_noise
 from bayesbl.recording.types import FloatArray
 
 LONGEST_PERIOD = 5.0
@@ -87,7 +88,8 @@ def learned_term(
     fit = base.fit
     known = {term.block for term in fit.model.bench.learned_terms}
     found = []
-    for hypothesis in _hypotheses(remaining, motor_angle_known):
+    for proposed in _hypotheses(remaining, motor_angle_known):
+        hypothesis = replace(proposed, most=_shown(fit.model, proposed))
         if _kind_of(hypothesis).block in known:
             continue
         groups = _groups(fit, hypothesis)
@@ -176,6 +178,21 @@ def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> It
         yield Hypothesis("motor", "time", 1.0 / frequency, False, True)
 
 
+def _shown(model: SimulatedSignals, hypothesis: Hypothesis) -> int:
+    """Orders below half of the sampling frequency in some recording; steps follow the highest."""
+
+    def base_hz(seen: Observed) -> float:
+        if hypothesis.variable == "time":
+            return 1.0 / hypothesis.period
+        turns = 1.0 / seen.rotation_period_s
+        if hypothesis.variable == "motor_angle":
+            turns = abs(seen.reference_speed_rpm) / 60.0
+        return turns * 2.0 * math.pi / hypothesis.period
+
+    most = max(0.5 * seen.sampling_hz / base_hz(seen) for seen in model.recordings)
+    return max(1, min(int(most), LEARNED_HARMONICS))
+
+
 def _bases(
     remaining: Sequence[Unexplained], dependence: What, value: Callable[[Unexplained], float]
 ) -> list[float]:
@@ -220,17 +237,17 @@ def _bases(
 
 def _groups(fit: SimulatedFit, hypothesis: Hypothesis) -> list[Group] | None:
     """Products of the columns of every recording; of the halves of one that is alone."""
-    names = _names(hypothesis, LEARNED_HARMONICS)
-    model = _with_term(
-        fit.model, hypothesis, LEARNED_HARMONICS, [Unknown(name) for name in names.values()]
-    )
+    most = hypothesis.most
+    names = _names(hypothesis, most)
+    model = _with_term(fit.model, hypothesis, most, [Unknown(name) for name in names.values()])
     size = len(fit.point)
     moved = np.repeat(np.concatenate([fit.point, np.zeros(len(names))])[None], len(names) + 1, 0)
     step = _typical_size(fit, hypothesis)
     moved[np.arange(len(names)) + 1, np.arange(len(names)) + size] = step
     z = model.whitened(moved)
     columns = np.zeros((1 + 2 * LEARNED_HARMONICS, z.shape[1]))
-    columns[list(names)] = (z[0] - z[1:]) / step
+    places = [k if k <= most else k - most + LEARNED_HARMONICS for k in names]
+    columns[places] = (z[0] - z[1:]) / step
     if not np.all(np.isfinite(columns)):
         return None
     parts = [model.by_recording(row) for row in (*columns, *fit.jacobian.T, fit.residual)]
@@ -307,7 +324,7 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
         starts.append(with_shifts(extended, aligned))
     left = [float(z @ z) for z in extended.whitened(np.stack(starts))]
     begin = starts[int(np.argmin(np.nan_to_num(left, nan=np.inf)))]
-    fit = fit_simulated(extended, begin, base.fit.steps, ROUGHLY_CONVERGED)
+    fit = fit_simulated(extended, begin, base.fit.steps, rough=True)
     if fit.chi_square >= base.fit.chi_square:
         return None
     explanation = replace(base, fit=fit)

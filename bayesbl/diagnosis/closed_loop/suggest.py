@@ -15,7 +15,7 @@ from bayesbl.diagnosis.diagnosis import Suggestion
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import START_ANGLE
 from bayesbl.naming.explanation import Explanation
-from bayesbl.naming.search import NamedCandidate
+from bayesbl.naming.naming import NamedCandidate
 from bayesbl.recording.types import FloatArray
 
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
