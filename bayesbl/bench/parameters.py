@@ -214,6 +214,7 @@ _SCALES = [
     for scale in effect.shapes
     if scale.positive_scale
 ]
+_SHARES = [effect.slots[item.name] for effect in EFFECTS for item in effect.shapes if item.share]
 
 
 _LEARNED = (
@@ -231,6 +232,9 @@ def _check_effects(matrix: FloatArray) -> None:
     for slot, bound, unit in _BOUNDED:
         expected = f"between -{bound:g} and {bound:g} {unit}"
         _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
+    for slot in _SHARES:
+        values = matrix[:, slot]
+        _refuse_where((values < 0.0) | (values > 1.0), matrix, slot, "a number from 0 to 1")
     for scale, amplitudes in _SCALES:
         wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
         _refuse_where(wrong, matrix, scale, "a number above zero")
