@@ -868,25 +868,23 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
 
 
 @_jit
-def emit_logged(t, period, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
-    """Samples from a tick until the next, of what was logged at both; the next sample's number.
+def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
+    """Samples between two changes of what a sampled drive holds; returns the next sample's number.
 
-    A recorder slower than the controller meets its ticks: where it does not, its samples lie in
-    between, which keeps them smooth in the period. A faster one repeats what the controller last had.
+    A recorder slower than the controller meets its ticks; where it does not, its samples lie in
+    between, which keeps them smooth in the period. A faster one repeats what the drive holds.
     """
-    faster = dt < (1.0 - AT_TICK) * period
+    margin = AT_TICK * p[Slot.sampled_control__period_s]
+    faster = dt < p[Slot.sampled_control__period_s] - margin
+    begin = start - p[FIRST_SKEW + row]
+    place = row if out.shape[0] > 1 else 0
     for index in range(first, out.shape[1]):
-        share = (start + index * dt - t) / period
-        if share >= 1.0 - AT_TICK:
+        time = begin + index * dt
+        if time >= until - margin:
             return index
-        out[row, index] = old if faster else old + max(0.0, share) * (new - old)
+        share = 0.0 if faster else max(0.0, time - since) / (until - since)
+        out[place, index] = old + share * (new - old)
     return out.shape[1]
-
-
-@_jit
-def actual_torque(y, p):  # type: ignore[no-untyped-def]
-    """Torque of a sampled drive."""
-    return y[DRIVE_TORQUE] if p[Slot.current_loop_lag__time_s] > 0.0 else y[HELD_TORQUE]
 
 
 @_jit
@@ -970,6 +968,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
     skewed = p[FIRST_SKEW] != 0.0 or p[FIRST_SKEW + 1] != 0.0 or p[FIRST_SKEW + 2] != 0.0
     skewed = skewed and out.shape[0] != STATES
     logged = c.sampled and out.shape[0] != STATES
+    lagged = p[Slot.current_loop_lag__time_s] > 0.0
     period = p[Slot.sampled_control__period_s]
     delay = p[Slot.sampled_control__delay_periods]
     number, next_tick, due = 0, math.inf, math.inf
@@ -980,7 +979,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
         if due <= t:
             due = math.inf
     pause = min(piece_end, next_tick, due)
-    logged_torque = actual_torque(y, p) if c.sampled else 0.0
+    current, changed = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a] if c.sampled else 0.0, t
     has_edges = c.gap > 0.0 and not c.rigid
     layer = 0.0 if c.hard else 1.0 / c.sharpness
     evaluations = 0
@@ -1056,11 +1055,12 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
             h_next = h * factor
 
         if logged:
-            if out.shape[0] == 3:
-                begin = start - p[FIRST_SKEW + POSITION]
-                next_sample[POSITION] = emit(
-                    t, h, dense, POSITION, next_sample[POSITION], begin, dt, out, y, p, c
-                )
+            for row in (POSITION, CURRENT):
+                if out.shape[0] == 3 and (row == POSITION or lagged):
+                    begin = start - p[FIRST_SKEW + row]
+                    next_sample[row] = emit(
+                        t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
+                    )
         elif not skewed:
             next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, dt, out, y, p, c)
         else:
@@ -1086,27 +1086,25 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                 due = math.inf
             if t == next_tick:
                 due = start + (number + delay) * period
-                old_speed, old_torque = y[TICK_SPEED], logged_torque
+                number += 1
+                next_tick = start + number * period
+                old = y[TICK_SPEED] * RPM
                 tick(t, y, p, c)
                 if due <= t:
                     y[HELD_TORQUE] = y[NEXT_TORQUE]
                     due = math.inf
-                logged_torque = actual_torque(y, p)
                 if logged:
-                    begin = start - p[FIRST_SKEW + SPEED]
                     next_sample[SPEED] = emit_logged(
-                        t - period, period, min(SPEED, out.shape[0] - 1), next_sample[SPEED],
-                        begin, dt, out, old_speed * RPM, y[TICK_SPEED] * RPM,
+                        t - period, t, p, SPEED, next_sample[SPEED], start, dt, out,
+                        old, y[TICK_SPEED] * RPM,
                     )  # fmt: skip
-                    if out.shape[0] == 3:
-                        begin = start - p[FIRST_SKEW + CURRENT]
-                        per_current = 1.0 / p[Slot.torque_constant_nm_per_a]
-                        next_sample[CURRENT] = emit_logged(
-                            t - period, period, CURRENT, next_sample[CURRENT],
-                            begin, dt, out, old_torque * per_current, logged_torque * per_current,
-                        )  # fmt: skip
-                number += 1
-                next_tick = start + number * period
+            if logged and out.shape[0] == 3 and not lagged:
+                old = current
+                current = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
+                next_sample[CURRENT] = emit_logged(
+                    changed, t, p, CURRENT, next_sample[CURRENT], start, dt, out, old, current
+                )
+                changed = t
             pause = min(piece_end, next_tick, due)
             right_hand_side(t, y, region, p, c, k[0])
             evaluations += 1
