@@ -13,7 +13,7 @@ from __future__ import annotations
 from bayesbl.bench.effect_declaration import Amplitude, Effect, Shape
 
 EFFECT = Effect(
-    place=175,
+    place=195,
     name="sampled_control",
     sentence="A digital controller: it differentiates the encoder and holds its torque for a period.",
     equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = (θ_k − θ_{k−1})/T, held from (k + d) T on",
@@ -22,7 +22,7 @@ EFFECT = Effect(
             "period_s",
             "s",
             "period T of the speed controller",
-            low=5e-5,
+            low=0.0,
             high=4e-3,
             typical=1e-3,
             repeats="always",
