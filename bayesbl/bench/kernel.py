@@ -871,18 +871,20 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
 def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
     """Samples between two changes of what a sampled drive holds; returns the next sample's number.
 
-    A recorder slower than the controller meets its ticks; where it does not, its samples lie in
-    between, which keeps them smooth in the period. A faster one repeats what the drive holds.
+    One clock makes ticks and samples. A recorder slower than the controller meets its ticks, a
+    faster one repeats what the drive holds. Where neither period is a whole number of the other,
+    samples lie on lines between the ticks, which keeps them smooth in the period.
     """
     margin = AT_TICK * p[Slot.sampled_control__period_s]
-    faster = dt < p[Slot.sampled_control__period_s] - margin
+    samples = p[Slot.sampled_control__period_s] / dt
+    repeated = samples > 1.5 and abs(samples - round(samples)) < AT_TICK * samples
     begin = start - p[FIRST_SKEW + row]
     place = row if out.shape[0] > 1 else 0
     for index in range(first, out.shape[1]):
         time = begin + index * dt
         if time >= until - margin:
             return index
-        share = 0.0 if faster else max(0.0, time - since) / (until - since)
+        share = 0.0 if repeated else max(0.0, time - since) / (until - since)
         out[place, index] = old + share * (new - old)
     return out.shape[1]
 

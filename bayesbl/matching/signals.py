@@ -251,6 +251,7 @@ class SimulatedSignals:
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
         # Points often differ only in the unknowns of other recordings.
+        matrix = _in_whole_ticks(matrix, seen)
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
@@ -385,6 +386,23 @@ def _continued(begun: FloatArray, samples: int) -> FloatArray:
     if begun.shape[2] == samples:
         return begun
     return begun[:, :, np.arange(samples) % begun.shape[2]]
+
+
+def _in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
+    """Sampled controllers with a whole number of ticks a rotation, so that it repeats.
+
+    The period changes by less than its share of two rotations, far below what recordings tell. One
+    that is a whole number of samples stays: there each sample is of a tick.
+    """
+    period = matrix[:, Slot.sampled_control__period_s]
+    samples = period * seen.sampling_hz
+    free = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
+    if seen.motion is not None or not free.any():
+        return matrix
+    matrix = matrix.copy()
+    turn = rotation_period_s(matrix)[free]
+    matrix[free, Slot.sampled_control__period_s] = turn / np.round(turn / period[free])
+    return matrix
 
 
 def _repeats(matrix: FloatArray, seen: Observed) -> bool:
