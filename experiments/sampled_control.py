@@ -43,7 +43,8 @@ TRUTH_RAD = (2e-4, 3e-3)
 class Row(BaseModel):
     """A row: the drive, what is recorded, what the bench believes and what is asked.
 
-    ``softer``: both gains times this; the reference gains are unstable at 4 ms.
+    ``softer``: both gains times this; the reference gains are unstable at 4 ms. ``unlike``: what no
+    bench is told, as ``Plant`` takes it: another delay, a recorder that misses the ticks.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -51,6 +52,7 @@ class Row(BaseModel):
     name: str
     period_s: float = Field(gt=0.0)
     softer: float = Field(1.0, gt=0.0)
+    unlike: dict[str, float] = Field(default_factory=dict)
     current: bool = True
     believed: Literal["continuous", "sampled"]
     asked: Literal["compare", "diagnose"]
@@ -110,7 +112,7 @@ def _recorded(
     start, motor = generator.uniform(-math.pi, math.pi, 2)
     run = {"gap_rad": gap, "reference_speed_rpm": speed, "start_angle_rad": start}
     run |= {"motor_start_angle_rad": motor, "sampled_control.period_s": row.period_s}
-    made = simulate(plant(values | run), generator, name=name).recording
+    made = simulate(plant(values | run | row.unlike), generator, name=name).recording
     kept = (MOTOR_SPEED, MOTOR_CURRENT) if row.current else (MOTOR_SPEED,)
     return Recording(name, made.time_s, {k: made.channels[k] for k in kept})
 

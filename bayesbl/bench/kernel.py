@@ -868,16 +868,22 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
 
 
 @_jit
-def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
-    """Samples between two changes of what a sampled drive holds; returns the next sample's number.
+def is_repeated(period, dt):  # type: ignore[no-untyped-def]
+    """Whether a recorder by the same clock sees what a drive holds for several samples.
 
-    One clock makes ticks and samples. A recorder slower than the controller meets its ticks, a
-    faster one repeats what the drive holds. Where neither period is a whole number of the other,
+    A slower recorder meets the drive's ticks. Where neither period is a whole number of the other,
     samples lie on lines between the ticks, which keeps them smooth in the period.
     """
-    margin = AT_TICK * p[Slot.sampled_control__period_s]
-    samples = p[Slot.sampled_control__period_s] / dt
-    repeated = samples > 1.5 and abs(samples - round(samples)) < AT_TICK * samples
+    samples = period / dt
+    return samples > 1.5 and abs(samples - round(samples)) < AT_TICK * samples
+
+
+@_jit
+def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
+    """Samples between two times at which a sampled drive logs; returns the next sample's number."""
+    period = p[Slot.sampled_control__period_s]
+    margin = AT_TICK * period
+    repeated = is_repeated(period, dt)
     begin = start - p[FIRST_SKEW + row]
     place = row if out.shape[0] > 1 else 0
     for index in range(first, out.shape[1]):
@@ -971,6 +977,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
     skewed = skewed and out.shape[0] != STATES
     logged = c.sampled and out.shape[0] != STATES
     lagged = p[Slot.current_loop_lag__time_s] > 0.0
+    repeated = is_repeated(p[Slot.sampled_control__period_s], dt)
     period = p[Slot.sampled_control__period_s]
     delay = p[Slot.sampled_control__delay_periods]
     number, next_tick, due = 0, math.inf, math.inf
@@ -1086,7 +1093,8 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
             if t == due:
                 y[HELD_TORQUE] = y[NEXT_TORQUE]
                 due = math.inf
-            if t == next_tick:
+            ticks = t == next_tick
+            if ticks:
                 due = start + (number + delay) * period
                 number += 1
                 next_tick = start + number * period
@@ -1100,7 +1108,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                         t - period, t, p, SPEED, next_sample[SPEED], start, dt, out,
                         old, y[TICK_SPEED] * RPM,
                     )  # fmt: skip
-            if logged and out.shape[0] == 3 and not lagged:
+            if logged and out.shape[0] == 3 and not lagged and (repeated or ticks):
                 old = current
                 current = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
                 next_sample[CURRENT] = emit_logged(

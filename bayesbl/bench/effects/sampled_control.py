@@ -43,5 +43,4 @@ EFFECT = Effect(
     enters="loop",
     depends_on=(),
     data="ringing less damped; current behind speed; steps where the period is longer than a sample",
-    sought_alone="period_s",
 )
