@@ -118,7 +118,10 @@ def _recorded(
 
 
 def _compared(
-    bench: Bench, recordings: Sequence[Recording], speeds: Sequence[float], seed: np.random.SeedSequence
+    bench: Bench,
+    recordings: Sequence[Recording],
+    speeds: Sequence[float],
+    seed: np.random.SeedSequence,
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
     found = fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
@@ -139,7 +142,10 @@ def _compared(
 
 
 def _diagnosed(
-    bench: Bench, recordings: Sequence[Recording], speeds: Sequence[float], seed: np.random.SeedSequence
+    bench: Bench,
+    recordings: Sequence[Recording],
+    speeds: Sequence[float],
+    seed: np.random.SeedSequence,
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen)]

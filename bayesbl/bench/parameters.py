@@ -247,10 +247,16 @@ def cannot_be_negative(name: str) -> bool:
     slot, info = Slot[name], PARAMETER_INFO.get(name)
     return (
         slot in _NOT_NEGATIVE
+        or slot in _SHARES
         or slot == Slot.gap_rad
         or any(slot == scale for scale, _ in _SCALES)
         or (info is not None and not info.signed)
     )
+
+
+def is_share(name: str) -> bool:
+    """Whether :func:`check_parameters` refuses values of a slot beyond one."""
+    return name in Slot.__members__ and Slot[name] in _SHARES
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:

@@ -25,7 +25,7 @@ from bayesbl.bench.effects import (
 )
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
+from bayesbl.bench.parameters import PARAMETER_INFO, is_share, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
@@ -164,7 +164,8 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
                 found += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
-                found.append(Unknown(name, low, centre=given.value, sd=given.sd))
+                high = 1.0 if is_share(name) else math.inf
+                found.append(Unknown(name, low, high, given.value, given.sd))
     for learned in bench.learned_terms:
         found += shift_unknowns(learned, recordings)
         known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)

@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import load_bench

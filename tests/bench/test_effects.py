@@ -287,9 +287,7 @@ def test_a_sampled_controller_is_a_difference_and_a_sum_held_for_a_period(delay:
 
 def test_a_short_period_is_a_continuous_controller() -> None:
     # What is late by T is off by what is proportional to T.
-    far, near = (
-        np.max(np.abs(channels(**sampled(T)) - channels()), axis=1) for T in (2e-4, 5e-5)
-    )
+    far, near = (np.max(np.abs(channels(**sampled(T)) - channels()), axis=1) for T in (2e-4, 5e-5))
     assert far[SPEED] > 0.3
     assert near == pytest.approx(0.25 * far, rel=0.1)
 
