@@ -4,9 +4,9 @@
 
 A case is a joint of the independent simulator under a sampled controller (encoder difference, sum,
 torque held and a period late) with a random gap, by a bench that believes it continuous and by one
-that is told the period. Matched directly: two recordings of an unchanged gap. Diagnosed: 2000, −2000
-and 1200 rpm, all of the catalogue. An answer is *wrong* where it is given and its 90 % interval
-does not hold the truth.
+that is told the period. Matched directly: two recordings of an unchanged gap. Diagnosed: 2000,
+−2000 and 1200 rpm, all of the catalogue. An answer is *wrong* where it is given and its 90 %
+interval does not hold the truth.
 """
 
 from __future__ import annotations

@@ -132,9 +132,9 @@ def simulate_states(
     """All states from a given one on: free motion, transients, laws. Shape (12, n), SI.
 
     States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
-    sensed speed, Dahl z, and of a sampled controller, with a tick at the beginning behind it, torque
-    held, torque to come, angle and speed at its last tick; the last three are zero while no effect is on, these four while
-    nothing is sampled. The position loop's ramp
+    sensed speed, Dahl z (these three zero while no effect is on); of a sampled controller, which
+    has just had a tick, torque held, torque to come, angle and speed at the tick. The position
+    loop's ramp
     starts at the initial motor angle. Dry friction changes its sign over the given width at the
     motor, by default over what holds elsewhere. No check of the
     parameters, so gains may be zero here.

@@ -176,7 +176,7 @@ class EffectValue(Section):
 
 
 class EffectEntry(Section):
-    """An entry of ``[[effects]]``: what the joint has beside its parameters, by ``bayesbl effects``.
+    """An entry of ``[[effects]]``: what the joint has beside its parameters (``bayesbl effects``).
 
     A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
     period of its speed controller.

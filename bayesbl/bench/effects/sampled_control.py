@@ -15,7 +15,7 @@ from bayesbl.bench.effect_declaration import Amplitude, Effect, Shape
 EFFECT = Effect(
     place=195,
     name="sampled_control",
-    sentence="A digital controller: it differentiates the encoder and holds its torque for a period.",
+    sentence="A digital controller: it differentiates the encoder and holds its torque.",
     equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = (θ_k − θ_{k−1})/T, held from (k + d) T on",
     parameters=(
         Amplitude(
@@ -42,5 +42,5 @@ EFFECT = Effect(
     ),
     enters="loop",
     depends_on=(),
-    data="ringing less damped; current behind speed; steps where the period is longer than a sample",
+    data="ringing less damped; current behind speed; steps if slower than the recorder",
 )
