@@ -8,7 +8,15 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from bayesbl.config.fields import InputPath, Range, Section, refuse, resolve
+from bayesbl.config.fields import (
+    InputPath,
+    Range,
+    Section,
+    as_tuple,
+    refuse,
+    require_different,
+    resolve,
+)
 from bayesbl.config.measurement import Curve, Noise, Posterior, WearOverDates
 from bayesbl.config.sections import ClusterRun, Interval, Model, RecordedConfig
 
@@ -17,11 +25,18 @@ TABLE_SUFFIXES = (".csv", ".parquet", ".toml")
 _PLACES = {"{joint}", "{date}"}
 
 
+def is_address(text: str) -> bool:
+    """Whether it names something in an object store, such as ``s3://plant/data/a.csv``."""
+    return re.match(r"[a-z][a-z0-9+.-]+://[^:]*$", text) is not None
+
+
 def _source_of_recordings(value: object, info: ValidationInfo) -> str:
     """The pattern or the table as a whole path."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
         refuse("This is neither a pattern nor a table of recordings.", expected="text")
     places = set(re.findall(r"\{[^{}]*\}", value))
+    if places == _PLACES and is_address(value):
+        return value
     if places == _PLACES:
         return str(resolve(value, info))
     if places or "*" in value:
@@ -46,14 +61,29 @@ class FleetSection(Section):
     """``[fleet]``: the inventory, where the recordings are, and what is asked of them.
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
-    ``joint``, ``date`` and ``file``. ``pool_by`` is the column of the inventory whose joints wear
-    alike; without it every joint stands alone.
+    ``joint``, ``date`` and ``file``; both may lead into an object store (``s3://…``). ``pool_by``
+    is the column of the inventory whose joints wear alike; without it every joint stands alone.
+    ``covariates`` are columns of numbers, such as a load, that the rates of joints of one type may
+    depend on.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]
     recordings: Annotated[str, BeforeValidator(_source_of_recordings)]
     pool_by: str | None = None
+    covariates: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     decide_before: Date | None = None
+
+    @model_validator(mode="after")
+    def _covariates_of_a_type(self) -> Self:
+        if self.covariates and self.pool_by is None:
+            refuse(
+                "What rates depend on is learned from joints of one type.",
+                found="covariates without pool_by",
+                expected='pool_by as well, e.g. "gearbox"',
+                at=("covariates",),
+            )
+        require_different(self.covariates, "Two covariates are the same.")
+        return self
 
     @property
     def is_pattern(self) -> bool:

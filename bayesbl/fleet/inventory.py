@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import math
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from datetime import datetime
 from glob import glob
@@ -17,9 +18,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from bayesbl.config.fields import LONGEST_NAME, PUBLISHED, RESULT_FILE
-from bayesbl.config.fleet import FleetSection
+from bayesbl.config.fleet import FleetSection, is_address
 from bayesbl.config.measurement import LARGEST_LIMIT_RAD
 from bayesbl.errors import ConfigError
+from bayesbl.fleet.object_store import copied, listed
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
 from bayesbl.recording.input_bytes import read_input
 
@@ -31,6 +33,7 @@ OF_JOINT = (
     "bench",
     "curve",
     "limit_rad",
+    "cost_at_limit",
     "gear_ratio",
     "in_service_since",
     "repaired",
@@ -48,6 +51,8 @@ class Joint:
         Type of the gearbox; empty where it is not given.
     bench, curve
         Where δ comes from; neither gives the ringing alone.
+    cost_at_limit
+        What it costs if the joint reaches its limit; in one currency for all.
     repaired
         Date of the last repair: what was recorded on it or later is of the repaired joint.
     covariates
@@ -59,6 +64,7 @@ class Joint:
     bench: str | None = None
     curve: str | None = None
     limit_rad: float | None = None
+    cost_at_limit: float | None = None
     gear_ratio: float | None = None
     in_service_since: str | None = None
     repaired: str | None = None
@@ -71,13 +77,24 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A recording that belongs to a joint; ``reason`` says why it cannot be one."""
+    """A recording that belongs to a joint.
+
+    Attributes
+    ----------
+    file
+        Path, or its address in an object store until it is copied from there.
+    reason
+        Why it cannot be one.
+    address
+        In an object store, of what ``file`` is a copy of.
+    """
 
     joint: str
     date: str
     file: str
     reference_speed_rpm: float | None = None
     reason: str | None = None
+    address: str | None = None
 
 
 def read_joints(section: FleetSection) -> list[Joint]:
@@ -106,16 +123,39 @@ def read_joints(section: FleetSection) -> list[Joint]:
                 found=joint.name if joint.name == other else f"{other} and {joint.name}",
                 expected="a different one for each, in more than large and small letters",
             )
-    columns = {*OF_JOINT, *(name for joint in joints for name in joint.covariates)}
-    if section.pool_by is not None and section.pool_by not in columns:
+    costs = [joint.cost_at_limit for joint in joints]
+    if any(costs) and not all(costs):
+        expected = "a cost for every joint, or for none: the others would have no rank"
+        _refuse(file, costs.index(None) + 1, "cost_at_limit", "nothing", expected)
+    if any(costs) and section.decide_before is None:
         raise ConfigError(
-            "There is no such column in the inventory." + did_you_mean(section.pool_by, columns),
+            "What a cost is expected by is not said.",
             file=file,
-            where="[fleet] pool_by",
-            found=section.pool_by,
+            where="cost_at_limit",
+            expected="[fleet] decide_before: a date, such as that of the next shutdown",
+        )
+    own = {name for joint in joints for name in joint.covariates}
+    if section.pool_by is not None:
+        _require_column("pool_by", section.pool_by, {*OF_JOINT, *own}, file)
+    for name in section.covariates:
+        _require_column("covariates", name, own, file)
+        for number, joint in enumerate(joints, start=1):
+            value = joint.covariates.get(name)
+            if not isinstance(value, float) or not math.isfinite(value):
+                found = str(value) if value not in (None, "") else "nothing"
+                _refuse(file, number, name, found, "a number in every row, for [fleet] covariates")
+    return joints
+
+
+def _require_column(key: str, name: str, columns: Collection[str], file: Path) -> None:
+    if name not in columns:
+        raise ConfigError(
+            "There is no such column in the inventory." + did_you_mean(name, columns),
+            file=file,
+            where=f"[fleet] {key}",
+            found=name,
             expected="one of " + ", ".join(sorted(columns)),
         )
-    return joints
 
 
 def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Found]:
@@ -139,6 +179,28 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
         for one in found
     ]
     return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
+
+
+def fetched(found: Sequence[Found], folder: Path) -> list[Found]:
+    """The same recordings, those in an object store copied into ``folder``.
+
+    One that cannot be had gets its reason; copies that nothing leads to any more are deleted.
+    """
+    taken = [_fetched(one, folder) for one in found]
+    needed = {Path(one.file).name for one in taken if one.address is not None}
+    for path in folder.glob("*") if folder.is_dir() else ():
+        if path.name not in needed:
+            path.unlink()
+    return taken
+
+
+def _fetched(one: Found, folder: Path) -> Found:
+    if one.reason is not None or not is_address(one.file):
+        return one
+    try:
+        return replace(one, file=str(copied(one.file, folder)), address=one.file)
+    except OSError as error:
+        return replace(one, reason=f"The file cannot be read: {error.strerror}.")
 
 
 def is_joint_name(text: str) -> bool:
@@ -169,6 +231,7 @@ def _refused(one: Found, reason: str) -> Found:
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
+    remote = is_address(pattern)
     parts = re.split(r"(\{joint\}|\{date\})", pattern)
     anything = "".join("*" if part.startswith("{") else _glob_escaped(part) for part in parts)
     seen: set[str] = set()
@@ -178,9 +241,9 @@ def _by_pattern(section: FleetSection) -> Iterator[Found]:
         again = f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+)"
         exact += again if name else re.escape(part)
         seen.add(name)
-    for path in glob(anything):
+    for path in listed(anything) if remote else glob(anything):
         match = re.fullmatch(exact, path)
-        if match and os.path.isfile(path):
+        if match and (remote or os.path.isfile(path)):
             yield _dated(match["joint"], match["date"], path)
 
 
@@ -194,8 +257,11 @@ def _by_table(section: FleetSection) -> Iterator[Found]:
         for column in ("joint", "date", "file"):
             if row.get(column) in (None, ""):
                 _refuse(file, number, column, "nothing", "joint, date and file in every row")
-        path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
         speed = _number(row.get("reference_speed_rpm"), file, number, "reference_speed_rpm")
+        if is_address(str(row["file"])):
+            yield _dated(str(row["joint"]), row["date"], str(row["file"]), speed)
+            continue
+        path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
         one = _dated(str(row["joint"]), row["date"], str(path), speed)
         if one.reason is None and not path.is_file():
             one = _refused(one, f"There is no such file.{did_you_mean_file(path)}")
@@ -239,6 +305,7 @@ def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
         bench,
         curve,
         limit,
+        _number(row.get("cost_at_limit"), file, number, "cost_at_limit"),
         _number(row.get("gear_ratio"), file, number, "gear_ratio"),
         _day(row.get("in_service_since"), file, number, "in_service_since"),
         _day(row.get("repaired"), file, number, "repaired"),

@@ -88,8 +88,17 @@ JOINT_COLUMNS = {
     "limit_date_high": ("string", "upper bound"),
     "limit_date_not_before": ("string", "one-sided, at the interval's level"),
     "probability_limit_before": ("double", "that it is reached before [fleet] decide_before"),
+    "cost_at_limit": ("double", "what reaching the limit costs; of the inventory"),
+    "expected_cost": (
+        "double",
+        "cost_at_limit times probability_limit_before; times probability_limit_now, which is at "
+        "most that, where no rate is known; null where no gap is",
+    ),
     "alarm": ("bool", "among the joints called over their limit, at most 5 % of them falsely"),
-    "rank": ("int64", "1 is reached first; null where there is no date"),
+    "rank": (
+        "int64",
+        "1 is reached first, or costs most where costs are given; null where there is no date",
+    ),
     "reason": ("string", "why there is no rate; null where there is one"),
 }
 """Column to its type and meaning; the inventory's own other columns stand behind them."""
@@ -141,18 +150,23 @@ class Measured:
 
 
 def pool(
-    measured: Sequence[Measured], column: str | None, seed: int
+    measured: Sequence[Measured], column: str | None, seed: int, covariates: Sequence[str] = ()
 ) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
-    """Rates by type, and by joint what its type says of it."""
+    """Rates by type, and by joint what its type says of it; ``covariates`` are columns."""
     groups: dict[str, dict[str, Draws]] = defaultdict(dict)
     for one in measured:
         draws = _draws(one.answer)
         if column and draws is not None and one.joint.group(column):
             groups[one.joint.group(column)][one.joint.name] = draws
+    joints = {one.joint.name: one.joint for one in measured}
     types: dict[str, TypeRates] = {}
     borrowed: dict[str, Borrowed] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        found = pooled(list(members.values()), np.random.default_rng([seed, place]))
+        found = pooled(
+            list(members.values()),
+            np.random.default_rng([seed, place]),
+            {key: np.array([joints[one].covariates[key] for one in members]) for key in covariates},
+        )
         if found is not None:
             types[name] = found.rates
             borrowed |= dict(zip(members, found.joints, strict=True))
@@ -172,8 +186,10 @@ def joint_rows(
     level: Level,
     decide_before: Date | None,
 ) -> list[dict[str, Any]]:
-    """Rows of ``joints.parquet``, the most urgent first."""
+    """Rows of ``joints.parquet``: the largest expected cost first, then the most urgent."""
     rows = [_joint_row(one, borrowed.get(one.joint.name), level, decide_before) for one in measured]
+    for row in rows:
+        row["expected_cost"] = _expected_cost(row)
     called = alarms([row["probability_limit_now"] for row in rows])
     for row, alarm in zip(rows, called, strict=True):
         row["alarm"] = alarm
@@ -184,13 +200,30 @@ def joint_rows(
     return rows
 
 
+def _expected_cost(row: Mapping[str, Any]) -> float | None:
+    before = row["probability_limit_before"]
+    probability = row["probability_limit_now"] if before is None else before
+    cost = row["cost_at_limit"]
+    return None if cost is None or probability is None else float(probability * cost)
+
+
 def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What is past its limit, by how far; then by date, by share; what nobody knows comes last."""
+    """By expected cost, largest first; what has none by its date: past its limit, by how far; then
+    by date, by share; what nobody knows comes last."""
     share = (row["delta_rad_median"] or 0.0) / (row["limit_rad"] or float("inf"))
     date = row["limit_date_median"] or "9999"
     passed = date <= (row["last_date"] or "")
     low = row["limit_date_low"] or "9999"
-    return (not passed, "" if passed else date, "" if passed else low, -share, row["joint"])
+    cost = row["expected_cost"]
+    return (
+        cost is None,
+        -(cost or 0.0),
+        not passed,
+        "" if passed else date,
+        "" if passed else low,
+        -share,
+        row["joint"],
+    )
 
 
 def _joint_row(
@@ -204,6 +237,7 @@ def _joint_row(
         "joint": joint.name,
         "gearbox": joint.gearbox or None,
         "limit_rad": joint.limit_rad,
+        "cost_at_limit": joint.cost_at_limit,
         "recordings": len(one.outcomes),
         "used": len(answer.used),
         "withheld": sum(o in ("withheld", "no_curve") for o in one.outcomes),

@@ -4,10 +4,12 @@ Of the joints of a type g a share 1 − ε wears as the type does: the rate r is
 wear one of the kinds k that the type has, and the mean jump s, which says how irregular wear is,
 log-normal too,
 
-    ln r_j ~ N(μ, τ²)    k_j ~ π, π ~ Dirichlet(6 p)    ln s_j ~ N(m, t²)
+    ln r_j ~ N(μ + x_j·β, τ²)    k_j ~ π, π ~ Dirichlet(6 p)    ln s_j ~ N(m, t²)
 
 with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
-believed of laws beforehand counts as six joints. The share ε wears in its own way and has the prior
+believed of laws beforehand counts as six joints. The covariates x of a joint, such as its load, are
+centred and in standard deviations over the joints of the type; β ~ N(0, 1): one standard deviation
+hardly changes the rate more than twentyfold. The share ε wears in its own way and has the prior
 of a lone joint: flat in the rate (half-Cauchy, so that it has an end), p in the kind, flat in ln s.
 ε is uniform beforehand. So a type says how alike its joints are, a joint whose recordings speak
 against its type keeps its own answer, and one with few recordings keeps as much of it as its type
@@ -27,6 +29,7 @@ wear, as those of a joint are not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -68,6 +71,9 @@ FEWEST_EFFECTIVE = 100.0
 
 _PRIOR = np.array([kind.probability for kind in KINDS])
 
+_SLOPE = 1.0
+"""Sd of the normal prior of β, around no dependence."""
+
 _FAR = 3.0
 """Sd of the normal priors of μ and m around the middle of all joints: as good as flat."""
 
@@ -106,6 +112,8 @@ class TypeRates:
         Share of its joints by law, the mean of what is left open.
     own
         Draws of ε, the share of joints that wear in their own way, shape (draw,).
+    factors
+        What more of a covariate does, by its name.
     """
 
     joints: int
@@ -113,6 +121,23 @@ class TypeRates:
     spread: FloatArray
     law: Mapping[str, float]
     own: FloatArray
+    factors: Mapping[str, Factor]
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """By how much the rate is multiplied where a covariate is higher by its standard deviation.
+
+    Attributes
+    ----------
+    sd
+        Over the joints of the type, in the covariate's unit; 0 where all have the same.
+    draws
+        Of the factor, shape (draw,).
+    """
+
+    sd: float
+    draws: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +165,20 @@ class Pooled:
     joints: tuple[Borrowed, ...]
 
 
-def pooled(joints: Sequence[Draws], generator: np.random.Generator) -> Pooled | None:
-    """Pool the joints of one type; ``None`` where they are too few."""
+def pooled(
+    joints: Sequence[Draws],
+    generator: np.random.Generator,
+    covariates: Mapping[str, FloatArray] | None = None,
+) -> Pooled | None:
+    """Pool the joints of one type; ``None`` where they are too few.
+
+    ``covariates`` that the rate may depend on have shape (joint,), in any unit.
+    """
     if len(joints) < FEWEST_JOINTS:
         return None
+    covariates = covariates or {}
+    x = np.array([_standardised(values) for values in covariates.values()])
+    x = x.reshape(-1, len(joints)).T
     count = min(*(one.kind.size for one in joints), DRAWS_A_SWEEP)
     few = [_Log.of(one, np.linspace(0, one.kind.size - 1, count).astype(int)) for one in joints]
     together = _Log(
@@ -151,7 +186,7 @@ def pooled(joints: Sequence[Draws], generator: np.random.Generator) -> Pooled | 
         np.array([one.kind for one in few]),
         np.array([one.jump for one in few]),
     )
-    types = _sampled(together, generator)
+    types = _sampled(together, x, generator)
     share = np.mean([one.share for one in types], axis=0)
     law: dict[str, float] = {}
     for each, mean in zip(KINDS, share, strict=True):
@@ -162,8 +197,24 @@ def pooled(joints: Sequence[Draws], generator: np.random.Generator) -> Pooled | 
         np.array([one.spread for one in types]),
         law,
         np.array([one.own for one in types]),
+        {
+            name: Factor(float(values.std()), np.exp([one.slope[c] for one in types]))
+            for c, (name, values) in enumerate(covariates.items())
+        },
     )
-    return Pooled(rates, tuple(_borrowed(_Log.of(one), types, generator) for one in joints))
+    return Pooled(
+        rates,
+        tuple(
+            _borrowed(_Log.of(one), own, types, generator)
+            for one, own in zip(joints, x, strict=True)
+        ),
+    )
+
+
+def _standardised(values: FloatArray) -> FloatArray:
+    """Centred and in standard deviations, shape (joint,); zero where all joints have the same."""
+    sd = float(values.std())
+    return np.asarray((values - values.mean()) / (sd if sd > 0.0 else math.inf))
 
 
 def alarms(probability: Sequence[float | None], rate: float = 0.05) -> list[bool]:
@@ -205,18 +256,20 @@ class _Type:
     """One draw of what joints of a type have in common."""
 
     centre: float
+    slope: FloatArray
     spread: float
     share: FloatArray
     jump_centre: float
     jump_spread: float
     own: float
 
-    def worth(self, joint: _Log) -> tuple[FloatArray, FloatArray]:
+    def worth(self, joint: _Log, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What each draw is worth to its type, and as one in its own way, (…, draw) both.
 
-        Densities over the lone joint's prior, which is flat in the rate.
+        Densities over the lone joint's prior, which is flat in the rate. ``x`` are the covariates,
+        shape (…, c).
         """
-        from_centre = joint.rate - self.centre
+        from_centre = joint.rate - self.centre - (x @ self.slope)[..., None]
         alike = -0.5 * (from_centre / self.spread) ** 2 - from_centre
         alike -= 0.5 * ((joint.jump - self.jump_centre) / self.jump_spread) ** 2
         scale = _LOG_JUMPS / (2.0 * np.pi * self.spread * self.jump_spread)
@@ -226,14 +279,14 @@ class _Type:
         return (1.0 - self.own) * scale * of_kind * np.exp(alike), self.own * own
 
 
-def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
+def _sampled(joints: _Log, x: FloatArray, generator: np.random.Generator) -> list[_Type]:
     """Types by Gibbs sampling, from draws of all joints, shape (joint, draw)."""
     middle, middle_jump = float(np.median(joints.rate)), float(np.median(joints.jump))
-    one = _Type(middle, 0.5, _PRIOR, middle_jump, 1.5, 0.2)
+    one = _Type(middle, np.zeros(x.shape[1]), 0.5, _PRIOR, middle_jump, 1.5, 0.2)
     number, count = joints.rate.shape
     types = []
     for sweep in range(BURN_IN + SWEEPS):
-        alike, own = one.worth(joints)
+        alike, own = one.worth(joints, x)
         total = np.cumsum(alike + own, axis=1)
         level = generator.uniform(size=number) * total[:, -1]
         at = np.minimum((total < level[:, None]).sum(axis=1), count - 1)
@@ -241,11 +294,13 @@ def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
         is_own = generator.uniform(size=number) < share_own[np.arange(number), at]
         drawn, strangers = joints.at(at), int(is_own.sum())
         rates, kinds, jumps = (x[~is_own] for x in (drawn.rate, drawn.kind, drawn.jump))
-        centre = _centre(rates, one.spread, middle, generator)
-        jump_centre = _centre(jumps, one.jump_spread, middle_jump, generator)
+        of_type = x[~is_own]
+        centre, slope = _regression(rates, of_type, one.spread, middle, generator)
+        jump_centre, _ = _regression(jumps, of_type[:, :0], one.jump_spread, middle_jump, generator)
         one = _Type(
             centre,
-            _spread(rates - centre, SPREAD, generator),
+            slope,
+            _spread(rates - centre - of_type @ slope, SPREAD, generator),
             generator.dirichlet(BELIEF * _PRIOR + np.bincount(kinds, minlength=_PRIOR.size)),
             jump_centre,
             _spread(jumps - jump_centre, JUMP_SPREAD, generator),
@@ -256,13 +311,18 @@ def _sampled(joints: _Log, generator: np.random.Generator) -> list[_Type]:
     return types
 
 
-def _centre(
-    values: FloatArray, spread: float, middle: float, generator: np.random.Generator
-) -> float:
-    """μ given ln r_j and τ."""
-    precision = values.size / spread**2 + 1.0 / _FAR**2
-    mean = (values.sum() / spread**2 + middle / _FAR**2) / precision
-    return float(generator.normal(mean, precision**-0.5))
+def _regression(
+    values: FloatArray, x: FloatArray, spread: float, middle: float, generator: np.random.Generator
+) -> tuple[float, FloatArray]:
+    """μ and β given ln r_j and τ."""
+    columns = np.column_stack([np.ones(values.size), x])
+    prior = np.array([_FAR, *[_SLOPE] * x.shape[1]]) ** -2.0
+    believed = np.array([middle, *[0.0] * x.shape[1]])
+    factor = np.linalg.cholesky(columns.T @ columns / spread**2 + np.diag(prior))
+    target = columns.T @ values / spread**2 + prior * believed
+    whitened = np.linalg.solve(factor, target) + generator.standard_normal(prior.size)
+    centre, *slope = np.linalg.solve(factor.T, whitened)
+    return float(centre), np.array(slope)
 
 
 def _spread(
@@ -276,11 +336,13 @@ def _spread(
     return float(grid[np.searchsorted(total, generator.uniform() * total[-1])])
 
 
-def _borrowed(joint: _Log, types: Sequence[_Type], generator: np.random.Generator) -> Borrowed:
+def _borrowed(
+    joint: _Log, x: FloatArray, types: Sequence[_Type], generator: np.random.Generator
+) -> Borrowed:
     """Draws of a joint weighed by its type, and how probably it wears in its own way."""
     weight, is_own = np.zeros(joint.rate.size), 0.0
     for one in types:
-        alike, own = one.worth(joint)
+        alike, own = one.worth(joint, x)
         total = float(alike.sum() + own.sum())
         weight += (alike + own) / total
         is_own += float(own.sum()) / total / len(types)

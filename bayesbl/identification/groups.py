@@ -60,7 +60,7 @@ def identification_tree(
     """
     table = _disagreement(found, problem)
     bench = identified_bench(found, problem)
-    reason = reason_of(found, problem)
+    reason = reason_of(found, problem, level)
     answer = _answer(found, problem, table, level, kind, withheld=reason is not None)
     tree = xr.DataTree.from_dict(
         {

@@ -6,8 +6,8 @@ from bayesbl.identification.identify import Identification, Problem
 from bayesbl.units import in_words
 
 
-def reason_of(found: Identification, problem: Problem) -> str | None:
-    """Why gaps and bench are withheld; ``None`` where they are not."""
+def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> str | None:
+    """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
     if found.beyond is not None:
         return beyond_in_words(found)
     if found.missing and problem.effects != "catalogue":
@@ -26,6 +26,12 @@ def reason_of(found: Identification, problem: Problem) -> str | None:
         )
     if found.posterior.diagnostics.outcome == "withheld":
         return " ".join(found.posterior.diagnostics.reasons)
+    gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
+    for gap in gaps:
+        beyond = found.posterior.beyond_tolerance(gap, level)
+        if beyond is not None:
+            # The wrong value need not be the one that δ depends on: all at an edge are told.
+            return " ".join([beyond, *found.posterior.diagnostics.reasons])
     return None
 
 

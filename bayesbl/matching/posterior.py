@@ -79,8 +79,10 @@ class DirectPosterior:
     refits: int
     diagnostics: Diagnostics
 
-    def beyond_tolerance(self, recording: str, level: float) -> str | None:
+    def beyond_tolerance(self, recording: str | None, level: float) -> str | None:
         """Why the gap of a recording cannot be told; ``None`` where no tolerance decides it.
+
+        ``recording``: ``None`` for the one gap that all recordings share.
 
         Where a parameter lies at the edge of its tolerance, its true value may lie beyond. If half
         the tolerance more would move δ, by the regression of δ on the parameter, further than half

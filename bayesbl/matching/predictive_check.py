@@ -11,10 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import begin_of
+from bayesbl.matching.signals import START_ANGLE
 from bayesbl.recording.types import FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
@@ -22,6 +24,9 @@ BANDS = (0, 8, 32, 128, 512)
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
 
+
+IMPACTS_ABOVE = 8
+"""Load order above which the ringing is: slower parts of the derivative are gravity's."""
 
 ROUNDING = 0.02
 """Of a rotation that a recording may lack of two: its own rounding, and the few samples that
@@ -62,6 +67,41 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
             )
             found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
     return found
+
+
+def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
+    """Whether the load changes flanks at one angle in every rotation, by recording.
+
+    Where another axis moves or the speed varies it does not; the ringing then does not repeat,
+    passes for noise, and the gap is fitted to what is left of it. With j the derivative by the
+    start angle above load order ``IMPACTS_ABOVE`` and c_i the projection of rotation i of the
+    whitened residual r on it, c_i = jᵀr_i/jᵀj, noise leaves Σ (c_i − mean)² jᵀj a χ² of one degree
+    less than rotations. Motions are not tested.
+    """
+    residuals = fit.model.by_recording(fit.residual)
+    alike = []
+    for seen, rows in zip(fit.model.recordings, residuals, strict=True):
+        place = len(alike)
+        if seen.motion is not None:
+            alike.append(True)
+            continue
+        column = fit.jacobian[:, fit.model.index(START_ANGLE, seen.name)]
+        slopes = fit.model.by_recording(column)[place]
+        begin = begin_of(seen)
+        turns = [whole_rotations(row[begin:], seen.lag) for row in rows]
+        fast = [_fast(whole_rotations(row[begin:], seen.lag).mean(axis=0)) for row in slopes]
+        weight = sum(float(slope @ slope) for slope in fast)
+        moved = np.sum([turn @ slope for turn, slope in zip(turns, fast, strict=True)], axis=0)
+        power = float(np.sum((moved - moved.mean()) ** 2)) / weight if weight > 0.0 else 0.0
+        probability = float(chi2.sf(power, moved.size - 1))
+        alike.append(probability * len(residuals) > false_alarm)
+    return alike
+
+
+def _fast(row: FloatArray) -> FloatArray:
+    spectrum = np.fft.rfft(row)
+    spectrum[: IMPACTS_ABOVE + 1] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, row.size))
 
 
 def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:

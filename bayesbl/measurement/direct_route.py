@@ -21,7 +21,7 @@ from bayesbl.matching.alignment import fit_aligned, refitted
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed, with_held_reference, without_standstill
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, impacts_alike
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -60,6 +60,12 @@ from bayesbl.sampling.chains import SamplerSettings
 LARGEST_Z = 37.0
 """Beyond it a probability is zero in double precision."""
 
+
+IMPACTS_DIFFER = (
+    "The load does not change flanks at the same angle in each rotation, as where another axis "
+    "moves or the speed varies. Simulated rotations are all alike, so δ cannot be read by them. "
+    "Record again with all other axes at rest, at constant speed."
+)
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -309,12 +315,13 @@ def direct_verdict(
         against_the_bench(found.joint),
         undecided_gap(found.joint, index, gap, level),
     ]
-    unseen = unseen_gap(found.posterior, index)
+    alike = impacts_alike(found.posterior.fit, FALSE_ALARM)[index]
+    unseen = unseen_gap(found.posterior, index) if alike else IMPACTS_DIFFER
     if any(against):
         against = list(dict.fromkeys([*against, motor_orders_in_words(found.joint)]))
     if any(against) or unseen:
         outcome = "withheld"
-        # Where δ is not seen, its prior's range decides: that needs no saying.
+        # Where δ is not seen, its prior's range may decide: that needs no saying.
         reasons = [*filter(None, against), *([unseen] if unseen else reasons)]
     reason = " ".join(reasons) if outcome == "withheld" else None
     if len(recording.signals) == 1:

@@ -44,7 +44,19 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
             f"factor of {factor} of that ({found['joints']} joints). "
             f"Likeliest law: {LAWS[law]} ({words.probability(found['law'][law])}). "
             f"Share that wears in its own way: {words.probability(found['own']['median'])}."
+            + "".join(map(_factor, found["covariates"].items()))
         )
+
+
+def _factor(covariate: tuple[str, Mapping[str, Any]]) -> str:
+    name, found = covariate
+    if found["sd"] == 0.0:
+        return f" All have the same {name}."
+    factor = found["factor"]
+    more, times = words.significant(found["sd"]), words.significant(factor["median"])
+    return (
+        f" With {more} more of {name} a joint wears {times} times as fast ({words.bounds(factor)})."
+    )
 
 
 def unlike_type(row: Mapping[str, Any], summary: Mapping[str, Any]) -> str | None:

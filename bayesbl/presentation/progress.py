@@ -20,7 +20,8 @@ def progress(console: Console, *, of_cases: bool = False) -> Iterator[StageProgr
     Yields what a run calls with a name and how many steps are done of how many: a recording's
     steps of the sampler, which may end before the last one, or a row's cases.
     """
-    if not console.is_terminal:
+    # Rich takes a pipe for a terminal where FORCE_COLOR asks for colours, as notebooks do.
+    if not console.file.isatty():
         yield _silent
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

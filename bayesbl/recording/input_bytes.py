@@ -56,6 +56,14 @@ def read_input(path: Path) -> bytes:
     return data
 
 
+def require_size(size: int | None) -> None:
+    """Raise ``OSError`` for what is larger than the limit, in bytes, or does not say."""
+    if size is None:
+        raise _too_large("a size that is not told")
+    if size > 1e6 * _largest_mb():
+        raise _too_large(f"{size / 1e6:.5g} MB")
+
+
 def suffix_of(path: Path) -> str:
     """The suffix that says what a file holds, in small letters: ``.csv`` of ``ramps.csv.gz``."""
     packed = path.suffix.lower() == PACKED

@@ -32,6 +32,7 @@ from bayesbl.fleet.inventory import (
     Found,
     Joint,
     digest_of_file,
+    fetched,
     file_of_another,
     find_recordings,
     read_joints,
@@ -53,7 +54,7 @@ from bayesbl.fleet.plant_tables import (
 )
 from bayesbl.fleet.pooled_rates import TypeRates
 from bayesbl.processes import processes
-from bayesbl.results.atomic import locked_sibling
+from bayesbl.results.atomic import locked_sibling, sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import file_sha256, git_commit
@@ -70,6 +71,9 @@ OWN = {RECORDINGS_FILE, JOINTS_FILE, DRAWS_FOLDER, PAGE_FILE, PAGES}
 
 LARGEST_FITS_BYTES = 2_000_000_000
 """Of finished fits, some 300 kB each, that a joint's change is computed from; the oldest go."""
+
+COPIES = ".copies"
+"""Of the hidden folder beside the output folder for recordings of an object store."""
 
 KEPT = ".kept"
 """Of the hidden folder beside the output folder that answers are kept in."""
@@ -134,10 +138,11 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     output = config.run.output
     _require_own(output, options.force)
     joints = read_joints(config.fleet)
-    jobs, refused = _jobs(config, joints, find_recordings(config.fleet, joints))
+    found = find_recordings(config.fleet, joints)
     if options.force:
         shutil.rmtree(fits_beside(output), ignore_errors=True)
     with locked_sibling(output, KEPT) as folder:
+        jobs, refused = _jobs(config, joints, fetched(found, sibling(output, COPIES)))
         store = WorkStore(folder, fresh=options.force)
         _finish(config, jobs, store, options)
         store = replace(store, fresh=False)
@@ -333,11 +338,11 @@ def _write(
         answer = RecordingAnswer(REFUSED, one.reason)
         rows.append({**recording_row(answer, None, False, level), **identity(one, digest)})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
-    types, borrowed = pool(measured, config.fleet.pool_by, config.run.seed)
-    of_joints = joint_rows(measured, borrowed, level, config.fleet.decide_before)
+    asked = config.fleet
+    types, borrowed = pool(measured, asked.pool_by, config.run.seed, asked.covariates)
+    of_joints = joint_rows(measured, borrowed, level, asked.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
-    asked = config.fleet
     summary = summary_of(
         rows, of_joints, types, level, config.run.seed, asked.pool_by, asked.decide_before
     )
@@ -348,7 +353,7 @@ def _write(
 
 def identity(one: Found, sha256: str | None) -> dict[str, Any]:
     """Which recording a row is of."""
-    return {"joint": one.joint, "date": one.date, "file": one.file, "sha256": sha256}
+    return {"joint": one.joint, "date": one.date, "file": one.address or one.file, "sha256": sha256}
 
 
 def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
@@ -385,6 +390,10 @@ def summary_of(
             "spread": interval(found.spread, level.level, level.kind),
             "law": dict(found.law),
             "own": interval(found.own, level.level, level.kind),
+            "covariates": {
+                key: {"sd": one.sd, "factor": interval(one.draws, level.level, level.kind)}
+                for key, one in found.factors.items()
+            },
         }
         for name, found in types.items()
     }

@@ -107,10 +107,13 @@ def test_a_table_finds_recordings(plant):
         ("R1-J2,RV-80,,,,,\nr1-j2,RV-80,,,,,", "Two joints have the same name"),
         ("R1-J2,RV-80", "row 1"),
         ("", "no joint"),
+        ("R1-J2,RV-80,,,,,,9e4\nR1-J3,RV-80,,,,,,", "row 2, cost_at_limit"),
+        ("R1-J2,RV-80,,,,,,9e4", "decide_before"),
     ],
 )
 def test_a_row_that_cannot_be_used_is_told_with_its_place(plant, line, told):
-    (plant / "joints.csv").write_text(JOINTS.splitlines()[0] + f"\n{line}\n")
+    header = JOINTS.splitlines()[0] + ",cost_at_limit" * ("9e4" in line)
+    (plant / "joints.csv").write_text(f"{header}\n{line}\n")
     with pytest.raises(ConfigError, match=told) as caught:
         read_joints(section(plant))
     assert "joints.csv" in str(caught.value)
@@ -123,6 +126,15 @@ def test_a_row_that_cannot_be_used_is_told_with_its_place(plant, line, told):
         ('recordings = "data/*.csv"', "which joint"),
         ('recordings = "none.csv"', "no such file"),
         ('recordings = "{joint}/{date}.csv"\npool_by = "gearbocks"', 'did you mean "gearbox'),
+        (
+            'recordings = "{joint}/{date}.csv"\npool_by = "gearbox"\ncovariates = ["payload"]',
+            'did you mean "payload_kg',
+        ),
+        (
+            'recordings = "{joint}/{date}.csv"\npool_by = "gearbox"\ncovariates = ["payload_kg"]',
+            "row 2, payload_kg",
+        ),
+        ('recordings = "{joint}/{date}.csv"\ncovariates = ["payload_kg"]', "without pool_by"),
         ('recordings = "{joint}/{date}.csv"\n[curve]\nsource = "published"', "belongs to a joint"),
     ],
 )

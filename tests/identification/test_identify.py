@@ -202,6 +202,16 @@ def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
     assert "outside its data sheet" in reason
 
 
+def test_a_gap_that_the_edge_of_a_tolerance_decides_is_withheld() -> None:
+    """Other values within their tolerances make up for a wrong one, at another gap."""
+    sheet = data_sheet(shaft_damping_nm_s_per_rad=1.8)
+    found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
+    assert found.verdict == "agrees"
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) > 2.0 * gaps.std()
+    assert "half the tolerance more" in (reason_of(found, problem(sheet)) or "")
+
+
 def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None:
     """The gap within 3.5 standard deviations: fails by chance once in 2000 seeds."""
     torque = {"torque_nm": EffectParameterValue(0.15)}

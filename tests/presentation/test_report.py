@@ -36,9 +36,20 @@ from bayesbl.units import number, quantity_and_unit
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
 
 
+class Screen(io.StringIO):
+    """A terminal's file."""
+
+    def isatty(self):
+        return True
+
+
 def console(*, terminal=False, width=80):
     return Console(
-        file=io.StringIO(), force_terminal=terminal, width=width, highlight=False, markup=False
+        file=Screen() if terminal else io.StringIO(),
+        force_terminal=terminal,
+        width=width,
+        highlight=False,
+        markup=False,
     )
 
 
@@ -348,6 +359,15 @@ def test_progress_names_the_recording_on_a_terminal():
     text = target.file.getvalue()
     assert "Sampling before [1]" in text
     assert "Sampling after" in text
+
+
+def test_a_pipe_gets_no_progress_even_where_colours_are_forced(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    target = Console(file=io.StringIO())
+    assert target.is_terminal
+    with progress(target) as tell:
+        tell("before", 100, 20_000)
+    assert target.file.getvalue() == ""
 
 
 # Inspecting a stored result

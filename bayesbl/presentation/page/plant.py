@@ -71,6 +71,7 @@ def write_pages(folder: Path) -> list[Path]:
         script_digest=digest,
         headline=headline(summary),
         types=list(types_in_words(summary)),
+        costed=any(row["expected_cost"] is not None for row in joints),
         rows=[_line(row, of_joint[str(row["joint"])], summary) for row in joints],
         gearboxes=sorted({str(row["gearbox"]) for row in joints if row["gearbox"]}),
         strange=[row for row in recordings if str(row["joint"]) not in names],
@@ -102,6 +103,7 @@ def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
         "rate": _in_mrad(row, "rate_rad_per_year", summary),
         "limit": _limit(row),
         "passed": _probability(row["probability_limit_now"]),
+        "cost": _cost(row),
         "state": _state(row, summary),
         "reason": row["reason"] or "",
         "picture": sparkline(_given(recordings), row["limit_rad"]),
@@ -176,6 +178,8 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
     if row["probability_limit_before"] is not None:
         told = words.probability(row["probability_limit_before"])
         yield f"Reaches it before {summary['decide_before']}", told
+    if row["expected_cost"] is not None:
+        yield f"Expected cost before {summary['decide_before']}", _cost(row).text
     yield "Recordings", f"{row['recordings']}, {row['used']} of them in the rate"
 
 
@@ -209,6 +213,11 @@ def _limit(row: Row) -> Cell:
     later = "later" if high is None else month(high)
     text = "not in sight" if middle is None else month(middle)
     return Cell(text, f"{month(low)} to {later}", middle or "9999-98")
+
+
+def _cost(row: Row) -> Cell:
+    cost = row["expected_cost"]
+    return Cell("–", "", -1.0) if cost is None else Cell(f"{cost:,.0f}", "", cost)
 
 
 def _probability(value: float | None) -> Cell:
