@@ -43,7 +43,9 @@ LONGEST_STEP_S = 2.5e-5
 CHECKPOINT_S = 0.03
 """The run goes back this far or more from where the recording begins, for channels that lag."""
 SETTLING_ROTATIONS = 1.5
-STATES = 12
+STATES = 16
+SUM, HELD, COMING, LAST_ANGLE, LAST_SPEED = 4, 12, 13, 14, 15
+"""The memory of a digital controller, among the states; the sum stands where the integral would."""
 
 MOTOR_WIDTH = 0.05  # rad/s
 LOAD_WIDTH = 2e-3  # rad/s
@@ -109,6 +111,8 @@ class Plant(NamedTuple):
     speed_sensor_lag__time_s: float = 0.0
     friction_drift__torque_nm: float = 0.0
     friction_drift__rate_nm_per_s: float = 0.0
+    sampled_control__period_s: float = 0.0
+    sampled_control__delay_periods: float = 1.0
     channel_time_skew__position_s: float = 0.0
     channel_time_skew__speed_s: float = 0.0
     channel_time_skew__current_s: float = 0.0
@@ -139,6 +143,7 @@ class Plant(NamedTuple):
     outside__encoder_4_rad: float = 0.0
     outside__encoder_4_phase_rad: float = 0.0
     outside__transmission_rad: float = 0.0  # at the load, orders 1 and 2 of the motor
+    outside__recorder_s: float = 0.0  # that much after the controller's ticks it samples
     outside__dropouts_per_s: float = 0.0
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
@@ -194,6 +199,8 @@ def _measured(y, p, phase):
 @_jit
 def _demand(y, p, phase, asked):
     """Speed error and torque that the controller asks for, unlimited; asked: ω_ref, θ_ref."""
+    if p.sampled_control__period_s > 0.0:
+        return 0.0, y[HELD]
     angle, _, speed = _measured(y, p, phase)
     error = asked[0] - speed
     if p.position_gain_per_s != 0.0:
@@ -202,9 +209,36 @@ def _demand(y, p, phase, asked):
 
 
 @_jit
+def _work(step, each, y, p, phase, asked):
+    """What a digital controller does at the begin of a step; a tick is every ``each`` steps."""
+    if each == 0:
+        return
+    since = step % each
+    late = round(p.sampled_control__delay_periods * each)
+    if since == late % each and late > 0:
+        y[HELD] = y[COMING]
+    if since != 0:
+        return
+    period = p.sampled_control__period_s
+    angle, _, _ = _measured(y, p, phase)
+    y[LAST_SPEED] = (angle - y[LAST_ANGLE]) / period
+    y[LAST_ANGLE] = angle
+    error = asked[0] - y[LAST_SPEED] + p.position_gain_per_s * (asked[1] - angle)
+    limit = p.torque_constant_nm_per_a * p.current_limit_a
+    proportional = p.speed_gain_nm_s_per_rad * error
+    demand = proportional + p.integral_gain_nm_per_rad * (y[SUM] + period * error)
+    y[COMING] = min(max(demand, -limit), limit)
+    if y[COMING] == demand or error * demand < 0.0:
+        y[SUM] += period * error
+    if late == 0:
+        y[HELD] = y[COMING]
+
+
+@_jit
 def _slopes(t, y, p, phase, asked, drift_start, dy):
     """θ_m, ω_m, θ_l, ω_l, ∫error, lagged torque, lagged speed, Dahl z, θ_k, ω_k, two more z."""
     n = p.gear_ratio
+    dy[HELD:] = 0.0
     error, demand = _demand(y, p, phase, asked)
     limit = p.torque_constant_nm_per_a * p.current_limit_a
     torque = min(max(demand, -limit), limit)
@@ -341,6 +375,8 @@ def _outputs(y, p, phase, asked, shown):
     shown[0], _, speed = _measured(y, p, phase)
     shown[1] = speed * RPM
     shown[2] = torque / p.torque_constant_nm_per_a
+    if p.sampled_control__period_s > 0.0:
+        shown[1] = y[LAST_SPEED] * RPM
 
 
 @_jit
@@ -352,39 +388,50 @@ def _steadily(t, h, p, ramp_start, asked):
 
 
 @_jit
-def _run(p, settling_rotations, step, sampling_s, out):
-    """Fill ``out``, shape (3, n); returns whether the load ever came to the start angle."""
+def _run(p, settling_rotations, step, each, sampling_s, late, out):
+    """Fill ``out``, shape (3, n); returns when the load came to the start angle, −1 if never.
+
+    ``each`` steps are a period of a digital controller. With ``late`` the run begins so much before
+    and records from its next tick on; nan: it records from the start angle on.
+    """
     n = p.gear_ratio
     reference = p.reference_speed_rpm / RPM
     direction = math.copysign(1.0, reference)
     phase = p.motor_start_angle_rad - n * p.start_angle_rad
     y = np.zeros(STATES)
     y[2] = p.start_angle_rad - direction * 2.0 * math.pi * settling_rotations
+    if each > 0 and late > 0.0:
+        y[2] -= reference / n * late
     y[8] = y[2]
     y[0] = n * y[2]
     y[1], y[3], y[9], y[6] = reference, reference / n, reference / n, reference
+    y[LAST_SPEED], y[LAST_ANGLE] = reference, y[0] - reference * step * each
     ramp_start = y[0]
     k, trial, asked = np.empty((4, STATES)), np.empty(STATES), np.empty((3, 2))
     older, old, old_t, older_t = y.copy(), y.copy(), 0.0, 0.0
-    each = int(CHECKPOINT_S / step)
+    apart = int(CHECKPOINT_S / step)
     begin = -1.0
     most = int((settling_rotations + 3.0) * 2.0 * math.pi * n / abs(reference) / step)
     for i in range(most):
         t = i * step
-        if i % each == 0:
+        if i % apart == 0:
             older[:] = old
             older_t = old_t
             old[:] = y
             old_t = t
         before = (y[2] - p.start_angle_rad) * direction
         _steadily(t, step, p, ramp_start, asked)
+        _work(i, each, y, p, phase, asked[0])
         _step(t, y, step, p, phase, asked, math.inf, k, trial)
         after = (y[2] - p.start_angle_rad) * direction
         if before < 0.0 <= after:
             begin = t - step * before / (after - before)
             break
-    if begin < 0.0:
-        return False
+    if begin < 0.0 or out.shape[1] == 0:
+        return begin
+    if each > 0:
+        # A nanosecond behind the tick, so that what it did is seen.
+        begin = step * each * round(begin / (step * each)) + 1e-9 + p.outside__recorder_s
 
     # Once more from the checkpoint, now that the time of the first sample is known.
     skew = (
@@ -393,6 +440,7 @@ def _run(p, settling_rotations, step, sampling_s, out):
         p.channel_time_skew__current_s,
     )
     y[:] = older
+    done = round(older_t / step)
     samples = out.shape[1]
     following = np.zeros(3, np.int64)
     left, right = np.empty(3), np.empty(3)
@@ -404,6 +452,7 @@ def _run(p, settling_rotations, step, sampling_s, out):
             if following[c] < samples:
                 due = due or begin + following[c] * sampling_s - skew[c] <= t + step
         _steadily(t, step, p, ramp_start, asked)
+        _work(done + i, each, y, p, phase, asked[0])
         if due:
             _outputs(y, p, phase, asked[0], left)
         _step(t, y, step, p, phase, asked, begin, k, trial)
@@ -418,15 +467,15 @@ def _run(p, settling_rotations, step, sampling_s, out):
                     break
                 out[c, following[c]] = left[c] + share * (right[c] - left[c])
                 following[c] += 1
-    return True
+    return begin
 
 
 @_jit
-def _follow(p, side, speed, angle, held, step, each, out):
+def _follow(p, side, speed, angle, held, step, each, ticking, out):
     """Fill ``out``, shape (3, n), while the reference follows half-step values from rest.
 
     ``held`` steps of rest on the flank ``side`` come before the first sample, to settle; a sample
-    is every ``each`` steps.
+    is every ``each`` steps, a tick of a digital controller every ``ticking``.
     """
     n = p.gear_ratio
     phase = p.motor_start_angle_rad - n * p.start_angle_rad
@@ -441,16 +490,20 @@ def _follow(p, side, speed, angle, held, step, each, out):
     if p.integral_gain_nm_per_rad > 0.0:
         y[4] = load / n / p.integral_gain_nm_per_rad
     y[5] = load / n
+    y[HELD], y[COMING] = load / n, load / n
     start, _, _ = _measured(y, p, phase)
+    y[LAST_ANGLE] = start
     k, trial, asked = np.empty((4, STATES)), np.empty(STATES), np.zeros((3, 2))
     asked[:, 1] = start
-    for _ in range(held):
+    for i in range(held):
+        _work(i - held, ticking, y, p, phase, asked[0])
         _step(0.0, y, step, p, phase, asked, math.inf, k, trial)
     shown = np.empty(3)
     for i in range(out.shape[1] * each):
         for j in range(3):
             asked[j, 0] = speed[2 * i + j]
             asked[j, 1] = start + angle[2 * i + j]
+        _work(i, ticking, y, p, phase, asked[0])
         if i % each == 0:
             _outputs(y, p, phase, asked[0], shown)
             out[:, i // each] = shown
@@ -510,7 +563,11 @@ def moving(
         pull = made.gravity_torque_nm * math.sin(made.start_angle_rad + made.gravity_angle_rad)
         side = math.copysign(1.0, pull)
     out = np.full((3, samples), np.nan)
-    _follow(made, side, speed, angle, round(SETTLED_AT_REST_S / step), step, each, out)
+    rest = round(SETTLED_AT_REST_S / step)
+    ticking = round(made.sampled_control__period_s / step)
+    if abs(ticking * step - made.sampled_control__period_s) > 1e-9:
+        raise ValueError("a period of the controller is not a whole number of steps")
+    _follow(made, side, speed, angle, rest, step, each, ticking, out)
     if not np.all(np.isfinite(out)):
         raise ValueError("the simulation diverged")
     return out
@@ -526,6 +583,8 @@ def plant(values: Mapping[str, float], **settings: float) -> Plant:
     """
     named = {name.replace(".", "__"): float(v) for name, v in {**values, **settings}.items()}
     made = Plant(**named)
+    if made.sampled_control__period_s > 0.0 and made.speed_sensor_lag__time_s > 0.0:
+        raise ValueError("a digital controller differentiates the encoder: it has no speed filter")
     sharpness = (made.outside__belt_turns / made.outside__belt_width_rad) ** 2
     return made._replace(outside__belt_mean=float(special.i0e(sharpness)))
 
@@ -559,7 +618,17 @@ def noise_free(
         travel = 4.0 * (made.gap_rad + made.backlash__gap_rad + wound)
         settling += min(10.0 * made.shaft_hysteresis__angle_rad / travel, 8.0)
     step = 1.0 / sampling_hz / math.ceil(1.0 / (sampling_hz * step_s))
-    if not _run(made, settling, step, 1.0 / sampling_hz, out) or not np.all(np.isfinite(out)):
+    each, late, period = 0, math.nan, made.sampled_control__period_s
+    if period > 0.0:
+        each = math.ceil(period / step_s)
+        while abs((made.sampled_control__delay_periods * each) % 1.0) > 1e-9 and each < 1000:
+            each += 1
+        step = period / each
+        # The load is to come to its start angle at a tick, so begin as much earlier as it is early.
+        came = _run(made, settling, step, each, 1.0 / sampling_hz, 0.0, out[:, :0])
+        late = math.ceil(came / period) * period - came
+    begun = _run(made, settling, step, each, 1.0 / sampling_hz, late, out)
+    if begun < 0.0 or not np.all(np.isfinite(out)):
         raise ValueError("the motor does not turn the load round, or the simulation diverged")
     return out
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesbl.bench.effect_declaration import RigidMotion
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import EFFECT_BY_NAME, effect_named
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import (
     CURRENT,
@@ -59,6 +59,7 @@ LATE_PARAMETERS = ("gravity_angle_rad",)
 
 # Increased when the same bench gives other signals, so that cached results are not mixed.
 _SIGNALS_VERSION = 1
+_OF_SAMPLED_CONTROL = list(EFFECT_BY_NAME["sampled_control"].slots.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -472,6 +473,8 @@ class Bench:
             vector = np.delete(vector, np.s_[FIRST_OF_ENCODER:FIRST_SKEW])
         if self.learned_torque is None:
             vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_OF_ENCODER])
+        if vector[Slot.sampled_control__period_s] == 0.0:
+            vector = np.delete(vector, _OF_SAMPLED_CONTROL)
         content = {
             "version": _SIGNALS_VERSION,
             "vector": [repr(float(value)) for value in vector],

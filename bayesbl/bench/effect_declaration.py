@@ -93,11 +93,13 @@ class Shape(EffectParameter):
     """A parameter that says how, not how much.
 
     ``positive_scale``: the simulator refuses zero and below while an amplitude is not zero.
+    ``share``: it refuses what is not between 0 and 1.
     """
 
     _: KW_ONLY
     role: Role = "shape"
     positive_scale: bool = False
+    share: bool = False
 
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0

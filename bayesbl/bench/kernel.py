@@ -3,14 +3,16 @@
 Everything that numba compiles together is in this one file: its cache looks only at the file
 of the outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
 
-State, shape (8,), SI: motor angle, motor speed, twist Δθ, twist speed Δω, integral of the speed
-error, then (only while an effect is on) lagged drive torque, lagged speed, Dahl z. The load angle
-is θ_m/N − Δθ. Twist and twist speed are states of their own because the contact depends on them
-alone and their error is what the step control must see.
+State, shape (12,), SI: motor angle, motor speed, twist Δθ, twist speed Δω, integral of the speed
+error, then (only while an effect is on) lagged drive torque, lagged speed, Dahl z, then (only where
+the controller is sampled) the torque it holds, the one it has computed since, angle and speed that
+it saw at its last tick. The load angle is θ_m/N − Δθ. Twist and twist speed are states of their own
+because the contact depends on them alone and their error is what the step control must see.
 
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
-changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps.
-Within a step the region is fixed, so the right-hand side is smooth there.
+changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps;
+and at the ticks of a sampled controller. Within a step the region is fixed, so the right-hand side
+is smooth there.
 
 A load of infinite inertia is an output that is held; the drive's reference is then its torque.
 """
@@ -62,6 +64,8 @@ class Slot(IntEnum):
     motor_start_angle_rad = auto()
     reference_delay_s = auto()  # of a motion: the loop is given its reference that much later
     backlash__gap_rad = auto()
+    sampled_control__period_s = auto()
+    sampled_control__delay_periods = auto()
     motor_coulomb_friction__torque_nm = auto()
     motor_viscous_friction__coefficient_nm_s_per_rad = auto()
     motor_stribeck_friction__torque_nm = auto()
@@ -119,8 +123,9 @@ FIRST_ENCODER_SINE = int(Slot["encoder_error__sine_1_rad"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
-STATES = 8
+STATES = 12
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
+HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(8, 12)
 
 POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
@@ -139,6 +144,9 @@ LOCAL_SHARE = 0.004
 LONGEST_PHASE = 1.0
 # rad/s: pace of a rigid bench that nothing drives.
 SLOWEST_RATE = 0.1
+
+# Share of a sampling period within which a time counts as the tick itself.
+AT_TICK = 1e-6
 
 DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
@@ -182,6 +190,7 @@ class Constants(NamedTuple):
     effects: bool
     held: bool
     plain: bool
+    sampled: bool
     direction: float
     fastest_reference: float
     follows: bool
@@ -220,7 +229,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     ratio = p[Slot.gear_ratio]
     rigid = p[Slot.rigid] != 0.0
     held = math.isinf(p[Slot.load_inertia_kg_m2])
-    plain = not (effects or rigid or held)
+    sampled = p[Slot.sampled_control__period_s] > 0.0
+    plain = not (effects or rigid or held or sampled)
     return Constants(
         ratio,
         1.0 / ratio,
@@ -249,6 +259,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         effects,
         held,
         plain,
+        sampled,
         math.copysign(1.0, p[Slot.reference_speed_rpm]),
         abs(p[Slot.reference_speed_rpm] / RPM),
         False,
@@ -296,6 +307,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.effects,
         c.held,
         c.plain,
+        c.sampled,
         1.0,
         c.fastest_reference,
         True,
@@ -445,6 +457,55 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     return speed, error, torque, share
 
 
+@_jit
+def states_of(c):  # type: ignore[no-untyped-def]
+    """How many states the bench has."""
+    if c.sampled:
+        return STATES
+    return HELD_TORQUE if c.effects else DRIVE_TORQUE
+
+
+@_jit
+def rest_the_loop(y, speed, torque, p, c):  # type: ignore[no-untyped-def]
+    """Put lags and a sampled controller where this speed and torque have long been."""
+    if c.effects:
+        y[DRIVE_TORQUE] = torque
+        y[SENSED_SPEED] = speed
+    if c.sampled:
+        y[HELD_TORQUE] = torque
+        y[NEXT_TORQUE] = torque
+        y[TICK_ANGLE] = filtered_angle(y, p, c)
+        y[TICK_SPEED] = speed
+
+
+@_jit
+def filtered_angle(y, p, c):  # type: ignore[no-untyped-def]
+    """Integral of the speed that the controller is given: T dω_f/dt = ω − ω_f has θ − T ω_f."""
+    angle, _ = sensed(y, p, c)
+    return angle - p[Slot.speed_sensor_lag__time_s] * y[SENSED_SPEED]
+
+
+@_jit
+def tick(t, y, p, c):  # type: ignore[no-untyped-def]
+    """What a sampled controller does at its tick: a difference, a sum, a torque for later."""
+    period = p[Slot.sampled_control__period_s]
+    turned = filtered_angle(y, p, c)
+    speed = (turned - y[TICK_ANGLE]) / period
+    y[TICK_ANGLE] = turned
+    y[TICK_SPEED] = speed
+    if c.held:
+        y[NEXT_TORQUE], _ = limited(reference_speed(t, c), 0.0, c)
+        return
+    error = reference_speed(t, c) - speed
+    if c.position_gain != 0.0:
+        angle, _ = sensed(y, p, c)
+        error += c.position_gain * (reference_position(t, c) - angle)
+    summed = y[INTEGRAL] + error * period
+    torque, share = limited(c.speed_gain * error + c.integral_gain * summed, error, c)
+    y[INTEGRAL] += share * error * period
+    y[NEXT_TORQUE] = torque
+
+
 @_inlined
 def direction_of(ratio):  # type: ignore[no-untyped-def]
     """Smoothed sign tanh(ω / width); beyond 20 it is ±1 to the last digit."""
@@ -550,7 +611,10 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
-    _, error, torque, share = controller(t, y, p, c)
+    if c.sampled:
+        error, torque, share = 0.0, y[HELD_TORQUE], 0.0
+    else:
+        _, error, torque, share = controller(t, y, p, c)
     load_angle = y[MOTOR_ANGLE] * c.per_ratio - twist
     load_speed = speed * c.per_ratio - twist_speed
     losses = 0.0
@@ -770,14 +834,14 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
     """Samples that fall into the step; returns the next sample's number.
 
     ``row``: one of position, speed, current, or ``EVERY`` of the rows in ``out``; ``out`` has the
-    row of speed alone, these three, or the eight states.
+    row of speed alone, these three, or all states.
     """
     rows = out.shape[0]
     for index in range(first, out.shape[1]):
         time = start + index * dt
         if time > t + h:
             return index
-        s = (time - t) / h
+        s = (time - t) / h if h > 0.0 else 1.0
         if rows == 1 and not c.effects:
             out[0, index] = interpolated(dense, MOTOR_SPEED, s) * RPM
             continue
@@ -798,6 +862,34 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
             if c.effects and p[Slot.current_loop_lag__time_s] > 0.0:
                 torque = y[DRIVE_TORQUE]
             out[CURRENT, index] = torque / p[Slot.torque_constant_nm_per_a]
+    return out.shape[1]
+
+
+@_jit
+def is_repeated(period, dt):  # type: ignore[no-untyped-def]
+    """Whether a recorder by the same clock sees what a drive holds for several samples.
+
+    A slower recorder meets the drive's ticks. Where neither period is a whole number of the other,
+    samples lie on lines between the ticks, which keeps them smooth in the period.
+    """
+    samples = period / dt
+    return samples > 1.5 and abs(samples - round(samples)) < AT_TICK * samples
+
+
+@_jit
+def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
+    """Samples between two times at which a sampled drive logs; returns the next sample's number."""
+    period = p[Slot.sampled_control__period_s]
+    margin = AT_TICK * period
+    repeated = is_repeated(period, dt)
+    begin = start - p[FIRST_SKEW + row]
+    place = row if out.shape[0] > 1 else 0
+    for index in range(first, out.shape[1]):
+        time = begin + index * dt
+        if time >= until - margin:
+            return index
+        share = 0.0 if repeated else max(0.0, time - since) / (until - since)
+        out[place, index] = old + share * (new - old)
     return out.shape[1]
 
 
@@ -826,6 +918,10 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     scale[TWIST_SPEED] = c.ratio / speed
     scale[INTEGRAL] = c.integral_gain / torque
     rate = max(fastest, 0.25 * loop_rate)
+    if c.sampled:
+        # A difference over a short period amplifies what the angle is off by.
+        per_period = 1.0 / p[Slot.sampled_control__period_s]
+        scale[MOTOR_ANGLE] = max(scale[MOTOR_ANGLE], per_period / speed)
     if c.effects:
         scale[DRIVE_TORQUE] = 1.0 / torque
         scale[SENSED_SPEED] = 1.0 / speed
@@ -860,22 +956,37 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
     """Integrate ``y`` in place until a time or a load angle, sampling on the way.
 
     Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew. ``pieces``: the motion
-    that the reference follows; steps end where a piece does. Returns status, time reached, number
-    of right-hand sides.
+    that the reference follows; steps end where a piece does. A sampled controller has a tick at
+    ``start``; the state given is that after the last one. Returns status, time reached, number of
+    right-hand sides.
     """
     piece = 0
     if len(pieces) > 0:
         c = on_piece(c, pieces, 0)
     piece_end = pieces[1, 0] if len(pieces) > 1 else math.inf
     n = y.size
-    k = np.empty((7, n))
+    k = np.zeros((7, n))
     y_new = np.empty(n)
-    scale = np.empty(n)
+    scale = np.zeros(n)
     dense = np.empty((5, n))
     next_sample = np.zeros(3, np.int64)
     longest = error_scale(p, c, accuracy_rpm, scale)
     skewed = p[FIRST_SKEW] != 0.0 or p[FIRST_SKEW + 1] != 0.0 or p[FIRST_SKEW + 2] != 0.0
     skewed = skewed and out.shape[0] != STATES
+    logged = c.sampled and out.shape[0] != STATES
+    lagged = p[Slot.current_loop_lag__time_s] > 0.0
+    repeated = is_repeated(p[Slot.sampled_control__period_s], dt)
+    period = p[Slot.sampled_control__period_s]
+    delay = p[Slot.sampled_control__delay_periods]
+    number, next_tick, due = 0, math.inf, math.inf
+    if c.sampled:
+        number = int(math.floor((t - start) / period + AT_TICK)) + 1
+        next_tick = start + number * period
+        due = start + (number - 1 + delay) * period
+        if due <= t:
+            due = math.inf
+    pause = min(piece_end, next_tick, due)
+    current, changed = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a] if c.sampled else 0.0, t
     has_edges = c.gap > 0.0 and not c.rigid
     layer = 0.0 if c.hard else 1.0 / c.sharpness
     evaluations = 0
@@ -895,9 +1006,9 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
         if last:
             h = stop_time - t
         h_usual = h
-        ends = t + h >= piece_end
+        ends = t + h >= pause
         if ends:
-            h = piece_end - t
+            h = pause - t
             last = False
         step(t, y, h, region, p, c, k, y_new)
         evaluations += 6
@@ -950,7 +1061,14 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
         else:
             h_next = h * factor
 
-        if not skewed:
+        if logged:
+            for row in (POSITION, CURRENT):
+                if out.shape[0] == 3 and (row == POSITION or lagged):
+                    begin = start - p[FIRST_SKEW + row]
+                    next_sample[row] = emit(
+                        t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
+                    )
+        elif not skewed:
             next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, dt, out, y, p, c)
         else:
             for row in range(3):
@@ -959,19 +1077,46 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                     next_sample[row] = emit(
                         t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
                     )
-        t = stop_time if last else piece_end if ends else t + h
+        t = stop_time if last else pause if ends else t + h
         for i in range(n):
             y[i] = y_new[i]
             k[0, i] = k[6, i]
         if arrived:
             return DONE, t, evaluations
         if ends:
-            piece += 1
-            c = on_piece(c, pieces, piece)
-            piece_end = pieces[piece + 1, 0] if piece + 1 < len(pieces) else math.inf
+            if t == piece_end:
+                piece += 1
+                c = on_piece(c, pieces, piece)
+                piece_end = pieces[piece + 1, 0] if piece + 1 < len(pieces) else math.inf
+            if t == due:
+                y[HELD_TORQUE] = y[NEXT_TORQUE]
+                due = math.inf
+            ticks = t == next_tick
+            if ticks:
+                due = start + (number + delay) * period
+                number += 1
+                next_tick = start + number * period
+                old = y[TICK_SPEED] * RPM
+                tick(t, y, p, c)
+                if due <= t:
+                    y[HELD_TORQUE] = y[NEXT_TORQUE]
+                    due = math.inf
+                if logged:
+                    next_sample[SPEED] = emit_logged(
+                        t - period, t, p, SPEED, next_sample[SPEED], start, dt, out,
+                        old, y[TICK_SPEED] * RPM,
+                    )  # fmt: skip
+            if logged and out.shape[0] == 3 and not lagged and (repeated or ticks):
+                old = current
+                current = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
+                next_sample[CURRENT] = emit_logged(
+                    changed, t, p, CURRENT, next_sample[CURRENT], start, dt, out, old, current
+                )
+                changed = t
+            pause = min(piece_end, next_tick, due)
             right_hand_side(t, y, region, p, c, k[0])
             evaluations += 1
-            # What the piece's end cut short says nothing of the next step.
+            # What a pause cut short says nothing of the next step.
             h_next = max(h_next, min(h_usual, longest))
         if crossed != 0:
             region += crossed
@@ -1020,9 +1165,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     torque, _ = limited(torque, 0.0, c)
     if c.integral_gain > 0.0:
         y[INTEGRAL] = torque / c.integral_gain
-    if c.effects:
-        y[DRIVE_TORQUE] = torque
-        y[SENSED_SPEED] = speed
+    rest_the_loop(y, speed, torque, p, c)
     return carried
 
 
@@ -1042,7 +1185,7 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     flank -= c.gravity_angle
     ahead = (start_angle - flank) * direction - settle_s * abs(load_speed)
     begin = flank + direction * math.pi * math.floor(ahead / math.pi)
-    y = np.empty(STATES if c.effects else STATES - 3)
+    y = np.empty(states_of(c))
     carried = quasi_static_state(p, begin + math.pi, y)
     if not (quasi_static_state(p, begin, y) and carried):
         return SATURATED, 0
@@ -1061,16 +1204,34 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
         return status, cost
     if t >= longest:
         return SATURATED, cost
+    ramp_start, run_begin = first[MOTOR_ANGLE], 0.0
+    if c.sampled:
+        # Its ticks go by the recorder's clock, not by the load's angle: once more, from a tick and
+        # with one at the first sample.
+        period = p[Slot.sampled_control__period_s]
+        run_begin = t - math.ceil(t / period) * period
+        quasi_static_state(p, begin + load_speed * run_begin, first)
+        ramp_start = first[MOTOR_ANGLE] - c.reference * run_begin
+        y[:] = first
+        status, _, more = integrate(
+            run_begin, y, t, math.inf * direction, t, dt, none, p,
+            constants(p, ramp_start, t), accuracy_rpm, steady,
+        )  # fmt: skip
+        cost += more
+        if status != DONE:
+            return status, cost
     state[:] = 0.0
     state[: y.size] = y
-    c = constants(p, first[MOTOR_ANGLE], t)
+    c = constants(p, ramp_start, t)
     lag = max(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
+    # What is logged at a tick is sent at the next.
     stop = t + (out.shape[1] - 1) * dt + max(0.0, -lead) + 1e-9
+    stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
     if lag > 0.0:
         # A channel that lags shows what was before the start: once more, now with the time known.
         status, _, more = integrate(
-            0.0, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
+            run_begin, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
         )
     else:
         status, _, more = integrate(
@@ -1116,9 +1277,7 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
         reference_angle += torque / (c.speed_gain * c.position_gain)
     else:
         y[MOTOR_SPEED] -= torque / c.speed_gain
-    if c.effects:
-        y[DRIVE_TORQUE] = torque
-        y[SENSED_SPEED] = y[MOTOR_SPEED]
+    rest_the_loop(y, y[MOTOR_SPEED], torque, p, c)
     return reference_angle
 
 
@@ -1127,14 +1286,15 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     """A motion from the state it starts in, into ``out``; returns status, right-hand sides."""
     lag = max(0.0, p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
-    y = np.empty(STATES if p[FIRST_EFFECT:FIRST_SKEW].any() else STATES - 3)
     pieces = pieces.copy()
     pieces[:, 0] += p[Slot.reference_delay_s]
     q = p.copy()
     held = math.isinf(p[Slot.load_inertia_kg_m2])
     q[Slot.reference_speed_rpm] = 0.0 if held else np.max(np.abs(pieces[:, 1])) * RPM
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
+    y = np.empty(states_of(begun))
     c = constants(q, standing_state(-lag, p, begun, y), 0.0)
     stop = (out.shape[1] - 1) * dt + lead + 1e-9
+    stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
     status, _, cost = integrate(-lag, y, stop, math.inf, 0.0, dt, out, p, c, accuracy_rpm, pieces)
     return status, cost

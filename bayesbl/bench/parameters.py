@@ -214,6 +214,7 @@ _SCALES = [
     for scale in effect.shapes
     if scale.positive_scale
 ]
+_SHARES = [effect.slots[item.name] for effect in EFFECTS for item in effect.shapes if item.share]
 
 
 _LEARNED = (
@@ -231,6 +232,9 @@ def _check_effects(matrix: FloatArray) -> None:
     for slot, bound, unit in _BOUNDED:
         expected = f"between -{bound:g} and {bound:g} {unit}"
         _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
+    for slot in _SHARES:
+        values = matrix[:, slot]
+        _refuse_where((values < 0.0) | (values > 1.0), matrix, slot, "a number from 0 to 1")
     for scale, amplitudes in _SCALES:
         wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
         _refuse_where(wrong, matrix, scale, "a number above zero")
@@ -243,10 +247,16 @@ def cannot_be_negative(name: str) -> bool:
     slot, info = Slot[name], PARAMETER_INFO.get(name)
     return (
         slot in _NOT_NEGATIVE
+        or slot in _SHARES
         or slot == Slot.gap_rad
         or any(slot == scale for scale, _ in _SCALES)
         or (info is not None and not info.signed)
     )
+
+
+def is_share(name: str) -> bool:
+    """Whether :func:`check_parameters` refuses values of a slot beyond one."""
+    return name in Slot.__members__ and Slot[name] in _SHARES
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:

@@ -102,7 +102,7 @@ def simulate_motions(
     The first sample lies at the motion's start, with the load at ``start_angle_rad``, all torques
     balanced on the flank that the load's torque presses on; where the output is held, at rest on
     the lower flank. With ``states`` all states as :func:`simulate_states` gives them, shape
-    (m, 8, n).
+    (m, 12, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     matrix = _sound(parameter_matrix, out, sampling_hz, accuracy_rpm)
@@ -129,10 +129,12 @@ def simulate_states(
     accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
     friction_width_rad_per_s: float | None = None,
 ) -> FloatArray:
-    """All states from a given one on: free motion, transients, laws. Shape (8, n), SI.
+    """All states from a given one on: free motion, transients, laws. Shape (12, n), SI.
 
     States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
-    sensed speed, Dahl z; the last three are zero while no effect is on. The position loop's ramp
+    sensed speed, Dahl z (these three zero while no effect is on); of a sampled controller, which
+    has just had a tick, torque held, torque to come, angle and speed at the tick. The position
+    loop's ramp
     starts at the initial motor angle. Dry friction changes its sign over the given width at the
     motor, by default over what holds elsewhere. No check of the
     parameters, so gains may be zero here.
@@ -143,7 +145,7 @@ def simulate_states(
             friction_width=friction_width_rad_per_s,
             load_friction_width=friction_width_rad_per_s * c.per_ratio,
         )
-    size = STATES if c.effects else kernel.DRIVE_TORQUE
+    size = kernel.states_of(c)
     state = np.array(initial_state[:size], dtype=float)
     out = np.zeros((STATES, samples))
     stop = (samples - 1) / sampling_hz * (1.0 + 1e-12)
@@ -168,7 +170,7 @@ def simulate_states(
 def start_states(
     parameter_matrix: FloatArray, *, accuracy_rpm: float = DEFAULT_ACCURACY_RPM
 ) -> FloatArray:
-    """States at the first sample of a steady rotation, shape (m, 8), SI."""
+    """States at the first sample of a steady rotation, shape (m, 12), SI."""
     states = np.empty((parameter_matrix.shape[0], STATES))
     out = np.empty((parameter_matrix.shape[0], 1, 1))
     _fill(parameter_matrix, out, 1.0, accuracy_rpm, 1, "raise", states)

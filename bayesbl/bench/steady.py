@@ -8,9 +8,9 @@ import numpy as np
 from scipy import linalg
 
 from bayesbl.bench.kernel import RPM, Slot
-from bayesbl.bench.parameters import rotation_period_s
+from bayesbl.bench.parameters import label, rotation_period_s
 from bayesbl.errors import BenchError
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import ComplexArray, FloatArray
 
 # The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start
 # is off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this
@@ -21,8 +21,18 @@ _MOST_ROTATIONS = 20.0
 # Lags of zero become this short: faster than anything else in the bench.
 _SHORTEST_LAG_S = 1e-6
 _ABSENT = -1e6
+# A factor per period that leaves nothing.
+_GONE = 1e-30
+
+_LOOP = (
+    Slot.speed_gain_nm_s_per_rad,
+    Slot.integral_gain_nm_per_rad,
+    Slot.shaft_damping_nm_s_per_rad,
+    Slot.sampled_control__period_s,
+)
 
 SPEED, TWIST, TWIST_SPEED, INTEGRAL, TORQUE, SENSED, ANGLE = range(7)
+UNTIL, ACTING, COMING, SEEN = range(7, 11)
 
 
 def contact_matrices(matrix: FloatArray) -> FloatArray:
@@ -88,6 +98,71 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
     return a
 
 
+def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One period of the linear bench in contact under a sampled controller.
+
+    Of one parameter vector, shape (SLOTS,). States at a tick, after the controller's work: those of
+    :func:`contact_matrices` with the angle since the last tick, the angle until then, the torque
+    that acts, the one to come, and the speed that the controller saw move.
+
+    Returns
+    -------
+    Transition over a period, shape (11, 11); and what an error of the speed that the controller
+    sees at its end adds, shape (11,), SI.
+    """
+    period = parameters[Slot.sampled_control__period_s]
+    delay = parameters[Slot.sampled_control__delay_periods]
+    gain = parameters[Slot.speed_gain_nm_s_per_rad]
+    integral = parameters[Slot.integral_gain_nm_per_rad]
+    outer = parameters[Slot.position_gain_per_s]
+    speed_lag = parameters[Slot.speed_sensor_lag__time_s]
+
+    free = parameters.copy()
+    free[Slot.position_gain_per_s] = 1.0  # keeps the angle among the states
+    plant = np.zeros((11, 11))
+    plant[:7, :7] = contact_matrices(free[None, :])[0]
+    plant[TORQUE, :7] = 0.0
+    plant[:, INTEGRAL] = plant[INTEGRAL, :] = 0.0
+    torque_lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
+    plant[TORQUE, [TORQUE, ACTING]] = -1.0 / torque_lag, 1.0 / torque_lag
+    apply = np.eye(11)
+    apply[ACTING] = apply[COMING]
+    motion = linalg.expm(plant * (1.0 - delay) * period) @ apply
+    motion = motion @ linalg.expm(plant * delay * period)
+
+    turned = np.zeros(11)
+    turned[ANGLE], turned[SENSED] = 1.0, -speed_lag
+    error = -turned / period
+    error[ANGLE] -= outer
+    error[UNTIL] -= outer
+    work = np.eye(11)
+    work[ANGLE] -= turned
+    work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
+    work[SEEN] = turned / period
+    work[INTEGRAL] = work[INTEGRAL] + period * error if integral > 0.0 else 0.0
+    work[COMING] = gain * error + integral * work[INTEGRAL]
+    noise = np.zeros(11)
+    noise[INTEGRAL] = -period if integral > 0.0 else 0.0
+    noise[COMING] = -gain + integral * noise[INTEGRAL]
+    if delay == 0.0:
+        work[ACTING], noise[ACTING] = work[COMING], noise[COMING]
+    return work @ motion, noise
+
+
+def contact_rates(matrix: FloatArray) -> ComplexArray:
+    """Rates of the linear bench's modes on one tooth flank, in time. Shape (m, 11), 1/s.
+
+    A mode that a bench does not have decays at once.
+    """
+    rates = np.full((matrix.shape[0], 11), complex(_ABSENT))
+    rates[:, :7] = np.linalg.eigvals(contact_matrices(matrix))
+    for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
+        factors = np.linalg.eigvals(sampled_period(matrix[row])[0])
+        factors = np.where(np.abs(factors) < _GONE, _GONE, factors)
+        rates[row] = np.log(factors) / matrix[row, Slot.sampled_control__period_s]
+    return rates
+
+
 def settling_time_s(matrix: FloatArray, accuracy_rpm: float) -> FloatArray:
     """Run-in after which a bench is in steady rotation to a tenth of the accuracy, shape (m,), s.
 
@@ -99,17 +174,15 @@ def settling_time_s(matrix: FloatArray, accuracy_rpm: float) -> FloatArray:
     BenchError
         If the speed loop is unstable on a tooth flank.
     """
-    eigenvalues = np.linalg.eigvals(contact_matrices(matrix))
-    slowest = -np.max(eigenvalues.real, axis=1)
+    slowest = -np.max(contact_rates(matrix).real, axis=1)
     if np.any(slowest <= 0.0):
         row = matrix[int(np.argmin(slowest))]
+        causes = _LOOP[: 4 if row[Slot.sampled_control__period_s] > 0.0 else 3]
         raise BenchError(
             "The speed loop is unstable even without a gap, so there is no steady rotation.",
-            where="speed_gain_nm_s_per_rad, integral_gain_nm_per_rad, shaft_damping_nm_s_per_rad",
-            found=f"{row[Slot.speed_gain_nm_s_per_rad]:g}, "
-            f"{row[Slot.integral_gain_nm_per_rad]:g}, "
-            f"{row[Slot.shaft_damping_nm_s_per_rad]:g}",
-            expected="gains and damping whose transients die out",
+            where=", ".join(label(slot) for slot in causes),
+            found=", ".join(f"{row[slot]:g}" for slot in causes),
+            expected="gains, damping and delays with which transients die out",
         )
     period = rotation_period_s(matrix)
     torque = matrix[:, Slot.gravity_torque_nm] / matrix[:, Slot.gear_ratio]
@@ -156,6 +229,8 @@ def noise_through_loop(
     -------
     Motion of the motor in rpm and change of the current in A that the noise causes, each (n,).
     """
+    if parameters[Slot.sampled_control__period_s] > 0.0:
+        return _noise_through_ticks(parameters, noise_rpm, sampling_s)
     a = contact_matrices(parameters[None, :])[0]
     gain = parameters[Slot.speed_gain_nm_s_per_rad]
     lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
@@ -178,10 +253,29 @@ def noise_through_loop(
     return states[:, SENSED] * RPM, torque / parameters[Slot.torque_constant_nm_per_a]
 
 
+def _noise_through_ticks(
+    parameters: FloatArray, noise_rpm: FloatArray, sampling_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """As :func:`noise_through_loop`, of a sampled controller as it logs itself."""
+    period = parameters[Slot.sampled_control__period_s]
+    transition, by_noise = sampled_period(parameters)
+    samples = np.arange(noise_rpm.size) * sampling_s
+    last = np.floor(samples / period + 1e-6).astype(int)
+    source = np.floor(np.arange(last[-1] + 1) * period / sampling_s + 1e-6).astype(int)
+    torque = TORQUE if parameters[Slot.current_loop_lag__time_s] > 0.0 else ACTING
+    state = np.zeros(11)
+    shown = np.empty((source.size, 2))
+    for number, value in enumerate(noise_rpm[source] / RPM):
+        state = transition @ state + by_noise * value
+        shown[number] = state[SEEN], state[torque]
+    motion, answer = shown[last].T
+    return motion * RPM, answer / parameters[Slot.torque_constant_nm_per_a]
+
+
 def ringing_hz(matrix: FloatArray) -> float:
     """Frequency of the slowest oscillation of the linear bench in contact, Hz; inf if it has none.
 
     Of the first of the parameter vectors, shape (m, SLOTS).
     """
-    rates = np.linalg.eigvals(contact_matrices(matrix[:1]))[0].imag
+    rates = contact_rates(matrix[:1])[0].imag
     return float(np.min(rates[rates > 0.0], initial=math.inf)) / (2.0 * math.pi)

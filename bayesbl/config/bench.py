@@ -176,7 +176,11 @@ class EffectValue(Section):
 
 
 class EffectEntry(Section):
-    """An entry of ``[[effects]]``."""
+    """An entry of ``[[effects]]``: what the joint has beside its parameters (``bayesbl effects``).
+
+    A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
+    period of its speed controller.
+    """
 
     name: Annotated[str, AfterValidator(_effect_name)]
     parameters: dict[str, EffectValue]

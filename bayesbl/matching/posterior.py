@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.bench.parameters import cannot_be_negative
+from bayesbl.bench.parameters import cannot_be_negative, is_share
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
@@ -199,7 +199,9 @@ def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> Fl
         else LEAST_SHARE * u.low
         for u in model.unknowns
     ]
-    low, high = np.maximum(model.low - margin, floor), model.high + margin
+    ceiling = [1.0 if is_share(u.name) else math.inf for u in model.unknowns]
+    low = np.maximum(model.low - margin, floor)
+    high = np.minimum(model.high + margin, ceiling)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(moves > 0.0, (high - fit.point) / moves, (low - fit.point) / moves)
     share = np.clip(np.nan_to_num(room, nan=1.0).min(axis=1), 0.0, 1.0)

@@ -25,7 +25,7 @@ from bayesbl.bench.effects import (
 )
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import PARAMETER_INFO, rotation_period_s
+from bayesbl.bench.parameters import PARAMETER_INFO, is_share, rotation_period_s
 from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
@@ -164,7 +164,8 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
                 found += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
-                found.append(Unknown(name, low, centre=given.value, sd=given.sd))
+                high = 1.0 if is_share(name) else math.inf
+                found.append(Unknown(name, low, high, given.value, given.sd))
     for learned in bench.learned_terms:
         found += shift_unknowns(learned, recordings)
         known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)
@@ -251,6 +252,7 @@ class SimulatedSignals:
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
         # Points often differ only in the unknowns of other recordings.
+        matrix = _in_whole_ticks(matrix, seen)
         matrix, place = np.unique(matrix, axis=0, return_inverse=True)
         accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
@@ -385,6 +387,23 @@ def _continued(begun: FloatArray, samples: int) -> FloatArray:
     if begun.shape[2] == samples:
         return begun
     return begun[:, :, np.arange(samples) % begun.shape[2]]
+
+
+def _in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
+    """Sampled controllers with a whole number of ticks a rotation, so that it repeats.
+
+    The period changes by less than its share of two rotations, far below what recordings tell. One
+    that is a whole number of samples stays: there each sample is of a tick.
+    """
+    period = matrix[:, Slot.sampled_control__period_s]
+    samples = period * seen.sampling_hz
+    free = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
+    if seen.motion is not None or not free.any():
+        return matrix
+    matrix = matrix.copy()
+    turn = rotation_period_s(matrix)[free]
+    matrix[free, Slot.sampled_control__period_s] = turn / np.round(turn / period[free])
+    return matrix
 
 
 def _repeats(matrix: FloatArray, seen: Observed) -> bool:

@@ -144,7 +144,7 @@ def _plain(effect: Effect) -> Candidate:
         main = effect.amplitudes[0]
         grid = main.high * np.array(_SCANNED_SHARES)
         scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
-    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape)]
+    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape) and not p.share]
     if shape:
         i = shape[0]
         middle = np.geomspace(sought[i].low, sought[i].high, 7)[2:6]

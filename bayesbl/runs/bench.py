@@ -6,10 +6,8 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.steady import contact_matrices
+from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import load_bench
 from bayesbl.config.printed_units import reduced_inertia_kg_m2
 from bayesbl.runs.workflow import Plan
@@ -54,7 +52,7 @@ def _doubts(bench: Bench) -> Iterator[str]:
             f"gives {bench.value('current_limit_a'):g} A: check gravity_torque_nm, gear_ratio, "
             "torque_constant_nm_per_a and current_limit_a."
         )
-    poles = np.linalg.eigvals(contact_matrices(bench.vector())[0])
+    poles = contact_rates(bench.vector())[0]
     if poles.real.max() > 1e-6:
         yield (
             "the speed loop is not stable with these gains: check speed_gain_nm_s_per_rad and "

@@ -172,7 +172,7 @@ def reference_channels(
     steady[0, [1, 6]] = p[Slot.reference_speed_rpm] / RPM
     pieces = steady if motion is None else motion.pieces
     n = p[Slot.gear_ratio]
-    start = state.copy()
+    start = state[:8].copy()
     start[2] = state[0] / n - state[2]
     start[3] = state[1] / n - state[3]
     shaft_rate = math.sqrt(
@@ -319,6 +319,64 @@ def test_each_effect_keeps_the_promise(name: str) -> None:
     for draw in range(2):
         parameters = with_effects(np.random.default_rng([seed, draw]), [name])
         assert largest_errors(parameters, 2.0)[0] < PROMISED_RPM
+
+
+def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndarray:
+    """As ``reference_channels`` under a sampled controller, at its ticks, from one of them on.
+
+    From tick to tick the equations have no controller but a constant torque on the motor.
+    """
+    period, delay = p[S.sampled_control__period_s], p[S.sampled_control__delay_periods]
+    n, constant = p[S.gear_ratio], p[S.torque_constant_nm_per_a]
+    free = p.copy()
+    free[[S.speed_gain_nm_s_per_rad, S.integral_gain_nm_per_rad]] = 0.0
+    y, (held, coming, angle, speed) = state[:8].copy(), state[8:]
+    y[2], y[3] = state[0] / n - state[2], state[1] / n - state[3]
+    total, reference = state[4], p[S.reference_speed_rpm] / RPM
+
+    def moved(y: np.ndarray, torque: float, duration_s: float) -> np.ndarray:
+        if duration_s == 0.0:
+            return y
+        free[S.motor_torque_offset__torque_nm] = p[S.motor_torque_offset__torque_nm] - torque
+        solution = solve_ivp(
+            reference_slopes,
+            (0.0, duration_s),
+            y,
+            method="DOP853",
+            args=(free, np.zeros(10)),
+            rtol=1e-11,
+            atol=np.array([1e-9, 1e-7, 1e-12, 1e-9, 1e-7, 1e-8, 1e-6, 1e-7]),
+        )
+        return np.asarray(solution.y[:, -1])
+
+    logged = []
+    for _ in range(samples):
+        logged.append((speed * RPM, held / constant))
+        y = moved(y, held, delay * period)
+        held = coming
+        y = moved(y, held, (1.0 - delay) * period)
+        speed, angle = (y[0] - angle) / period, y[0]
+        total += period * (reference - speed)
+        coming = p[S.speed_gain_nm_s_per_rad] * (reference - speed)
+        coming += p[S.integral_gain_nm_per_rad] * total
+        if delay == 0.0:
+            held = coming
+    return np.array(logged).T
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("effects", [[], ["load_coulomb_friction", "gear_transmission_error"]])
+def test_a_sampled_controller_keeps_the_promise(delay: float, effects: list[str]) -> None:
+    parameters = with_effects(np.random.default_rng(6), effects)
+    parameters[[S.sampled_control__period_s, S.sampled_control__delay_periods]] = 2e-3, delay
+    parameters[S.start_angle_rad] = 3.0  # a flank changes soon
+    samples = 200
+    channels = simulate_channels(parameters[None], samples, SAMPLING_HZ)[0]
+    state = start_states(parameters[None])[0]
+    exact = sampled_reference(parameters, state, samples)
+    assert np.ptp(exact[0]) > 5.0
+    assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+    assert np.max(np.abs(channels[2] - exact[1])) < 1e-3
 
 
 def test_any_set_of_effects_keeps_the_promise() -> None:

@@ -9,9 +9,10 @@ import pytest
 
 from bayesbl.bench import kernel
 from bayesbl.bench.bench import BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import effect_named, repeat_each_rotation
 from bayesbl.bench.kernel import CURRENT, POSITION, RPM, SPEED, STATES, Slot
-from bayesbl.bench.simulation import simulate_channels, simulate_states
+from bayesbl.bench.simulation import simulate_channels, simulate_states, start_states
+from bayesbl.bench.steady import contact_rates, noise_through_loop
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError
 
@@ -255,6 +256,77 @@ def test_speed_sensor_lag_records_the_filtered_speed() -> None:
     true = np.gradient(position, 5e-5) * RPM
     residual = lag * np.gradient(speed, 5e-5) + speed - true
     assert np.std(residual[5:-5]) < 0.02 * np.std(true)
+
+
+PERIOD_S = 1e-3
+
+
+def sampled(period_s: float = PERIOD_S, delay: float = 1.0) -> dict[str, float]:
+    return {"sampled_control__period_s": period_s, "sampled_control__delay_periods": delay}
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_sampled_controller_is_a_difference_and_a_sum_held_for_a_period(delay: int) -> None:
+    # At its ticks all is known: the recording begins with one.
+    position, speed, current = simulate_channels(
+        BENCH.vector(gap_rad=GAP, **sampled(delay=delay)), 4000, 1.0 / PERIOD_S
+    )[0]
+    assert np.diff(position) / PERIOD_S * RPM == pytest.approx(speed[1:], abs=1e-6)
+    error = (2000.0 - speed) / RPM
+    rise = 0.185 * np.diff(error) + 8.0 * PERIOD_S * error[1:]
+    shown = TORQUE_CONSTANT * np.diff(current)
+    assert shown[delay:] == pytest.approx(rise[: rise.size - delay], abs=1e-9)
+    assert np.ptp(shown) > 0.01
+    # A recorder four times as fast sees the same four times.
+    often = simulate_channels(
+        BENCH.vector(gap_rad=GAP, **sampled(delay=delay)), 4000, 4.0 / PERIOD_S
+    )[0, [SPEED, CURRENT]]
+    assert np.array_equal(often, np.repeat(often[:, ::4], 4, axis=1))
+    assert often[:, ::4] == pytest.approx(np.array([speed, current])[:, :1000], abs=1e-6)
+
+
+def test_a_short_period_is_a_continuous_controller() -> None:
+    # What is late by T is off by what is proportional to T.
+    far, near = (np.max(np.abs(channels(**sampled(T)) - channels()), axis=1) for T in (2e-4, 5e-5))
+    assert far[SPEED] > 0.3
+    assert near == pytest.approx(0.25 * far, rel=0.1)
+
+
+def test_a_sampled_rotation_begins_with_a_tick_at_the_start_angle() -> None:
+    # Neither the way to the start angle nor a turn is a whole number of these ticks.
+    p = BENCH.vector(gap_rad=GAP, start_angle_rad=1.234, **sampled(0.7e-3))
+    state = start_states(p)[0]
+    assert state[0] / 120.0 - state[kernel.TWIST] == pytest.approx(1.234, abs=1e-6)
+    assert state[kernel.TICK_ANGLE] == state[0]
+    assert not repeat_each_rotation(p)
+    assert repeat_each_rotation(BENCH.vector(gap_rad=GAP, **sampled(0.75e-3)))
+
+
+def test_the_linear_loop_knows_its_ticks() -> None:
+    continuous = contact_rates(BENCH.vector())[0]
+    for extra in ({}, {"position_gain_per_s": 5.0}, {"current_loop_lag__time_s": 1e-3}):
+        slow = [
+            np.sort_complex(rates[rates.real > -200.0])
+            for rates in (
+                contact_rates(BENCH.vector(**extra))[0],
+                contact_rates(BENCH.vector(**extra, **sampled(3e-6)))[0],
+            )
+        ]
+        assert slow[1] == pytest.approx(slow[0], rel=2e-3)
+    # The loop's delay of two periods takes damping away.
+    slower = contact_rates(BENCH.vector(**sampled()))[0]
+    assert np.max(slower.real) > 0.9 * np.max(continuous.real)
+
+
+def test_noise_through_a_sampled_controller_is_answered_a_period_later() -> None:
+    kick = np.zeros(200)
+    kick[10] = 3.0
+    motion, answer = noise_through_loop(BENCH.vector(**sampled())[0], kick, PERIOD_S)
+    first = -(0.185 + 8.0 * PERIOD_S) * 3.0 / RPM / TORQUE_CONSTANT
+    assert answer[:11] == pytest.approx(0.0, abs=1e-12)
+    assert answer[11] == pytest.approx(first, rel=1e-9)
+    # Half of what that torque does in a period, at first against the motor's inertia alone.
+    assert motion[12] == pytest.approx(first * TORQUE_CONSTANT / 1.21e-3 * 5e-4 * RPM, rel=0.05)
 
 
 def test_friction_drift_grows_from_rotation_to_rotation() -> None:

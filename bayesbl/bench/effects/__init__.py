@@ -87,6 +87,11 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
         cycles = matrix[:, Slot.gear_ratio] * (1.0 if order is None else matrix[:, order])
         if np.any((matrix[:, amplitude] != 0.0) & (np.abs(cycles - np.round(cycles)) > 1e-9)):
             return False
+    sampled = matrix[matrix[:, Slot.sampled_control__period_s] > 0.0]
+    turn_s = 60.0 * sampled[:, Slot.gear_ratio] / sampled[:, Slot.reference_speed_rpm]
+    ticks = turn_s / sampled[:, Slot.sampled_control__period_s]
+    if np.any(np.abs(ticks - np.round(ticks)) > 1e-6):
+        return False
     shown = matrix[matrix[:, Slot.encoder_error__orders] != 0.0]
     cycles = 2.0 * np.pi * shown[:, Slot.gear_ratio] / shown[:, Slot.encoder_error__period_rad]
     if np.any(np.abs(cycles - np.round(cycles)) > 1e-9):

@@ -1,0 +1,46 @@
+"""A controller that is sampled, as every digital drive's is.
+
+    at t = k T:  ω_k = (θ_k − θ_{k−1})/T,  e_k = ω_ref − ω_k,  I_k = I_{k−1} + T e_k
+    K_t i = K_p e_k + K_i I_k  held from t = (k + d) T to (k + 1 + d) T
+
+The difference lags by half a period, what is held by another half, the computation by d periods: in
+all about (1 + d) T that the loop is late, and its gain is K_i T/2 higher. Drives show speed and
+current as they are at their ticks; a recording begins with one.
+"""
+
+from __future__ import annotations
+
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Shape
+
+EFFECT = Effect(
+    place=195,
+    name="sampled_control",
+    sentence="A digital controller: it differentiates the encoder and holds its torque.",
+    equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = (θ_k − θ_{k−1})/T, held from (k + d) T on",
+    parameters=(
+        Amplitude(
+            "period_s",
+            "s",
+            "period T of the speed controller",
+            low=0.0,
+            high=4e-3,
+            typical=1e-3,
+            repeats="always",
+            not_negative=True,
+            sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
+        ),
+        Shape(
+            "delay_periods",
+            "",
+            "computing time d as a share of the period",
+            low=0.0,
+            high=1.0,
+            typical=1.0,
+            neutral=1.0,
+            share=True,
+        ),
+    ),
+    enters="loop",
+    depends_on=(),
+    data="ringing less damped; current behind speed; steps if slower than the recorder",
+)
