@@ -79,7 +79,7 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
     less than rotations. Motions are not tested.
     """
     residuals = fit.model.by_recording(fit.residual)
-    alike = []
+    alike: list[bool] = []
     for seen, rows in zip(fit.model.recordings, residuals, strict=True):
         place = len(alike)
         if seen.motion is not None:

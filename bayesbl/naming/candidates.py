@@ -27,6 +27,9 @@ from bayesbl.recording.types import FloatArray
 
 Kind = Literal["effect", "parameter"]
 
+HARMONICS = (2.0, 3.0, 4.0)
+"""Multiples of an order that may be its harmonics: an eccentricity has them, and a ripple."""
+
 PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
 
@@ -226,16 +229,14 @@ def is_periodic(candidate: Candidate) -> bool:
 
 
 def is_harmonic(candidate: Candidate, present: Sequence[Candidate]) -> bool:
-    """Whether its order goes with that of something present, up or down, and may be its harmonic.
+    """Whether its order is a low multiple of that of something present, and may be its harmonic.
 
     A real ripple has several orders, a bench one of each effect: beside it another effect at a
     harmonic has no rival and would be named whatever it is.
     """
     order = candidate.key[1]
-    others = [other.key[1] for other in present]
-    return order is not None and any(
-        o is not None and o != order and max(o, order) % min(o, order) == 0.0 for o in others
-    )
+    orders = [other.key[1] for other in present]
+    return order is not None and any(o is not None and order / o in HARMONICS for o in orders)
 
 
 def quadrant_phases(candidate: Candidate) -> list[int]:

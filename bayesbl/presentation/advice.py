@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, ringing, torque_ramps, wear
+from bayesbl.presentation import answer, diagnosis, torque_ramps, wear
 from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
