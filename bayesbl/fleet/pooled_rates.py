@@ -29,7 +29,6 @@ wear, as those of a joint are not.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -131,7 +130,7 @@ class Factor:
     Attributes
     ----------
     sd
-        Over the joints of the type, in the covariate's unit; 0 where all have the same.
+        Over the joints of the type, in the covariate's unit.
     draws
         Of the factor, shape (draw,).
     """
@@ -172,12 +171,13 @@ def pooled(
 ) -> Pooled | None:
     """Pool the joints of one type; ``None`` where they are too few.
 
-    ``covariates`` that the rate may depend on have shape (joint,), in any unit.
+    ``covariates`` that the rate may depend on have shape (joint,), in any unit; one that all joints
+    share says nothing and is left out.
     """
     if len(joints) < FEWEST_JOINTS:
         return None
-    covariates = covariates or {}
-    x = np.array([_standardised(values) for values in covariates.values()])
+    varied = {name: v for name, v in (covariates or {}).items() if v.std() > 0.0}
+    x = np.array([(v - v.mean()) / v.std() for v in varied.values()])
     x = x.reshape(-1, len(joints)).T
     count = min(*(one.kind.size for one in joints), DRAWS_A_SWEEP)
     few = [_Log.of(one, np.linspace(0, one.kind.size - 1, count).astype(int)) for one in joints]
@@ -199,7 +199,7 @@ def pooled(
         np.array([one.own for one in types]),
         {
             name: Factor(float(values.std()), np.exp([one.slope[c] for one in types]))
-            for c, (name, values) in enumerate(covariates.items())
+            for c, (name, values) in enumerate(varied.items())
         },
     )
     return Pooled(
@@ -209,12 +209,6 @@ def pooled(
             for one, own in zip(joints, x, strict=True)
         ),
     )
-
-
-def _standardised(values: FloatArray) -> FloatArray:
-    """Centred and in standard deviations, shape (joint,); zero where all joints have the same."""
-    sd = float(values.std())
-    return np.asarray((values - values.mean()) / (sd if sd > 0.0 else math.inf))
 
 
 def alarms(probability: Sequence[float | None], rate: float = 0.05) -> list[bool]:

@@ -50,8 +50,6 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
 
 def _factor(covariate: tuple[str, Mapping[str, Any]]) -> str:
     name, found = covariate
-    if found["sd"] == 0.0:
-        return f" All have the same {name}."
     factor = found["factor"]
     more, times = words.significant(found["sd"]), words.significant(factor["median"])
     return (

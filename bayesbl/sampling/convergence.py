@@ -174,10 +174,11 @@ def judge(
     least = min(ess_bulk, key=lambda n: ess_bulk[n])
     if not ess_bulk[least] > FEWEST_EFFECTIVE:
         doubts.append(f"Only {ess_bulk[least]:.0f} effective draws of {least}.")
-    if not bounds_stable:
+    if not (bounds_stable or is_weak):
         doubts.append("The interval's bounds still moved at the last check.")
     for name, share in at_bound.items():
-        if share > AT_BOUND_SHARE:
+        # A ringing that is hardly there may be anywhere: that follows from its weakness.
+        if share > AT_BOUND_SHARE and not is_weak:
             (failures if share > AT_BOUND_TOO_MUCH else doubts).append(
                 f"{share:.0%} of the draws of {name} lie at a bound of its range: "
                 "the range, not the recording, decides there."
@@ -197,6 +198,5 @@ def judge(
         steps,
         acceptance,
         outcome,
-        # All else that goes wrong with a ringing that is hardly there comes of that.
-        tuple(failures[:1] if is_weak else failures + doubts),
+        tuple(failures + doubts),
     )
