@@ -134,10 +134,9 @@ def simulate_states(
     States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
     sensed speed, Dahl z (these three zero while no effect is on); of a sampled controller, which
     has just had a tick, torque held, torque to come, angle and speed at the tick. The position
-    loop's ramp
-    starts at the initial motor angle. Dry friction changes its sign over the given width at the
-    motor, by default over what holds elsewhere. No check of the
-    parameters, so gains may be zero here.
+    loop's ramp starts at the initial motor angle. Dry friction changes its sign over the given
+    width at the motor, by default over what holds elsewhere. No check of the parameters, so gains
+    may be zero here.
     """
     c = kernel.constants(parameters, initial_state[0], 0.0)
     if friction_width_rad_per_s is not None:
