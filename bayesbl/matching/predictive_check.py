@@ -76,7 +76,8 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
     passes for noise, and the gap is fitted to what is left of it. With j the derivative by the
     start angle above load order ``IMPACTS_ABOVE`` and c_i the projection of rotation i of the
     whitened residual r on it, c_i = jᵀr_i/jᵀj, noise leaves Σ (c_i − mean)² jᵀj a χ² of one degree
-    less than rotations. Motions are not tested.
+    less than rotations. Motions are not tested. ``false_alarm`` is for all recordings together; the
+    start angle must be among the unknowns of each.
     """
     residuals = fit.model.by_recording(fit.residual)
     alike: list[bool] = []
@@ -93,7 +94,8 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
         weight = sum(float(slope @ slope) for slope in fast)
         moved = np.sum([turn @ slope for turn, slope in zip(turns, fast, strict=True)], axis=0)
         power = float(np.sum((moved - moved.mean()) ** 2)) / weight if weight > 0.0 else 0.0
-        probability = float(chi2.sf(power, moved.size - 1))
+        # Of one rotation nothing is compared.
+        probability = float(chi2.sf(power, moved.size - 1)) if moved.size > 1 else 1.0
         alike.append(probability * len(residuals) > false_alarm)
     return alike
 
