@@ -12,7 +12,12 @@ from bayesbl.bench.simulation import simulate_motions
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import FAST_S, Observed, begin_of
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
-from bayesbl.noise.channel_noise import ChannelNoise, estimate_channel_noise, estimate_fast_noise
+from bayesbl.noise.channel_noise import (
+    HIGHEST_ORDER,
+    ChannelNoise,
+    estimate_channel_noise,
+    estimate_fast_noise,
+)
 from bayesbl.recording.types import BoolArray, FloatArray
 
 LOADED_SHARE = 0.05
@@ -40,12 +45,23 @@ def noise_of(seen: Observed, residual: FloatArray) -> ChannelNoise:
     RecordingError
         If there is too little of it.
     """
+    rounding = _rounding_of(seen, residual)
     if seen.motion is None:
-        return estimate_channel_noise(residual, seen.lag)
+        return estimate_channel_noise(residual, seen.lag, rounding=rounding)
     kept = None if seen.excluded is None else ~seen.excluded
     if seen.cycle is None:
-        return estimate_fast_noise(residual, round(FAST_S * seen.sampling_hz), kept)
-    return estimate_channel_noise(residual, seen.cycle, kept)
+        samples = round(FAST_S * seen.sampling_hz)
+        return estimate_fast_noise(residual, samples, kept, rounding)
+    return estimate_channel_noise(residual, seen.cycle, kept, rounding)
+
+
+def _rounding_of(seen: Observed, residual: FloatArray) -> FloatArray | None:
+    """Autocovariance of each channel's rounding where the simulation leaves this, shape (c, n)."""
+    if not seen.rounding:
+        return None
+    simulated = seen.signals - residual
+    rows = zip(seen.rounding, simulated, residual, strict=True)
+    return np.stack([own.autocovariance(a, b, HIGHEST_ORDER + 1) for own, a, b in rows])
 
 
 def undecided_starts(fit: SimulatedFit) -> list[int]:

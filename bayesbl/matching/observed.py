@@ -17,6 +17,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import RecordingError
+from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
 from bayesbl.recording.types import (
@@ -27,6 +28,7 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 LARGEST_SPEED_ERROR = 0.01
 """Relative difference of a recording's mean speed from the one it is simulated at: on the reference
@@ -44,6 +46,7 @@ motion."""
 
 MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE_RPM = 0.01
+"""Simulated speeds are as near as this to those of an independent solver."""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -69,6 +72,8 @@ class Observed:
         largest.
     cycle
         Samples after which the motion repeats; ``None`` where it does not.
+    rounding
+        Of each channel; empty where they are exact.
     begin_s
         Time from the recording's first sample to the first one compared: a later part of it has
         the drift of the whole.
@@ -84,6 +89,7 @@ class Observed:
     motor_angle_rad: FloatArray | None = None
     motion: Motion | None = None
     cycle: int | None = None
+    rounding: tuple[Rounding, ...] = ()
     begin_s: float = 0.0
 
     @property
@@ -183,13 +189,15 @@ def observed(
             found=f"{speed.size * period / rotation:.2g} load rotations",
             expected="at least two",
         )
+    signals = _signals(recording, bench)
     return Observed(
         recording.name,
-        _signals(recording, bench),
+        signals,
         1.0 / period,
         reference,
         rotation,
         excluded=recording.excluded,
+        rounding=_rounding(signals, bench),
     )
 
 
@@ -201,15 +209,17 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
     asked = motion.speed_rpm(time)
     require_same_motion(recording, asked)
     cycle = cycle_of(asked)
+    signals = _signals(recording, bench)
     seen = Observed(
         recording.name,
-        _signals(recording, bench),
+        signals,
         1.0 / period_s,
         float(np.max(np.abs(asked))),
         period_s * (cycle or recording.samples),
         excluded=recording.excluded,
         motion=motion,
         cycle=cycle,
+        rounding=_rounding(signals, bench),
     )
     rest = first_move(asked)
     if _begins_at_rest(seen, rest) and not bench.effects:
@@ -224,6 +234,13 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
         require_plausible_current(recording, bench.value("current_limit_a"))
         rows.append(recording.channels[MOTOR_CURRENT])
     return np.stack(rows)
+
+
+def _rounding(signals: FloatArray, bench: Bench) -> tuple[Rounding, ...]:
+    """Of each channel: the current is as inexact as its controller makes it of the speed."""
+    gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
+    exact = LEAST_NOISE_RPM, LEAST_NOISE_RPM / RPM_PER_RAD_PER_S * gain
+    return tuple(Rounding(speed_steps(row), sd) for row, sd in zip(signals, exact, strict=False))
 
 
 def _begins_at_rest(seen: Observed, rest: int) -> bool:

@@ -28,6 +28,12 @@ BANDS = (0, 8, 32, 128, 512)
 IMPACTS_ABOVE = 8
 """Load order above which the ringing is: slower parts of the derivative are gravity's."""
 
+IMPACTS_DIFFER = (
+    "The load does not change flanks at the same angle in each rotation, as where another axis "
+    "moves or the speed varies. Simulated rotations are all alike, so δ cannot be read by them. "
+    "Record again with all other axes at rest, at constant speed."
+)
+
 ROUNDING = 0.02
 """Of a rotation that a recording may lack of two: its own rounding, and the few samples that
 whitening takes."""
@@ -57,11 +63,11 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     """One entry for each recording, channel and band."""
     found = []
     parts = fit.model.by_recording(fit.residual)
-    for seen, part in zip(fit.model.recordings, parts, strict=True):
+    for seen, noise, part in zip(fit.model.recordings, fit.model.noise, parts, strict=True):
         for channel, row in zip(seen.channels, part, strict=True):
             part = row[begin_of(seen) :]
             entries = (
-                _repeating(part, seen.lag)
+                _repeating(part, seen.lag, scatters=not noise.repeats)
                 if seen.motion is None or seen.cycle is not None
                 else _slow(part, seen.lag)
             )
@@ -121,8 +127,11 @@ def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
     return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
 
 
-def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
-    """(highest order, ratio, probability) for each band."""
+def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, float, float]]:
+    """(highest order, ratio, probability) for each band.
+
+    ``scatters``: what noise leaves is measured by its scatter between rotations, not taken for 1.
+    """
     turns = whole_rotations(row, lag)
     rotations = len(turns)
     spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
@@ -136,8 +145,11 @@ def _repeating(row: FloatArray, lag: int) -> list[tuple[int, float, float]]:
         mean = band.mean(axis=0)
         repeats = rotations * float(np.sum(np.abs(mean) ** 2))
         scatter = float(np.sum(np.abs(band - mean) ** 2))
-        ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
-        probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
+        if scatters:
+            ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
+            probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
+        else:
+            ratio, probability = repeats / degrees, float(chi2.sf(repeats, degrees))
         entries.append((highest, ratio, probability))
     return entries
 

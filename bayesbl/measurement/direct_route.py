@@ -21,7 +21,13 @@ from bayesbl.matching.alignment import fit_aligned, refitted
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed, with_held_reference, without_standstill
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, impacts_alike
+from bayesbl.matching.predictive_check import (
+    IMPACTS_DIFFER,
+    RepeatingPower,
+    agrees,
+    disagreements,
+    impacts_alike,
+)
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -59,13 +65,6 @@ from bayesbl.sampling.chains import SamplerSettings
 
 LARGEST_Z = 37.0
 """Beyond it a probability is zero in double precision."""
-
-
-IMPACTS_DIFFER = (
-    "The load does not change flanks at the same angle in each rotation, as where another axis "
-    "moves or the speed varies. Simulated rotations are all alike, so δ cannot be read by them. "
-    "Record again with all other axes at rest, at constant speed."
-)
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 

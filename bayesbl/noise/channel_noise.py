@@ -7,6 +7,7 @@ independent would count it twice.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10
 FEWEST_DIFFERENCES = 200
+
+NEGLIGIBLE = 0.01
+"""Of a channel's variance: what cannot be seen of its error is not counted if it is less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +38,16 @@ class ChannelNoise:
         Standard deviation of each channel, shape (c,).
     differences
         Number of rotation differences behind the estimate.
+    repeats
+        Whether part of it is the same in every rotation, as rounding may be. Then what does not
+        repeat is no measure of it.
     """
 
     coefficients: FloatArray
     root: FloatArray
     sd: FloatArray
     differences: int
+    repeats: bool = False
 
     @property
     def order(self) -> int:
@@ -60,9 +68,15 @@ class ChannelNoise:
 
 
 def estimate_channel_noise(
-    residual: FloatArray, lag: int, kept: BoolArray | None = None
+    residual: FloatArray,
+    lag: int,
+    kept: BoolArray | None = None,
+    rounding: FloatArray | None = None,
 ) -> ChannelNoise:
     """Noise of all channels from differences at one load rotation, its order chosen by BIC.
+
+    What of the rounding is not seen in them repeats: all rotations together tell no more than one,
+    and it counts as that many times its variance.
 
     Parameters
     ----------
@@ -72,6 +86,8 @@ def estimate_channel_noise(
         Samples in a rotation.
     kept
         Shape (n,): samples to go by; all if ``None``.
+    rounding
+        Shape (c, HIGHEST_ORDER + 1): autocovariance of what the channels are rounded by, at least.
 
     Raises
     ------
@@ -86,11 +102,15 @@ def estimate_channel_noise(
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
     both = None if kept is None else kept[lag:] & kept[:-lag]
-    return _noise_of(residual[:, lag:] - residual[:, :-lag], 0.5, both)
+    later = residual[:, lag:] - residual[:, :-lag]
+    return _noise_of(later, 0.5, both, rounding, residual.shape[1] / lag)
 
 
 def estimate_fast_noise(
-    residual: FloatArray, samples: int, kept: BoolArray | None = None
+    residual: FloatArray,
+    samples: int,
+    kept: BoolArray | None = None,
+    rounding: FloatArray | None = None,
 ) -> ChannelNoise:
     """Noise of all channels where nothing repeats: from what is faster than a running mean.
 
@@ -105,6 +125,8 @@ def estimate_fast_noise(
         w, at most a third of n.
     kept
         Shape (n,): samples to go by; all if ``None``.
+    rounding
+        As :func:`estimate_channel_noise` takes it.
 
     Raises
     ------
@@ -122,10 +144,16 @@ def estimate_fast_noise(
     mean = (sums[:, samples:] - sums[:, :-samples]) / samples
     middle = residual[:, samples // 2 : samples // 2 + count]
     own = None if kept is None else kept[samples // 2 : samples // 2 + count]
-    return _noise_of(middle - mean, 1.0 / (1.0 - 1.0 / samples), own)
+    return _noise_of(middle - mean, 1.0 / (1.0 - 1.0 / samples), own, rounding)
 
 
-def _noise_of(noise: FloatArray, share: float, kept: BoolArray | None = None) -> ChannelNoise:
+def _noise_of(
+    noise: FloatArray,
+    share: float,
+    kept: BoolArray | None = None,
+    rounding: FloatArray | None = None,
+    rotations: float = 1.0,
+) -> ChannelNoise:
     """The process with this share of the power of a stretch, shape (c, n), by the samples kept."""
     channels, count = noise.shape
     whole: BoolArray | None = None
@@ -138,6 +166,15 @@ def _noise_of(noise: FloatArray, share: float, kept: BoolArray | None = None) ->
                 found=f"{count} samples",
                 expected=f"at least {FEWEST_DIFFERENCES}",
             )
+    variance = share * np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)
+    unseen = None if rounding is None else _unseen(variance, rounding)
+    if unseen is not None:
+        seen = noise if kept is None else np.where(kept, noise, 0.0)
+        seen = seen * math.sqrt(share * noise.shape[1] / (count if kept is None else kept.sum()))
+        coefficients, covariance = _yule_walker(seen, rotations * unseen)
+        total = np.sqrt(variance + unseen[:, 0])
+        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+        return ChannelNoise(coefficients, root, total, count, repeats=True)
     fits = [_autoregression(noise, order, whole) for order in range(HIGHEST_ORDER + 1)]
     determinants = np.array([np.linalg.slogdet(covariance)[1] for _, covariance in fits])
     best = int(np.argmin(bic(determinants, count, channels**2)))
@@ -145,9 +182,32 @@ def _noise_of(noise: FloatArray, share: float, kept: BoolArray | None = None) ->
     return ChannelNoise(
         coefficients,
         np.asarray(np.linalg.cholesky(share * covariance), dtype=np.float64),
-        np.sqrt(share * np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)),
+        np.sqrt(variance),
         count,
     )
+
+
+def _unseen(variance: FloatArray, rounding: FloatArray) -> FloatArray | None:
+    """Part of the rounding's autocovariance (c, lags) that a channel's variance (c,) lacks."""
+    lacks = np.clip(rounding[:, 0] - variance, 0.0, None)
+    if np.all(lacks <= NEGLIGIBLE * variance):
+        return None
+    return np.asarray(rounding * (lacks / np.maximum(rounding[:, 0], 1e-300))[:, None])
+
+
+def _yule_walker(d: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c).
+
+    From the autocovariance of d, shape (c, n), and more of each channel alone, (c, p + 1).
+    """
+    channels, n = d.shape
+    lags = [d[:, k:] @ d[:, : n - k].T / n + np.diag(own) for k, own in enumerate(more.T)]
+    reach = range(HIGHEST_ORDER)
+    past = np.block([[lags[k - j] if k >= j else lags[j - k].T for k in reach] for j in reach])
+    now = np.concatenate(lags[1:], axis=1)
+    stacked = np.linalg.solve(past.T, now.T).T
+    coefficients = stacked.reshape(channels, HIGHEST_ORDER, channels).swapaxes(0, 1)
+    return coefficients, lags[0] - stacked @ now.T
 
 
 def _autoregression(

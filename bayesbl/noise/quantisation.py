@@ -8,7 +8,7 @@ show it. Its size is known from the step.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,12 @@ from bayesbl.recording.types import FloatArray
 
 ON_STEPS = 0.9
 """Share of the samples that must lie on the steps; bridged ones lie between."""
+
+MOVES = 0.5
+"""Share of the rounding's variance from which on a signal moves through its steps."""
+
+BEYOND_ONE_ROUNDING = 1.5
+"""Variance of one rounding, times this: half-way to that of the difference of two."""
 
 _WHOLE = 0.01
 """Largest distance from a whole number of steps."""
@@ -31,15 +37,28 @@ class SpeedSteps:
         One step.
     differentiated
         The speed is the difference of counted positions, one count a step.
+    level_rpm
+        One of the levels.
     """
 
     size_rpm: float
     differentiated: bool
+    level_rpm: float = 0.0
 
     @property
     def sd_rpm(self) -> float:
         """Standard deviation of the rounding, uniform within a step: of one, or of two together."""
         return self.size_rpm / math.sqrt(6.0 if self.differentiated else 12.0)
+
+    def rounded_away(self, exact_rpm: FloatArray) -> FloatArray:
+        """What an exact speed has more than the rounded one, about its mean, rpm."""
+        place = (exact_rpm - self.level_rpm) / self.size_rpm
+        if self.differentiated:
+            place = np.cumsum(exact_rpm / self.size_rpm)
+        away = place - np.round(place)
+        if self.differentiated:
+            away = np.diff(away)
+        return np.asarray(self.size_rpm * (away - away.mean()))
 
 
 def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
@@ -62,4 +81,50 @@ def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
     change = np.diff(speed_rpm)
     change = change - change.mean()
     correlation = float(change[1:] @ change[:-1] / (change @ change))
-    return SpeedSteps(size, correlation < -0.58)
+    return SpeedSteps(size, correlation < -0.58, float(levels[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Rounding:
+    """By how much a recorded channel differs from what it is compared with, however still it is.
+
+    Attributes
+    ----------
+    steps
+        Of the channel; ``None`` if it is not quantised.
+    least_sd
+        Standard deviation of what the simulation is not exact by.
+    """
+
+    steps: SpeedSteps | None
+    least_sd: float
+
+    def autocovariance(self, exact: FloatArray, left: FloatArray, lags: int) -> FloatArray:
+        """γ(0) … γ(lags − 1) of what is rounded away of an exact signal, shape (lags,).
+
+        A signal that hardly moves in a step is taken for one that moves: white rounding, of the
+        position behind a difference.
+
+        Parameters
+        ----------
+        exact, left
+            Shape (n,): the signal, and what the recording has beyond it.
+        """
+        found = np.zeros(lags)
+        found[0] = self.least_sd**2
+        if self.steps is None:
+            return found
+        steps = self.steps
+        if float(np.mean(left**2)) > BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0:
+            steps = replace(steps, differentiated=True)
+        variance = steps.sd_rpm**2
+        found[0] += variance
+        away = steps.rounded_away(exact)
+        power = float(away @ away)
+        if power > MOVES * away.size * variance:
+            found[1:] += variance * np.array(
+                [away[k:] @ away[: away.size - k] / power for k in range(1, lags)]
+            )
+        elif steps.differentiated:
+            found[1] -= 0.5 * variance
+        return found

@@ -12,6 +12,7 @@ from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_setting
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import (
     SimulatedSignals,
@@ -20,7 +21,6 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
 )
 from bayesbl.naming.explanation import Explanation
-from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.recording.types import FloatArray
 
 
@@ -76,7 +76,7 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
         bench,
         [seen],
         unknowns,
-        [estimate_channel_noise(seen.signals, seen.lag)],
+        [noise_of(seen, seen.signals)],
         fit.model.workers,
         known_settings(explanation),
     )
