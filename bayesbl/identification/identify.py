@@ -3,7 +3,8 @@
 Every parameter that is not known exactly is free within its tolerance, beside the gap and each
 recording's start angle; the match and its posterior are those of the direct route. What the
 parameters cannot explain within their tolerances is sought beyond one of them, and then among the
-effects of the catalogue.
+effects of the catalogue. Where they seem to explain all, a delay in the controller's loop may be
+hidden in them: every drive has one, few data sheets, and the gap is wrong with them.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit, with_model
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
+    GAP,
     SimulatedSignals,
     Unknown,
     effect_unknowns,
@@ -34,18 +36,20 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
 )
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
-from bayesbl.naming.criteria import ALIKE, is_gross
+from bayesbl.naming.criteria import ALIKE, CHANCE_LOSS, is_gross
 from bayesbl.naming.explanation import (
     Explanation,
     distance,
     explain,
     from_afar,
+    gain_threshold,
+    linear_gains,
     nominal_explanation,
     polished,
     with_noise,
 )
 from bayesbl.naming.naming import Naming
-from bayesbl.naming.search import name_missing
+from bayesbl.naming.search import WORTH_FITTING, name_missing
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress, SamplerSettings
 
@@ -57,8 +61,16 @@ FALSE_ALARM = 0.01
 FURTHEST_WRONG = 3.0
 """Factor by which a value of the data sheet may be wrong beyond its tolerance, up or down."""
 
+WIDER = 1.5
+"""Times a tolerance, where its edge has stopped a match."""
+
+AT_EDGE = 1e-6
+"""Of a tolerance's width, between a match that an edge has stopped and the edge."""
+
 POLISHED = 3
 """Parameters beyond their tolerance that are fitted to the end, the best of the rough fits."""
+
+LOOP_EFFECTS = tuple(e.name for e in EFFECTS if e.enters == "loop")
 
 STEADY_EFFECTS = tuple(e.name for e in EFFECTS if e.enters == "motor" and not e.is_periodic)
 """Those that may be a constant torque at constant speed, or nearly."""
@@ -103,13 +115,13 @@ class Problem:
         ]
 
 
-def parameter_unknown(bench: Bench, name: str) -> Unknown:
-    """A parameter uniform within its tolerance, by its logarithm where all of it is above zero.
+def parameter_unknown(bench: Bench, name: str, times: float = 1.0) -> Unknown:
+    """A parameter uniform within so many times its tolerance, by its logarithm where positive.
 
     What no recording can show, such as all torques and the torque constant times one factor, is a
     straight line among logarithms, however wide the tolerances.
     """
-    value, half = bench.value(name), bench.tolerances[name]
+    value, half = bench.value(name), times * bench.tolerances[name]
     if value <= half:
         return Unknown(name, value - half, value + half)
     low, high = math.log(value - half), math.log(value + half)
@@ -141,6 +153,30 @@ class BeyondDataSheet:
 
 
 @dataclass(frozen=True, slots=True)
+class WiderTolerances:
+    """The recordings matched again with tolerances half as wide again.
+
+    Attributes
+    ----------
+    at_edges
+        Parameters that lay at the edges of their tolerances.
+    gain
+        By how much χ² falls.
+    gaps_rad
+        δ of each gap before and after, shape (gap, 2).
+    """
+
+    at_edges: tuple[str, ...]
+    gain: float
+    gaps_rad: FloatArray
+
+    @property
+    def explain_more(self) -> bool:
+        """Whether χ² falls by more than chance, were the true values within the tolerances."""
+        return self.gain > CHANCE_LOSS
+
+
+@dataclass(frozen=True, slots=True)
 class Identification:
     """What the recordings say.
 
@@ -156,6 +192,8 @@ class Identification:
         Effects that the bench lacks, by name, each with those it cannot be told from.
     check
         What still repeats.
+    wider
+        The match with wider tolerances; ``None`` where no value lies at the edge of its own.
     """
 
     nominal: Explanation
@@ -164,6 +202,7 @@ class Identification:
     beyond: BeyondDataSheet | None
     missing: tuple[tuple[str, ...], ...]
     check: tuple[RepeatingPower, ...]
+    wider: WiderTolerances | None
     posterior: DirectPosterior
 
     @property
@@ -189,7 +228,9 @@ def identify(
     final = nominal
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
-    if not _agrees(nominal):
+    if _agrees(nominal):
+        final, missing = _delayed(nominal, problem)
+    else:
         steady = _with_steady_torque(problem)
         rubs = steady is not None and _agrees(steady)
         if rubs:
@@ -205,8 +246,9 @@ def identify(
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
     if missing:
         verdict = "missing_effect"
+    wider = None if beyond is not None else _with_wider_tolerances(final.fit, problem)
     posterior = sample_direct(final.fit, sampler, seed, progress)
-    return Identification(nominal, final, verdict, beyond, missing, check, posterior)
+    return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
 
 
 def _nominal(problem: Problem) -> Explanation:
@@ -237,6 +279,59 @@ def _effects(
 
 def _agrees(explanation: Explanation) -> bool:
     return agrees(disagreements(explanation.fit), FALSE_ALARM)
+
+
+def _delayed(
+    nominal: Explanation, problem: Problem
+) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
+    """With a delay in the controller's loop beside the parameters, if the recordings show one.
+
+    Those at constant speed must: a reference that was sampled has round corners, as by a delay.
+    """
+    if all(seen.motion is not None for seen in problem.used):
+        return nominal, ()
+    loop = _effects(problem, nominal.fit, LOOP_EFFECTS)
+    found = []
+    for candidate, promise in zip(loop, linear_gains(nominal, loop), strict=True):
+        asked = gain_threshold(len(candidate.unknowns), len(loop), FALSE_ALARM)
+        if promise < WORTH_FITTING * asked:
+            continue
+        rough = explain(nominal, candidate)
+        fitted = None if rough is None else polished(rough)
+        if fitted is not None and _gain_at_constant_speed(nominal, fitted) > asked:
+            found.append(fitted)
+    if not found:
+        return nominal, ()
+    best, *others = sorted(found, key=lambda e: -e.log_evidence)
+    alike = [e.candidates[-1].name for e in others if distance(best, e) < ALIKE]
+    return with_noise(best, remaining_noise(best.fit)), ((best.candidates[-1].name, *alike),)
+
+
+def _gain_at_constant_speed(base: Explanation, more: Explanation) -> float:
+    """By how much χ² of the recordings that are of no motion falls."""
+    model = base.fit.model
+    parts = model.by_recording(base.fit.residual**2 - more.fit.residual**2)
+    pairs = zip(model.recordings, parts, strict=True)
+    return sum(float(part.sum()) for seen, part in pairs if seen.motion is None)
+
+
+def _with_wider_tolerances(fit: SimulatedFit, problem: Problem) -> WiderTolerances | None:
+    """The match again, from where it ended, if the edge of a tolerance has stopped it there."""
+    model = fit.model
+    own = [k for k, u in enumerate(model.unknowns) if u.name in problem.parameters]
+    ends = np.minimum(fit.point - model.low, model.high - fit.point)
+    stopped = [k for k in own if ends[k] < AT_EDGE * (model.high[k] - model.low[k])]
+    if not stopped:
+        return None
+    unknowns = list(model.unknowns)
+    for k in own:
+        name = unknowns[k].name
+        unknowns[k] = parameter_unknown(problem.bench, name, WIDER)
+    wider = fit_simulated(replace(model, unknowns=unknowns), fit.point, fit.steps)
+    gaps = [k for k, u in enumerate(unknowns) if u.name == GAP]
+    values = [[unknowns[k].value(f.point[k]) for f in (fit, wider)] for k in gaps]
+    names = tuple(unknowns[k].name for k in stopped)
+    return WiderTolerances(names, fit.chi_square - wider.chi_square, np.array(values))
 
 
 def _with_steady_torque(problem: Problem) -> Explanation | None:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from bayesbl.identification.identify import Identification, Problem
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesbl.identification.identify import FALSE_ALARM, Identification, Problem
+from bayesbl.matching.predictive_check import IMPACTS_DIFFER, agrees, impacts_alike
+from bayesbl.matching.signals import GAP
 from bayesbl.units import in_words
 
 
 def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> str | None:
     """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
+    alike = impacts_alike(found.final.fit, FALSE_ALARM)
+    moving = [seen.name for seen, same in zip(problem.used, alike, strict=True) if not same]
+    if moving:
+        return f"{' and '.join(moving)}: {IMPACTS_DIFFER}"
     if found.beyond is not None:
         return beyond_in_words(found)
-    if found.missing and problem.effects != "catalogue":
+    if found.missing and not found.completed:
         names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
         return (
             f"The bench lacks an effect that these recordings show: {names}. Let it be found "
             '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
             "data sheet under [[effects]]."
         )
-    if found.verdict == "unexplained" or any(_stands_out(found)):
+    if found.verdict == "unexplained" or _stands_out(found):
         return (
             "No values within the tolerances, no single value beyond its tolerance and no effect "
             "of the catalogue explains these recordings: something of the joint is not in the "
@@ -27,6 +37,9 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
     if found.posterior.diagnostics.outcome == "withheld":
         return " ".join(found.posterior.diagnostics.reasons)
     gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
+    decided = _decided_by_edges(found, gaps, level)
+    if decided is not None:
+        return decided
     for gap in gaps:
         beyond = found.posterior.beyond_tolerance(gap, level)
         if beyond is not None:
@@ -48,9 +61,28 @@ def beyond_in_words(found: Identification) -> str:
     return text + " Correct the data sheet, or widen this tolerance, and identify again."
 
 
-def _stands_out(found: Identification) -> list[bool]:
-    """Whether anything still repeats although effects were named."""
-    from bayesbl.identification.identify import FALSE_ALARM
-    from bayesbl.matching.predictive_check import agrees
+def _decided_by_edges(
+    found: Identification, gaps: Sequence[str | None], level: float
+) -> str | None:
+    """Why δ is one of the tolerances, not of the recordings; ``None`` where it is not."""
+    wider = found.wider
+    if wider is None or not wider.explain_more:
+        return None
+    for gap, (before, after) in zip(gaps, wider.gaps_rad, strict=True):
+        draws = found.posterior.values(GAP, gap)
+        low, high = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+        if abs(after - before) > 0.5 * (high - low):
+            names = " and ".join(map(in_words, wider.at_edges))
+            lie = "lies" if len(wider.at_edges) == 1 else "lie"
+            return (
+                f"The edges of tolerances decide δ: {names} {lie} at an edge, and with "
+                "all tolerances half as wide again the recordings are explained better (χ² "
+                f"falls by {wider.gain:.2g}) with δ = {1e3 * after:.3g} mrad instead of "
+                f"{1e3 * before:.3g} mrad. Correct the data sheet, or widen its tolerances."
+            )
+    return None
 
-    return [found.completed and not agrees(list(found.check), FALSE_ALARM)]
+
+def _stands_out(found: Identification) -> bool:
+    """Whether anything still repeats although effects were named."""
+    return found.completed and not agrees(list(found.check), FALSE_ALARM)

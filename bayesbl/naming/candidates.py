@@ -154,6 +154,10 @@ def _plain(effect: Effect) -> Candidate:
         starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
         if scanned:
             scanned[i] = middle
+    # At the ends of a share the equations may be others: a torque that is out at once, or later.
+    for i in (i for i, p in enumerate(sought) if isinstance(p, Shape) and p.share):
+        ends = sorted({sought[i].low, sought[i].high} - {neutral[i]})
+        starts += tuple(np.where(np.arange(neutral.size) == i, end, neutral) for end in ends)
     return Candidate(
         effect.name, "effect", unknowns, neutral, starts, scanned, _neutral_effect(effect)
     )

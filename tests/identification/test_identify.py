@@ -38,6 +38,7 @@ from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -59,6 +60,7 @@ OFF = (0.12, -0.17, 0.08, 0.2, -0.1, 0.15, -0.05, 0.1)
 
 
 DELAY_S = 2e-3
+LAG_S = 1.5e-3
 
 
 def only_compared(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -209,7 +211,9 @@ def test_a_gap_that_the_edge_of_a_tolerance_decides_is_withheld() -> None:
     assert found.verdict == "agrees"
     gaps = np.log(found.posterior.values(GAP))
     assert abs(gaps.mean() - math.log(GAP_RAD)) > 2.0 * gaps.std()
-    assert "half the tolerance more" in (reason_of(found, problem(sheet)) or "")
+    assert found.wider is not None
+    assert abs(found.wider.gaps_rad[0, 1] - GAP_RAD) < 3.5 * GAP_RAD * gaps.std()
+    assert "half as wide again" in (reason_of(found, problem(sheet)) or "")
 
 
 def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None:
@@ -224,6 +228,21 @@ def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None
     assert reason_of(found, asked) is None
     gaps = np.log(found.posterior.values(GAP))
     assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+
+
+def test_a_filter_in_the_speed_that_the_tolerances_would_absorb_is_found() -> None:
+    """Gap and filter within 3.5 standard deviations; without it the check passes as well."""
+    lag = {"time_s": EffectParameterValue(LAG_S)}
+    filtered = joint().with_effects(BenchEffect("speed_sensor_lag", lag))
+    asked = replace(problem(data_sheet()), used=recordings_of(filtered))
+    found = identify(asked, SETTINGS, np.random.SeedSequence(5))
+    assert agrees(disagreements(found.nominal.fit))
+    assert found.missing[0][0] == "speed_sensor_lag"
+    assert reason_of(found, asked) is None
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    lags = found.posterior.values("speed_sensor_lag__time_s")
+    assert abs(lags.mean() - LAG_S) < 3.5 * lags.std()
 
 
 def matched(bench: Bench) -> SimulatedSignals:
