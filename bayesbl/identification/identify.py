@@ -115,13 +115,13 @@ class Problem:
         ]
 
 
-def parameter_unknown(bench: Bench, name: str, times: float = 1.0) -> Unknown:
-    """A parameter uniform within so many times its tolerance, by its logarithm where positive.
+def parameter_unknown(bench: Bench, name: str) -> Unknown:
+    """A parameter uniform within its tolerance, by its logarithm where all of it is above zero.
 
     What no recording can show, such as all torques and the torque constant times one factor, is a
     straight line among logarithms, however wide the tolerances.
     """
-    value, half = bench.value(name), times * bench.tolerances[name]
+    value, half = bench.value(name), bench.tolerances[name]
     if value <= half:
         return Unknown(name, value - half, value + half)
     low, high = math.log(value - half), math.log(value + half)
@@ -323,15 +323,21 @@ def _with_wider_tolerances(fit: SimulatedFit, problem: Problem) -> WiderToleranc
     stopped = [k for k in own if ends[k] < AT_EDGE * (model.high[k] - model.low[k])]
     if not stopped:
         return None
-    unknowns = list(model.unknowns)
-    for k in own:
-        name = unknowns[k].name
-        unknowns[k] = parameter_unknown(problem.bench, name, WIDER)
+    unknowns = [_wider(u) if k in own else u for k, u in enumerate(model.unknowns)]
     wider = fit_simulated(replace(model, unknowns=unknowns), fit.point, fit.steps)
     gaps = [k for k, u in enumerate(unknowns) if u.name == GAP]
     values = [[unknowns[k].value(f.point[k]) for f in (fit, wider)] for k in gaps]
     names = tuple(unknowns[k].name for k in stopped)
     return WiderTolerances(names, fit.chi_square - wider.chi_square, np.array(values))
+
+
+def _wider(unknown: Unknown) -> Unknown:
+    """Over a range ``WIDER`` times as wide; none that is not negative becomes so."""
+    more = 0.5 * (WIDER - 1.0) * (unknown.high - unknown.low)
+    low = unknown.low - more
+    if unknown.low >= 0.0 and not unknown.logarithmic:
+        low = max(low, 0.0)
+    return replace(unknown, low=low, high=unknown.high + more)
 
 
 def _with_steady_torque(problem: Problem) -> Explanation | None:

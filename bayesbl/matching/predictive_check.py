@@ -69,7 +69,7 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
             entries = (
                 _repeating(part, seen.lag, scatters=not noise.repeats)
                 if seen.motion is None or seen.cycle is not None
-                else _slow(part, seen.lag)
+                else _slow(part, seen.lag, scatters=not noise.repeats)
             )
             found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
     return found
@@ -154,7 +154,7 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
     return entries
 
 
-def _slow(row: FloatArray, quarter: int) -> list[tuple[int, float, float]]:
+def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> list[tuple[int, float, float]]:
     """The same of a motion that does not repeat: its slow power over that of the fastest half.
 
     The bands are in cycles per quarter of the recording; whitened noise has the same power in all.
@@ -168,7 +168,11 @@ def _slow(row: FloatArray, quarter: int) -> list[tuple[int, float, float]]:
             continue
         band = spectrum[:1] if highest == 0 else spectrum[1:last]
         degrees = 1 if highest == 0 else 2 * band.size
-        ratio = float(band.mean() / fast.mean())
-        probability = float(f_distribution.sf(ratio, degrees, 2 * fast.size))
+        if scatters:
+            ratio = float(band.mean() / fast.mean())
+            probability = float(f_distribution.sf(ratio, degrees, 2 * fast.size))
+        else:
+            ratio = float(band.mean())
+            probability = float(chi2.sf(degrees * ratio, degrees))
         entries.append((highest, ratio, probability))
     return entries
