@@ -60,7 +60,7 @@ def _rounding_of(seen: Observed, residual: FloatArray) -> FloatArray | None:
     if not seen.rounding:
         return None
     simulated = seen.signals - residual
-    rows = zip(seen.rounding, simulated, residual, strict=True)
+    rows = zip(seen.rounding[: len(residual)], simulated, residual, strict=True)
     return np.stack([own.autocovariance(a, b, HIGHEST_ORDER + 1) for own, a, b in rows])
 
 
