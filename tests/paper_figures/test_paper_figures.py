@@ -36,8 +36,8 @@ EXACT = 1e-3
 MONTE_CARLO = 0.07
 """Of the 90 % width of draws: three standard errors of the difference of two runs.
 
-A 5 % quantile of 1500 effective normal draws has a standard error of 0.0546 standard deviations, the
-difference of two has √2 times that, and the width is 3.29.
+A 5 % quantile of 1500 effective normal draws has a standard error of 0.0546 standard deviations,
+the difference of two √2 times that, and the width is 3.29.
 """
 
 OF_MIXTURES = {"wear/law_shape": 0.15}
