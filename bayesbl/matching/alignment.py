@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from bayesbl.recording.types import FloatArray
 GAPS_TRIED = 24
 SHIFTS_TRIED = 4
 """Of what was learned, in a period of its highest order."""
+POINTS_AT_ONCE = 64
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 
@@ -102,10 +104,7 @@ def aligned_starts(
         if place is not None:
             scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
         points, shape = _combinations(start, scanned)
-        aligned = [
-            (_align if model.recordings[i].motion is None else start_angles)(model, points, i)
-            for i in members
-        ]
+        aligned = _aligned(model, points, members)
         chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0), shape)
         for coordinate in scanned:
             starts[:, coordinate] = points[chosen, coordinate]
@@ -213,25 +212,61 @@ def _middle(unknown: Unknown) -> float:
     return 0.0
 
 
-def _align(
-    model: SimulatedSignals, points: FloatArray, recording: int
-) -> tuple[FloatArray, FloatArray]:
-    """Best start angle at each point, shape (m,), and χ² left there, shape (m,).
+def _aligned(
+    model: SimulatedSignals, points: FloatArray, members: Sequence[int]
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Best start angle at each point, shape (m,), and χ² left there, shape (m,), by recording."""
+    found = {
+        i: start_angles(model, points, i) for i in members if model.recordings[i].motion is not None
+    }
+    steady = [i for i in members if i not in found]
+    # Piece by piece, so that recordings at one speed find each other's simulations still kept.
+    pieces = np.array_split(points, math.ceil(len(points) / POINTS_AT_ONCE))
+    aligned = [[_align(model, piece, i) for i in steady] for piece in pieces]
+    for i, parts in zip(steady, zip(*aligned, strict=True), strict=True):
+        angle, left = np.concatenate(parts).T
+        found[i] = angle, left
+    return [found[i] for i in members]
 
-    Means are subtracted: an offset of a channel says nothing about the phase.
-    """
-    seen, noise = model.recordings[recording], model.noise[recording]
+
+def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
+    """Best start angle of a steady rotation at each point and χ² left there, shape (m, 2)."""
+    seen = model.recordings[recording]
     folded = _folded(seen)
-    size = folded.shape[1]
+    weight = 1.0 / model.noise[recording].sd ** 2
     matrix = model.bench.vector(**(model.settings_of(points, seen) | {START_ANGLE: 0.0}))
     if len(matrix) < len(points):
         matrix = np.repeat(matrix, len(points), axis=0)
+    # Points often differ only in the unknowns of other recordings, and candidates only in whose.
+    matrix, place = np.unique(matrix, axis=0, return_inverse=True)
+    found = model.recent.signals(
+        matrix,
+        ("alignment", seen.name, hash(folded.tobytes()), tuple(weight)),
+        partial(_correlated, model, seen, folded, weight),
+    )
+    return found[place.ravel()]
+
+
+def _correlated(
+    model: SimulatedSignals,
+    seen: Observed,
+    folded: FloatArray,
+    weight: FloatArray,
+    matrix: FloatArray,
+) -> FloatArray:
+    """Start angle of each bench (m, SLOTS) and χ² left there, shape (m, 2).
+
+    Means are subtracted: an offset of a channel says nothing about the phase.
+    """
+    channels, size = folded.shape
     rate = size / seen.rotation_period_s
-    simulated = simulate_channels(matrix, size, rate, workers=model.workers, failures="nan")
-    simulated = simulated[:, [SPEED, CURRENT][: len(folded)]]
+    simulated = model.recent.signals(
+        matrix,
+        ("a rotation", channels, size, rate),
+        partial(_rotations, model, channels, size, rate),
+    )
     folded = folded - folded.mean(axis=1, keepdims=True)
     simulated = simulated - simulated.mean(axis=2, keepdims=True)
-    weight = 1.0 / noise.sd**2
     product = np.fft.irfft(
         np.conj(np.fft.rfft(folded)) * np.fft.rfft(simulated), size, axis=2
     )  # [k] = Σ_j folded_j simulated_{j+k}
@@ -239,11 +274,19 @@ def _align(
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
     own = float(weight @ (folded**2).sum(axis=1))
-    left = own + power - 2.0 * gain[np.arange(len(points)), best]
+    left = own + power - 2.0 * gain[np.arange(len(matrix)), best]
     rotations = seen.samples / seen.lag
     direction = math.copysign(1.0, seen.reference_speed_rpm)
     angle = direction * 2.0 * math.pi * best / size
-    return angle, np.where(np.isfinite(left), rotations * left, np.inf)
+    return np.column_stack([angle, np.where(np.isfinite(left), rotations * left, np.inf)])
+
+
+def _rotations(
+    model: SimulatedSignals, channels: int, size: int, rate: float, matrix: FloatArray
+) -> FloatArray:
+    """A rotation of each bench, shape (m, c, size); nan where a run fails."""
+    simulated = simulate_channels(matrix, size, rate, workers=model.workers, failures="nan")
+    return simulated[:, [SPEED, CURRENT][:channels]]
 
 
 def _folded(seen: Observed) -> FloatArray:

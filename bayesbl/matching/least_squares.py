@@ -34,8 +34,8 @@ class SimulatedFit:
         Shape (d,).
     residual
         Whitened residuals there, shape (N,).
-    jacobian
-        Derivative of the whitened signals by the coordinates, shape (N, d).
+    curvature
+        JᵀJ with J the derivative of the whitened signals by the coordinates, shape (d, d).
     covariance
         (JᵀJ + P)⁻¹ with P the prior's precision, shape (d, d).
     steps
@@ -45,7 +45,7 @@ class SimulatedFit:
     model: SimulatedSignals
     point: FloatArray
     residual: FloatArray
-    jacobian: FloatArray
+    curvature: FloatArray
     covariance: FloatArray
     steps: FloatArray
 
@@ -68,12 +68,19 @@ class SimulatedFit:
 
         Infinite where nothing depends on a coordinate, as on the angle of an axis without gravity.
         """
-        norms = np.linalg.norm(self.jacobian, axis=0)
+        norms = np.sqrt(np.diag(self.curvature))
         told = norms > 0.0
-        scaled = self.jacobian[:, told] / norms[told]
+        scaled = self.curvature[np.ix_(told, told)] / np.outer(norms[told], norms[told])
         found = np.full(norms.size, np.inf)
-        found[told] = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled))) / norms[told]
+        found[told] = np.sqrt(np.diag(np.linalg.pinv(scaled))) / norms[told]
         return found
+
+    def derivatives(self) -> FloatArray:
+        """Of the whitened signals by the coordinates at the point, J, shape (N, d).
+
+        Simulated anew: of all fits of a search they would fill the memory.
+        """
+        return _jacobian(self.model, self.point, self.residual, self.steps)[0]
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""
@@ -123,16 +130,15 @@ def fit_simulated(
         )
     value = _objective(model, point, residual)
     damping = 1e-3
-    jacobian = np.zeros((residual.size, point.size))
     precision, normal = model.prior_precision(), model.normal_prior.precision
     least = ROUGHLY_CONVERGED if rough else CONVERGED_SHARE
     for _ in range(MOST_ROUNDS):
         jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
         gradient = jacobian.T @ residual + _prior_pull(model, point)
-        curvature = jacobian.T @ jacobian + normal
+        curvature = jacobian.T @ jacobian
         gained = 0.0
         while damping < 1e8:
-            move = _bounded_step(model, point, gradient, curvature, damping)
+            move = _bounded_step(model, point, gradient, curvature + normal, damping)
             trial = point + move
             trial_residual = model.whitened(trial)[0]
             trial_value = _objective(model, trial, trial_residual)
@@ -141,38 +147,42 @@ def fit_simulated(
                 point, residual, value = trial, trial_residual, trial_value
                 damping = max(damping / 10.0, 1e-9)
                 break
-            if np.all(np.abs(move) < 1e-3 * np.sqrt(1.0 / np.diag(curvature).clip(1e-300))):
+            if np.all(np.abs(move) < 1e-3 / np.sqrt(np.diag(curvature + normal).clip(1e-300))):
                 break
             damping *= 10.0
         if gained < max(CONVERGED, least * (value - residual.size)):
             break
     if not rough:
         jacobian, steps = _jacobian(model, point, residual, steps)
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
-    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
+        curvature = jacobian.T @ jacobian
+    return SimulatedFit(model, point, residual, curvature, _covariance(curvature, precision), steps)
 
 
 def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:
     """A point as it is, with the derivatives there."""
     residual = model.whitened(point)[0]
     jacobian, steps = _jacobian(model, point, residual, _first_steps(model, point))
-    precision = np.diag(model.prior_precision())
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
-    return SimulatedFit(model, point, residual, jacobian, covariance, steps)
+    curvature = jacobian.T @ jacobian
+    covariance = _covariance(curvature, np.diag(model.prior_precision()))
+    return SimulatedFit(model, point, residual, curvature, covariance, steps)
 
 
 def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, say with new noise."""
     residual = model.whitened(fit.point)[0]
     jacobian, _ = _jacobian(model, fit.point, residual, fit.steps)
-    precision = model.prior_precision()
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + precision), dtype=np.float64)
-    return replace(fit, model=model, residual=residual, jacobian=jacobian, covariance=covariance)
+    curvature = jacobian.T @ jacobian
+    covariance = _covariance(curvature, model.prior_precision())
+    return replace(fit, model=model, residual=residual, curvature=curvature, covariance=covariance)
 
 
 def derivatives(model: SimulatedSignals, point: FloatArray, steps: FloatArray) -> FloatArray:
     """Of the whitened signals by the coordinates at a point, shape (N, d)."""
     return _jacobian(model, point, model.whitened(point)[0], steps)[0]
+
+
+def _covariance(curvature: FloatArray, precision: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(curvature + precision), dtype=np.float64)
 
 
 def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray) -> float:

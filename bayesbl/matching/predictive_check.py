@@ -86,13 +86,14 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
     start angle must be among the unknowns of each.
     """
     residuals = fit.model.by_recording(fit.residual)
+    derivatives = fit.derivatives()
     alike: list[bool] = []
     for seen, rows in zip(fit.model.recordings, residuals, strict=True):
         place = len(alike)
         if seen.motion is not None:
             alike.append(True)
             continue
-        column = fit.jacobian[:, fit.model.index(START_ANGLE, seen.name)]
+        column = derivatives[:, fit.model.index(START_ANGLE, seen.name)]
         slopes = fit.model.by_recording(column)[place]
         begin = begin_of(seen)
         turns = [whole_rotations(row[begin:], seen.lag) for row in rows]

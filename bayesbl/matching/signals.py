@@ -196,6 +196,8 @@ class SimulatedSignals:
         What is known besides the bench, by name, such as ``gap_rad``.
     recent
         Simulations that another comparison of the same recordings has made.
+    white_recordings
+        Whitened channels of each recording, those of another comparison under the same noise.
     normal_prior
         Of the unknowns that have one.
     prior_slope
@@ -209,6 +211,7 @@ class SimulatedSignals:
     workers: int = field(default=1, compare=False)
     settings: Mapping[str, float] = field(default_factory=dict)
     recent: RecentSimulations = field(default_factory=RecentSimulations, compare=False)
+    white_recordings: Sequence[FloatArray] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
@@ -219,7 +222,7 @@ class SimulatedSignals:
             self.bench.identified,
         )
         self.prior_slope = np.array([float(u.flat_in_value) for u in self.unknowns])
-        self._white_recordings = [
+        self.white_recordings = self.white_recordings or [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
 
@@ -293,7 +296,7 @@ class SimulatedSignals:
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
-        sizes = [seen.size for seen in self._white_recordings]
+        sizes = [seen.size for seen in self.white_recordings]
         white = np.empty((len(points), sum(sizes)))
         for i, part in enumerate(np.split(white, np.cumsum(sizes)[:-1], axis=1)):
             self._whiten_into(part, points, i)
@@ -301,7 +304,7 @@ class SimulatedSignals:
 
     def by_recording(self, white: FloatArray) -> list[FloatArray]:
         """Whitened residuals (N,) of one point as views by recording, each of shape (c, n − p)."""
-        ends = np.cumsum([seen.size for seen in self._white_recordings])
+        ends = np.cumsum([seen.size for seen in self.white_recordings])
         return [
             part.reshape(len(seen.signals), -1)
             for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
@@ -310,7 +313,7 @@ class SimulatedSignals:
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
         points = np.atleast_2d(points)
-        white = np.empty((len(points), self._white_recordings[recording].size))
+        white = np.empty((len(points), self.white_recordings[recording].size))
         self._whiten_into(white, points, recording)
         return white
 
@@ -319,7 +322,7 @@ class SimulatedSignals:
         begun = self.stretch(points, recording)
         # Whitening is linear, and what repeats still repeats when it is whitened.
         simulated = noise.whiten(_continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
-        observed = self._white_recordings[recording]
+        observed = self.white_recordings[recording]
         white = out.reshape(len(points), *observed.shape)
         length = simulated.shape[2]
         for first in range(0, observed.shape[1], length):

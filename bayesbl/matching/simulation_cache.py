@@ -39,21 +39,24 @@ class RecentSimulations:
             Makes the signals of the rows that are not known.
         """
         keys = [(settings, row.tobytes()) for row in matrix]
-        missing = [i for i, key in enumerate(keys) if key not in self._kept]
-        fresh = dict(zip(missing, simulate(matrix[missing]), strict=True)) if missing else {}
-        found = np.stack(
-            [fresh[i] if i in fresh else self._kept[keys[i]] for i in range(len(keys))]
-        )
-        for i, key in enumerate(keys):
-            if key in self._kept:
-                self._kept.move_to_end(key)
-            else:
-                self._kept[key] = fresh[i].copy()
-                self._bytes += fresh[i].nbytes
+        found = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
+        missing = [i for i in range(len(keys)) if i not in found]
+        if missing:
+            # What is missing may be made with this cache, which forgets some meanwhile.
+            found |= zip(missing, simulate(matrix[missing]), strict=True)
+        ordered = [found[i] for i in range(len(keys))]
+        for key, signals in zip(keys, ordered, strict=True):
+            if key not in self._kept:
+                self._kept[key] = signals.copy()
+                self._bytes += _size(key, signals)
+            self._kept.move_to_end(key)
         self._forget()
-        return found
+        return np.stack(ordered)
 
     def _forget(self) -> None:
         while self._bytes > self._most_bytes and len(self._kept) > 1:
-            _, oldest = self._kept.popitem(last=False)
-            self._bytes -= oldest.nbytes
+            self._bytes -= _size(*self._kept.popitem(last=False))
+
+
+def _size(key: tuple[Hashable, bytes], signals: FloatArray) -> int:
+    return len(key[1]) + signals.nbytes

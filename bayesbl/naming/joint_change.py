@@ -296,12 +296,13 @@ def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[Bli
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
     least += float(norm.isf(MISSED))
+    derivatives = fit.derivatives()
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)]):
         if candidate.recording != last or len(amplitude_places(candidate)) != 1:
             continue
         spots += [
-            _largest_hidden(fit, candidate, columns, toward, least)
+            _largest_hidden(fit, candidate, columns, derivatives, toward, least)
             for columns in columns_of(fit, candidate)
             if columns
         ]
@@ -315,12 +316,13 @@ def _largest_hidden(
     fit: SimulatedFit,
     candidate: Candidate,
     columns: Sequence[FloatArray],
+    derivatives: FloatArray,
     toward: FloatArray,
     least: float,
 ) -> BlindSpot:
     """The change that passes and moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
     matrix = np.column_stack(columns)
-    across = fit.jacobian.T @ matrix
+    across = derivatives.T @ matrix
     moved = fit.covariance @ across
     information = matrix.T @ matrix - across.T @ moved
     pull = toward @ moved

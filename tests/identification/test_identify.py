@@ -290,5 +290,5 @@ def test_a_fit_weighs_recordings_and_joint_prior_by_their_precisions() -> None:
     start = np.array([math.log(GAP_RAD), 0.4, *model.normal_prior.centre[2:]])
     fit = fit_simulated(model, start)
     prior = model.normal_prior
-    pull = fit.jacobian.T @ fit.residual - prior.precision @ (fit.point - prior.centre)
+    pull = fit.derivatives().T @ fit.residual - prior.precision @ (fit.point - prior.centre)
     assert np.all(np.abs(pull) * np.sqrt(np.diag(fit.covariance)) < 0.15)

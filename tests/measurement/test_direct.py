@@ -269,7 +269,7 @@ def test_the_check_raises_false_alarms_as_often_as_it_says():
     noise = ChannelNoise(np.zeros((0, 2, 2)), np.eye(2), np.ones(2), 4400)
     seen = Observed("one", np.zeros((2, 4400)), 1.0, 1.0, 1100.0)
     model = SimulatedSignals(bench(), [seen], [gap_unknown(1e-4, 1e-2)], [noise])
-    nothing = SimulatedFit(model, np.zeros(1), np.zeros(0), np.zeros((0, 1)), np.eye(1), np.ones(1))
+    nothing = SimulatedFit(model, np.zeros(1), np.zeros(0), np.zeros((1, 1)), np.eye(1), np.ones(1))
     alarms = sum(
         not agrees(disagreements(replace(nothing, residual=generator.standard_normal(8800))), 0.01)
         for _ in range(1000)

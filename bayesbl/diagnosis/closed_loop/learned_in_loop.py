@@ -250,7 +250,7 @@ def _groups(fit: SimulatedFit, hypothesis: Hypothesis) -> list[Group] | None:
     columns[places] = (z[0] - z[1:]) / step
     if not np.all(np.isfinite(columns)):
         return None
-    parts = [model.by_recording(row) for row in (*columns, *fit.jacobian.T, fit.residual)]
+    parts = [model.by_recording(row) for row in (*columns, *fit.derivatives().T, fit.residual)]
     unknowns = fit.model.unknowns
     groups = []
     for i, seen in enumerate(fit.model.recordings):
