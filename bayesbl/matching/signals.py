@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -197,7 +197,7 @@ class SimulatedSignals:
     recent
         Simulations that another comparison of the same recordings has made.
     white_recordings
-        Whitened channels of each recording, those of another comparison under the same noise.
+        Whitened channels of each recording, from another comparison under the same noise.
     normal_prior
         Of the unknowns that have one.
     prior_slope
@@ -211,9 +211,9 @@ class SimulatedSignals:
     workers: int = field(default=1, compare=False)
     settings: Mapping[str, float] = field(default_factory=dict)
     recent: RecentSimulations = field(default_factory=RecentSimulations, compare=False)
-    white_recordings: Sequence[FloatArray] = field(default=(), compare=False, repr=False)
+    white_recordings: InitVar[Sequence[FloatArray] | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, white_recordings: Sequence[FloatArray] | None) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
         self.normal_prior = NormalPrior.of(
             np.array([u.centre for u in self.unknowns]),
@@ -222,7 +222,7 @@ class SimulatedSignals:
             self.bench.identified,
         )
         self.prior_slope = np.array([float(u.flat_in_value) for u in self.unknowns])
-        self.white_recordings = self.white_recordings or [
+        self._white_recordings = white_recordings or [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
 
@@ -240,6 +240,15 @@ class SimulatedSignals:
         """Index of an unknown in a point."""
         keys = [(u.name, u.recording) for u in self.unknowns]
         return keys.index((name, recording))
+
+    def beside(self, bench: Bench, unknowns: Sequence[Unknown]) -> SimulatedSignals:
+        """The comparison of another bench with further unknowns, all else alike."""
+        return replace(
+            self,
+            bench=bench,
+            unknowns=(*self.unknowns, *unknowns),
+            white_recordings=self._white_recordings,
+        )
 
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
@@ -296,7 +305,7 @@ class SimulatedSignals:
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
-        sizes = [seen.size for seen in self.white_recordings]
+        sizes = [seen.size for seen in self._white_recordings]
         white = np.empty((len(points), sum(sizes)))
         for i, part in enumerate(np.split(white, np.cumsum(sizes)[:-1], axis=1)):
             self._whiten_into(part, points, i)
@@ -304,7 +313,7 @@ class SimulatedSignals:
 
     def by_recording(self, white: FloatArray) -> list[FloatArray]:
         """Whitened residuals (N,) of one point as views by recording, each of shape (c, n − p)."""
-        ends = np.cumsum([seen.size for seen in self.white_recordings])
+        ends = np.cumsum([seen.size for seen in self._white_recordings])
         return [
             part.reshape(len(seen.signals), -1)
             for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
@@ -313,7 +322,7 @@ class SimulatedSignals:
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
         points = np.atleast_2d(points)
-        white = np.empty((len(points), self.white_recordings[recording].size))
+        white = np.empty((len(points), self._white_recordings[recording].size))
         self._whiten_into(white, points, recording)
         return white
 
@@ -322,7 +331,7 @@ class SimulatedSignals:
         begun = self.stretch(points, recording)
         # Whitening is linear, and what repeats still repeats when it is whitened.
         simulated = noise.whiten(_continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
-        observed = self.white_recordings[recording]
+        observed = self._white_recordings[recording]
         white = out.reshape(len(points), *observed.shape)
         length = simulated.shape[2]
         for first in range(0, observed.shape[1], length):

@@ -216,16 +216,7 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
 
 def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
     """The comparison with a candidate's unknowns beside its own."""
-    return SimulatedSignals(
-        candidate.bench(model.bench),
-        model.recordings,
-        (*model.unknowns, *candidate.unknowns),
-        model.noise,
-        model.workers,
-        model.settings,
-        model.recent,
-        model.white_recordings,
-    )
+    return model.beside(candidate.bench(model.bench), candidate.unknowns)
 
 
 def _small(unknown: Unknown, coordinate: float) -> float:

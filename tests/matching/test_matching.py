@@ -117,7 +117,9 @@ def test_the_oldest_simulations_are_forgotten() -> None:
         asked.extend(matrix[:, 0])
         return matrix[:, None, :]
 
-    recent = RecentSimulations(most_bytes=2 * 8 * 5)
+    recent = RecentSimulations(
+        most_bytes=2 * (8 * 5 + 8 * 5)
+    )  # signals, and what they are known by
     for value in (1.0, 2.0, 1.0, 3.0, 1.0, 2.0):
         recent.signals(np.full((1, 5), value), None, simulate)
     assert asked == [1.0, 2.0, 3.0, 2.0]
