@@ -186,10 +186,12 @@ def _fill(
     states: FloatArray | None = None,
 ) -> None:
     matrix = _sound(matrix, out, sampling_hz, accuracy_rpm)
-    settling = settling_time_s(matrix, accuracy_rpm)
+    settling = settling_time_s(matrix, accuracy_rpm, failures)
     ends = np.empty((matrix.shape[0], STATES)) if states is None else states
 
     def run(row: int) -> int:
+        if math.isnan(settling[row]):
+            return kernel.DIVERGED
         found: int = kernel.simulate(
             matrix[row], settling[row], 1.0 / sampling_hz, accuracy_rpm, out[row], ends[row]
         )[0]

@@ -163,7 +163,7 @@ def contact_rates(matrix: FloatArray) -> ComplexArray:
     return rates
 
 
-def settling_time_s(matrix: FloatArray, accuracy_rpm: float) -> FloatArray:
+def settling_time_s(matrix: FloatArray, accuracy_rpm: float, failures: str = "raise") -> FloatArray:
     """Run-in after which a bench is in steady rotation to a tenth of the accuracy, shape (m,), s.
 
     A bench whose ringing hardly decays between two flips may rattle on without ever repeating (one
@@ -172,9 +172,12 @@ def settling_time_s(matrix: FloatArray, accuracy_rpm: float) -> FloatArray:
     Raises
     ------
     BenchError
-        If the speed loop is unstable on a tooth flank.
+        If the speed loop is unstable on a tooth flank and ``failures`` is ``"raise"``; with
+        ``"nan"`` such a bench has no such time.
     """
     slowest = -np.max(contact_rates(matrix).real, axis=1)
+    if failures == "nan":
+        slowest = np.where(slowest > 0.0, slowest, np.nan)
     if np.any(slowest <= 0.0):
         row = matrix[int(np.argmin(slowest))]
         causes = _LOOP[: 4 if row[Slot.sampled_control__period_s] > 0.0 else 3]

@@ -121,6 +121,7 @@ def fit_simulated(
     steps = first if steps is None else np.concatenate([steps, first[len(steps) :]])
     residual = model.whitened(point)[0]
     if not np.all(np.isfinite(residual)):
+        model.require(point)
         raise BenchError(
             "The bench cannot be simulated at the start of the fit.",
             found=", ".join(

@@ -257,16 +257,11 @@ class SimulatedSignals:
     def stretch(self, points: FloatArray, recording: int) -> FloatArray:
         """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
-        points = np.atleast_2d(points)
-        matrix = self.bench.vector(**self.settings_of(points, seen))
-        if len(matrix) < len(points):
-            matrix = np.repeat(matrix, len(points), axis=0)
-        if seen.begin_s:
-            matrix = after(matrix, seen.begin_s)
         # Points often differ only in the unknowns of other recordings.
-        matrix = _in_whole_ticks(matrix, seen)
-        matrix, place = np.unique(matrix, axis=0, return_inverse=True)
-        accuracy = float(np.clip(ACCURACY_SHARE * self.noise[recording].sd[0], 1e-4, 1e-2))
+        matrix, place = np.unique(
+            self._benches(np.atleast_2d(points), seen), axis=0, return_inverse=True
+        )
+        accuracy = _accuracy_rpm(self.noise[recording])
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
         found = self.recent.signals(
             matrix,
@@ -278,9 +273,30 @@ class SimulatedSignals:
                 seen.motor_start_rad,
                 seen.motion,
             ),
-            partial(_simulated, seen, samples, accuracy, self.workers),
+            partial(_simulated, seen, samples, accuracy, self.workers, "nan"),
         )
         return found[place.ravel()]
+
+    def require(self, point: FloatArray) -> None:
+        """Nothing, where all recordings can be simulated at a point (d,).
+
+        Raises
+        ------
+        BenchError
+            That says why one of them cannot be.
+        """
+        for seen, noise in zip(self.recordings, self.noise, strict=True):
+            matrix = self._benches(point[None], seen)
+            _simulated(seen, seen.samples, _accuracy_rpm(noise), 1, "raise", matrix)
+
+    def _benches(self, points: FloatArray, seen: Observed) -> FloatArray:
+        """What a recording's simulations run with, (m, d) to (m, SLOTS)."""
+        matrix = self.bench.vector(**self.settings_of(points, seen))
+        if len(matrix) < len(points):
+            matrix = np.repeat(matrix, len(points), axis=0)
+        if seen.begin_s:
+            matrix = after(matrix, seen.begin_s)
+        return _in_whole_ticks(matrix, seen)
 
     def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
         """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
@@ -360,11 +376,20 @@ class SimulatedSignals:
         return np.asarray(np.diag(own) + together.T @ together)
 
 
+def _accuracy_rpm(noise: ChannelNoise) -> float:
+    return float(np.clip(ACCURACY_SHARE * noise.sd[0], 1e-4, 1e-2))
+
+
 def _simulated(
-    seen: Observed, samples: int, accuracy_rpm: float, workers: int, matrix: FloatArray
+    seen: Observed,
+    samples: int,
+    accuracy_rpm: float,
+    workers: int,
+    failures: str,
+    matrix: FloatArray,
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
-    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": "nan"}
+    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": failures}
     if seen.motion is not None:
         rows = [SPEED, CURRENT][: len(seen.signals)]
         return simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)[:, rows]  # type: ignore[arg-type]

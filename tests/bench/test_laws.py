@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -257,8 +258,16 @@ def test_what_makes_no_sense_is_refused_with_its_name(
         simulate_speeds(BENCH.vector(**{"gap_rad": 1e-3, **settings}), 500, 500.0)
 
 
-def test_failed_rows_can_be_nan() -> None:
-    p = BENCH.vector(gap_rad=1e-3, current_limit_a=[30.0, 3.0])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"current_limit_a": [30.0, 3.0]},
+        {"current_loop_lag__time_s": 0.01, "integral_gain_nm_per_rad": [2.0, 1e3]},
+    ],
+    ids=["too weak", "unstable"],
+)
+def test_failed_rows_can_be_nan(settings: dict[str, Any]) -> None:
+    p = BENCH.vector(gap_rad=1e-3, **settings)
     speed = simulate_speeds(p, 100, 500.0, failures="nan")
     assert np.all(np.isfinite(speed[0]))
     assert np.all(np.isnan(speed[1]))

@@ -11,6 +11,7 @@ import pytest
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.measured_channels import Measurement
 from bayesbl.config.bench import reference_bench
+from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import (
@@ -54,6 +55,21 @@ def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
     assert stretch == (seen.samples if effects else seen.lag)
     whole = noise.whiten(seen.signals - asked.signals(POINTS, 0))
     assert asked.whitened(POINTS) == pytest.approx(whole.reshape(len(POINTS), -1), abs=1e-9)
+
+
+def test_a_fit_says_why_its_bench_cannot_be_simulated() -> None:
+    asked = model(reference_bench())
+    weak = replace(asked, bench=reference_bench().with_parameters(current_limit_a=3.0))
+    with pytest.raises(BenchError, match="cannot turn the load round"):
+        fit_simulated(weak, POINTS[0])
+
+
+def test_recordings_are_whitened_again_where_the_noise_is_another() -> None:
+    asked = model(reference_bench())
+    other = [replace(noise, root=2.0 * noise.root) for noise in asked.noise]
+    white = asked.whitened(POINTS)
+    assert asked.beside(asked.bench, []).whitened(POINTS) == pytest.approx(white)
+    assert replace(asked, noise=other).whitened(POINTS) == pytest.approx(0.5 * white)
 
 
 def test_a_steady_rotation_repeats_in_a_run_over_all_of_them() -> None:
