@@ -21,8 +21,8 @@ CODE = re.compile(r"^```(?:python|\{code-cell\}.*?)\n(?::.*?\n)*(.*?)^```", re.S
 PYTHON = {
     page.name: "\n".join(blocks)
     for page in PAGES
-    # Pieces of files; the reader's own plant; what takes long runs when the site is built.
-    if page.name not in ("extending.md", "fleet.md", "gallery.md")
+    # Pieces of files; what takes long runs when the site is built.
+    if page.name not in ("extending.md", "gallery.md")
     if "%%sh" not in (text := page.read_text(encoding="utf-8"))
     if (blocks := CODE.findall(text))
 }

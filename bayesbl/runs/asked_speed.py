@@ -10,8 +10,8 @@ from bayesbl.matching.observed import LARGEST_SPEED_ERROR
 from bayesbl.recording.types import Recording
 
 WHOLE_SPEED_RPM = 0.1
-"""How far a mean speed may be from a whole number of rpm that is taken for the reference: the
-integral of the controller keeps the mean there but for noise."""
+"""How far a mean speed may be from a whole number of rpm that is taken for the reference: over
+whole rotations the integral of the controller keeps the mean there but for noise."""
 
 
 def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float | None, str]:
@@ -22,7 +22,7 @@ def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float |
     RecordingError
         If the mean is neither the bench's speed nor a whole number.
     """
-    mean = float(recording.motor_speed_rpm.mean())
+    mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
     own = bench.value("reference_speed_rpm")
     if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
         return None, ""
@@ -35,3 +35,12 @@ def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float |
             expected="reference_speed_rpm under [[recordings]]: what the controller was given",
         )
     return float(round(mean)), f"its mean speed, {round(mean)} rpm, is taken for its reference"
+
+
+def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
+    """Over whole rotations of the load, for gravity sways the speed once in each."""
+    speed_rpm = recording.motor_speed_rpm
+    mean = float(speed_rpm.mean())
+    rotation = 60.0 * gear_ratio / (max(abs(mean), 1e-9) * recording.sampling_period_s)
+    whole = int(speed_rpm.size / rotation)
+    return float(speed_rpm[: round(whole * rotation)].mean()) if whole else mean
