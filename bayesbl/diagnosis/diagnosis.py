@@ -180,7 +180,10 @@ class Diagnosis:
     bench_parameters
         Declared unknown ones, fitted.
     delta_before, delta_after
-        δ (rad) with the bench as believed and with what was named; ``None`` where the gap is known.
+        δ (rad) with the bench as believed and with what was named; ``None`` where the gap is known
+        or withheld.
+    gap_withheld
+        Why no gap is given; empty where one is, or nothing is asked of it.
     signals
         Of every piece, where that is what a figure shows best.
     order_sizes
@@ -204,6 +207,7 @@ class Diagnosis:
     bench_parameters: Mapping[str, Estimate] = field(default_factory=dict)
     delta_before: Estimate | None = None
     delta_after: Estimate | None = None
+    gap_withheld: str = ""
     suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
     signals: tuple[PieceSignals, ...] = ()

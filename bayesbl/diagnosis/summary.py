@@ -143,6 +143,7 @@ class Answer(TypedDict):
     disagreement: DisagreementTableSummary
     delta_rad_before: Interval | None
     delta_rad_after: Interval | None
+    gap_withheld: NotRequired[str]
     suggested_recording: SuggestedRecording | None
     augmented_bench: NotRequired[str]
     learned_torque: NotRequired[LearnedSummary]
@@ -179,6 +180,8 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         "delta_rad_after": of(found.delta_after),
         "suggested_recording": of(found.suggestion),
     }
+    if found.gap_withheld:
+        answer["gap_withheld"] = found.gap_withheld
     if found.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
     if found.learned is not None:

@@ -76,7 +76,7 @@ def of_diagnosis(summary: DiagnosisSummary) -> Iterator[Card]:
         yield Card("Model error before", words.significant(found["before"], 3), unit, note)
         yield Card("Model error after", words.significant(found["after"], 3), unit, note)
     gap = summary["delta_rad_after"]
-    if gap is not None:
+    if gap is not None or "gap_withheld" in summary:
         yield _of_interval("Gap δ", gap, words.common_decimals([gap]))
 
 

@@ -69,6 +69,11 @@ def headline(summary: DiagnosisSummary) -> str:
                 "is missing from the bench" if len(names) == 1 else "are missing from the bench"
             )
             return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
+        case "parameter_error" if "gap_withheld" in summary:
+            return (
+                "The bench is wrong by more than was searched, or lacks an effect that is not in "
+                f"the catalogue: {next(parameter_errors(summary))}"
+            )
         case "parameter_error":
             return "No effect is missing, but the bench is wrong: " + next(
                 parameter_errors(summary)
@@ -221,6 +226,8 @@ def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
 def wear(summary: DiagnosisSummary) -> Iterator[str]:
     """The gap before and after naming: what the effects do to it."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
+    if learned_of(summary) is None and (withheld := summary.get("gap_withheld")):
+        yield f"The gap is withheld: {withheld}"
     if before is None or after is None:
         return
     gap = words.in_mrad(after)

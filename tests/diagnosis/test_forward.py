@@ -41,7 +41,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.naming.motor_orders import order_peaks
 from bayesbl.noise.process import NoiseModel
-from bayesbl.presentation.diagnosis import residuals_in_words
+from bayesbl.presentation.diagnosis import headline, residuals_in_words, wear
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
 from bayesbl.results.store import read_tree, write_tree
@@ -128,6 +128,22 @@ def test_a_hidden_effect_is_named_with_its_size(friction: Found) -> None:
     size = fitted(friction, "load_coulomb_friction")["torque_nm"]
     assert near(size, FRICTION_NM)
     assert size.sd < 0.1 * FRICTION_NM
+
+
+def test_a_gap_that_the_edge_of_a_search_decides_is_withheld(independent) -> None:
+    """Damping a quarter of the bench's: found at the edge of half, with a wrong gap."""
+    soft = {"shaft_damping_nm_s_per_rad": 0.25 * BELIEVED["shaft_damping_nm_s_per_rad"]}
+    used = recorded(independent, (2000.0, -2000.0), 6, soft)
+    findings = diagnosed(used, ("shaft_damping_nm_s_per_rad",)).findings
+    settings = SamplerSettings(ensembles=2)
+    posterior = sample_direct(findings.final.fit, settings, np.random.SeedSequence(1))
+    tree = diagnosis_tree(diagnosis_of(findings, posterior), 0.9, "equal_tailed")
+    summary = summarise_diagnosis(tree)
+    assert summary["verdict"] == "parameter_error"
+    assert summary["delta_rad_after"] is None
+    assert "lies at the lower edge" in summary["gap_withheld"]
+    assert "or lacks an effect" in headline(summary)
+    assert any("The gap is withheld" in sentence for sentence in wear(summary))
 
 
 def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> None:

@@ -174,7 +174,10 @@ def _with_candidates(naming: Naming, final: Explanation) -> Naming:
 
 
 def diagnosis_of(
-    found: Findings, posterior: DirectPosterior | None = None, notes: Sequence[str] = ()
+    found: Findings,
+    posterior: DirectPosterior | None = None,
+    notes: Sequence[str] = (),
+    level: float = 0.9,
 ) -> Diagnosis:
     """The answer.
 
@@ -183,6 +186,8 @@ def diagnosis_of(
     posterior
         Around ``found.final``. Where there is none or it is withheld, estimates are those of the
         normal approximation.
+    level
+        Of the intervals.
     """
     naming, final = found.naming, found.final
     sampled = posterior
@@ -190,6 +195,7 @@ def diagnosis_of(
         sampled = None
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
     kinds = {candidate.kind for candidate in final.candidates}
+    withheld = _why_no_gap(found, posterior, level)
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
@@ -224,7 +230,8 @@ def diagnosis_of(
         tuple(notes),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=_delta_after(found, sampled),
+        delta_after=None if withheld else _delta_after(found, sampled),
+        gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
         residuals_before=found.residuals_before,
@@ -300,11 +307,21 @@ def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
 
 
 def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:
-    """δ with what was named and learned; ``None`` where what was learned leaves it open."""
-    told = _learned_answer(found)
-    if told is None:
+    """δ with what was named and learned; ``None`` where it is known."""
+    if found.learned is None:
         return _averaged_delta(found.naming, found.final, sampled)
-    return None if told.gap_withheld else _delta(found.final, sampled)
+    return _delta(found.final, sampled)
+
+
+def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
+    """What was learned leaves δ open, or a tolerance decides it; empty where neither does."""
+    told = _learned_answer(found)
+    if told is not None:
+        return told.gap_withheld
+    names = [u.name for u in found.final.fit.model.unknowns]
+    if posterior is None or GAP not in names:
+        return ""
+    return posterior.beyond_tolerance(None, level) or ""
 
 
 def _learned_answer(found: Findings) -> LearnedAnswer | None:

@@ -102,7 +102,7 @@ class ClosedLoop:
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
         posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
-        return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)))
+        return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)), level)
 
 
 METHOD = ClosedLoop()
