@@ -86,6 +86,8 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
     start angle must be among the unknowns of each.
     """
     residuals = fit.model.by_recording(fit.residual)
+    if all(seen.motion is not None for seen in fit.model.recordings):
+        return [True] * len(residuals)
     derivatives = fit.derivatives()
     alike: list[bool] = []
     for seen, rows in zip(fit.model.recordings, residuals, strict=True):
