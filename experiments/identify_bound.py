@@ -106,7 +106,7 @@ def information(sheet: Bench, joint: Bench, gap_rad: float, seen: Observed) -> F
     model = SimulatedSignals(sheet, [seen], [*shared, *own], [NOISE])
     start = STROKES_RAD[0] if moves else START_ANGLE_RAD
     there = [*(math.log(joint.value(name)) for name in names), math.log(gap_rad), start]
-    jacobian = fit_at(model, np.array([*there, 0.0][: len(model.unknowns)])).jacobian
+    jacobian = fit_at(model, np.array([*there, 0.0][: len(model.unknowns)])).derivatives()
     root, _ = np.linalg.qr(jacobian[:, len(shared) :])
     left = jacobian[:, : len(shared)]
     left = left - root @ (root.T @ left)
