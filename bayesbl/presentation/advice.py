@@ -106,6 +106,9 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
 
 def of_diagnosis(summary: DiagnosisSummary) -> Advice:
     """Whether the bench can be used, and how it should be completed."""
+    withheld = summary.get("gap_withheld")
+    if withheld and diagnosis.learned_of(summary) is None:
+        return Advice("watch", "Correct the bench before you rely on it.", (withheld,))
     match summary["verdict"]:
         case "named" if diagnosis.has_augmented_bench(summary):
             return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))

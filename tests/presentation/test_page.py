@@ -470,6 +470,13 @@ def test_the_bench_that_a_diagnosis_wrote_is_the_one_to_go_on_with(verdict):
     assert "augmented_bench" not in other.title, "a rigid bench's diagnosis writes none"
 
 
+@pytest.mark.parametrize("verdict", ["named", "parameter_error"])
+def test_a_bench_whose_edges_decide_the_gap_is_not_one_to_go_on_with(verdict):
+    told = advice(diagnosed_summary(verdict) | {"gap_withheld": "δ depends on a tolerance."})
+    assert "Correct the bench" in told.title
+    assert "augmented_bench" not in " ".join((told.title, *told.sentences))
+
+
 def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
     sure, unsure = (
         " ".join(advice(diagnosed_summary("named", alike)).sentences)
