@@ -116,6 +116,7 @@ class Plant(NamedTuple):
     channel_time_skew__position_s: float = 0.0
     channel_time_skew__speed_s: float = 0.0
     channel_time_skew__current_s: float = 0.0
+    speed_averaging__time_s: float = 0.0
     outside__time_torque_nm: float = 0.0
     outside__time_frequency_hz: float = 7.3
     outside__time_phase_rad: float = 0.0
@@ -511,6 +512,8 @@ def _follow(p, side, speed, angle, held, step, each, ticking, out):
 
 
 SETTLED_AT_REST_S = 0.5
+AVERAGED_OVER_S = 5e-5
+"""Between the speeds that an average is made of: of a ringing of 100 Hz it is good to 1e-4."""
 
 Reference = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """ω_ref in rad/s and θ_ref − θ_ref(0) in rad of the motor, at some times in s."""
@@ -542,6 +545,21 @@ def strokes(
     return at
 
 
+def _between(averaging_s: float, sampling_hz: float) -> int:
+    """Samples to make for each one that is kept, so that an average is over many, whole ones."""
+    each = math.ceil(1.0 / (sampling_hz * AVERAGED_OVER_S))
+    while abs(averaging_s * sampling_hz * each % 1.0 - 0.5) < 0.5 - 1e-6:
+        each += 1
+    return each
+
+
+def _averaged(fine: np.ndarray, each: int, size: int) -> np.ndarray:
+    """Trapezoidal means over ``size`` periods from every ``each``-th sample on."""
+    sums = np.cumsum(0.5 * (fine[1:] + fine[:-1]))
+    sums = np.concatenate(([0.0], sums))
+    return np.asarray((sums[size:] - sums[:-size])[::each] / size)
+
+
 def moving(
     made: Plant,
     reference: Reference,
@@ -554,6 +572,15 @@ def moving(
 
     ``side``: flank that the load begins on; the one that gravity presses on if ``None``.
     """
+    if made.speed_averaging__time_s > 0.0:
+        fast = _between(made.speed_averaging__time_s, sampling_hz)
+        size = round(made.speed_averaging__time_s * sampling_hz * fast)
+        plain = made._replace(speed_averaging__time_s=0.0)
+        out = moving(plain, reference, duration_s, fast * sampling_hz, step_s, side)
+        fine = np.concatenate((np.full(size, out[1, 0]), out[1]))
+        out = out[:, ::fast]
+        out[1] = _averaged(fine, fast, size)
+        return out
     each = math.ceil(1.0 / (sampling_hz * step_s))
     step = 1.0 / sampling_hz / each
     samples = round(duration_s * sampling_hz) + 1
@@ -583,10 +610,18 @@ def plant(values: Mapping[str, float], **settings: float) -> Plant:
     """
     named = {name.replace(".", "__"): float(v) for name, v in {**values, **settings}.items()}
     made = Plant(**named)
-    if made.sampled_control__period_s > 0.0 and made.speed_sensor_lag__time_s > 0.0:
-        raise ValueError("a digital controller differentiates the encoder: it has no speed filter")
+    if made.sampled_control__period_s > 0.0:
+        if made.speed_sensor_lag__time_s > 0.0:
+            raise ValueError("a digital controller differentiates the encoder: no speed filter")
+        if made.speed_averaging__time_s > 0.0:
+            raise ValueError("a digital controller shows the speed of its ticks: no average")
     sharpness = (made.outside__belt_turns / made.outside__belt_width_rad) ** 2
     return made._replace(outside__belt_mean=float(special.i0e(sharpness)))
+
+
+def rotation_s(made: Plant) -> float:
+    """Time of one rotation of the load."""
+    return 2.0 * math.pi * made.gear_ratio * RPM / abs(made.reference_speed_rpm)
 
 
 def noise_free(
@@ -607,10 +642,24 @@ def noise_free(
         made.channel_time_skew__speed_s,
         made.channel_time_skew__current_s,
     )
-    if max(skews) > CHECKPOINT_S:
+    averaging = made.speed_averaging__time_s
+    if max(*skews, skews[1] + averaging) > CHECKPOINT_S:
         raise ValueError(f"a channel lags by more than {CHECKPOINT_S} s")
-    period = 2.0 * math.pi * made.gear_ratio * RPM / abs(made.reference_speed_rpm)
-    out = np.full((3, math.floor(round(rotations * period * sampling_hz, 6)) + 1), np.nan)
+    if averaging > 0.0:
+        fast = _between(averaging, sampling_hz)
+        size = round(averaging * sampling_hz * fast)
+        plain = made._replace(
+            speed_averaging__time_s=0.0, channel_time_skew__speed_s=skews[1] + averaging
+        )
+        more = (size + fast) / (fast * sampling_hz * rotation_s(made))
+        out = noise_free(plain, rotations + more, fast * sampling_hz, step_s)
+        kept = math.floor(round(rotations * rotation_s(made) * sampling_hz, 6)) + 1
+        speed = _averaged(out[1], fast, size)[:kept]
+        out = out[:, ::fast][:, :kept]
+        out[1] = speed
+        return out
+    samples = math.floor(round(rotations * rotation_s(made) * sampling_hz, 6)) + 1
+    out = np.full((3, samples), np.nan)
     settling = SETTLING_ROTATIONS
     if made.shaft_hysteresis__torque_nm != 0.0:
         # It forgets with travel: an e-fold for each θ_p, about 4 (δ + m g l/K_s) a rotation.

@@ -469,6 +469,8 @@ class Bench:
     def fingerprint(self) -> str:
         """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
         vector = self._vector
+        if vector[Slot.speed_averaging__time_s] == 0.0:
+            vector = np.delete(vector, Slot.speed_averaging__time_s)
         if self.encoder_error is None:
             vector = np.delete(vector, np.s_[FIRST_OF_ENCODER:FIRST_SKEW])
         if self.learned_torque is None:

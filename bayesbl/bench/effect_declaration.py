@@ -265,6 +265,11 @@ class Effect:
         )
 
     @property
+    def between_channels(self) -> bool:
+        """One channel alone does not show it."""
+        return self.enters == "measurement" and self.sought_alone is not None
+
+    @property
     def amplitudes(self) -> tuple[Amplitude, ...]:
         """Parameters that switch it on."""
         return tuple(item for item in self.parameters if isinstance(item, Amplitude))

@@ -33,7 +33,8 @@ LEARNED_HARMONICS = 12
 class Slot(IntEnum):
     """Places in the flat parameter vector, numbered in this order.
 
-    Bench and run come first, then effects as ``effect__parameter``, what was learned, skews last.
+    Bench and run come first, then effects as ``effect__parameter``, what was learned, and last what
+    changes no motion: skews and averaging.
     A vector of zeros in the effects' places is a bench without effects.
     """
 
@@ -110,6 +111,7 @@ class Slot(IntEnum):
     channel_time_skew__position_s = auto()
     channel_time_skew__speed_s = auto()
     channel_time_skew__current_s = auto()
+    speed_averaging__time_s = auto()
 
 
 SLOTS = len(Slot)
@@ -866,6 +868,34 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
 
 
 @_jit
+def emit_average(t, h, dense, first, last, begin, dt, out, y, p, c):  # type: ignore[no-untyped-def]
+    """Samples of the average speed that begin, and that end, in the step; returns the next ones.
+
+    Until its average ends, a sample's place holds minus the angle at which it began.
+    """
+    averaging = p[Slot.speed_averaging__time_s]
+    row = min(SPEED, out.shape[0] - 1)
+    while first < out.shape[1] and begin - averaging + first * dt <= t + h:
+        out[row, first] = -shown_angle(t, h, begin - averaging + first * dt, dense, y, p, c)
+        first += 1
+    while last < out.shape[1] and begin + last * dt <= t + h:
+        out[row, last] += shown_angle(t, h, begin + last * dt, dense, y, p, c)
+        out[row, last] *= RPM / averaging
+        last += 1
+    return first, last
+
+
+@_jit
+def shown_angle(t, h, time, dense, y, p, c):  # type: ignore[no-untyped-def]
+    """What the encoder shows at a time in the step."""
+    s = (time - t) / h if h > 0.0 else 1.0
+    for i in range(y.size):
+        y[i] = interpolated(dense, i, s)
+    angle, _ = sensed(y, p, c)
+    return angle
+
+
+@_jit
 def is_repeated(period, dt):  # type: ignore[no-untyped-def]
     """Whether a recorder by the same clock sees what a drive holds for several samples.
 
@@ -955,10 +985,10 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
 def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, pieces):  # type: ignore[no-untyped-def]
     """Integrate ``y`` in place until a time or a load angle, sampling on the way.
 
-    Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew. ``pieces``: the motion
-    that the reference follows; steps end where a piece does. A sampled controller has a tick at
-    ``start``; the state given is that after the last one. Returns status, time reached, number of
-    right-hand sides.
+    Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew; a speed that is averaged
+    ends there. ``pieces``: the motion that the reference follows; steps end where a piece does. A
+    sampled controller has a tick at ``start``; the state given is that after the last one. Returns
+    status, time reached, number of right-hand sides.
     """
     piece = 0
     if len(pieces) > 0:
@@ -970,9 +1000,11 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
     scale = np.zeros(n)
     dense = np.empty((5, n))
     next_sample = np.zeros(3, np.int64)
+    next_average = 0
     longest = error_scale(p, c, accuracy_rpm, scale)
     skewed = p[FIRST_SKEW] != 0.0 or p[FIRST_SKEW + 1] != 0.0 or p[FIRST_SKEW + 2] != 0.0
-    skewed = skewed and out.shape[0] != STATES
+    averaged = p[Slot.speed_averaging__time_s] > 0.0 and out.shape[0] != STATES
+    skewed = (skewed or averaged) and out.shape[0] != STATES
     logged = c.sampled and out.shape[0] != STATES
     lagged = p[Slot.current_loop_lag__time_s] > 0.0
     repeated = is_repeated(p[Slot.sampled_control__period_s], dt)
@@ -1061,6 +1093,11 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
         else:
             h_next = h * factor
 
+        if averaged:
+            next_average, next_sample[SPEED] = emit_average(
+                t, h, dense, next_average, next_sample[SPEED], start - p[FIRST_SKEW + SPEED], dt,
+                out, y, p, c,
+            )  # fmt: skip
         if logged:
             for row in (POSITION, CURRENT):
                 if out.shape[0] == 3 and (row == POSITION or lagged):
@@ -1072,6 +1109,8 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
             next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, dt, out, y, p, c)
         else:
             for row in range(3):
+                if row == SPEED and averaged:
+                    continue
                 if out.shape[0] == 3 or row == SPEED:
                     begin = start - p[FIRST_SKEW + row]
                     next_sample[row] = emit(
@@ -1101,7 +1140,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                 if due <= t:
                     y[HELD_TORQUE] = y[NEXT_TORQUE]
                     due = math.inf
-                if logged:
+                if logged and not averaged:
                     next_sample[SPEED] = emit_logged(
                         t - period, t, p, SPEED, next_sample[SPEED], start, dt, out,
                         old, y[TICK_SPEED] * RPM,
@@ -1170,6 +1209,13 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def longest_lag(p):  # type: ignore[no-untyped-def]
+    """How long before a sample the earliest lies that a channel shows there."""
+    speed = p[FIRST_SKEW + SPEED] + p[Slot.speed_averaging__time_s]
+    return max(p[FIRST_SKEW + POSITION], speed, p[FIRST_SKEW + CURRENT])
+
+
+@_jit
 def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-untyped-def]
     """Steady rotation from the load angle ``start_angle_rad`` on, into ``out``.
 
@@ -1223,7 +1269,7 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     state[:] = 0.0
     state[: y.size] = y
     c = constants(p, ramp_start, t)
-    lag = max(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
+    lag = longest_lag(p)
     lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     # What is logged at a tick is sent at the next.
     stop = t + (out.shape[1] - 1) * dt + max(0.0, -lead) + 1e-9
@@ -1284,7 +1330,7 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
 @_jit
 def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untyped-def]
     """A motion from the state it starts in, into ``out``; returns status, right-hand sides."""
-    lag = max(0.0, p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
+    lag = max(0.0, longest_lag(p))
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
     pieces = pieces.copy()
     pieces[:, 0] += p[Slot.reference_delay_s]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -41,6 +42,8 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.channels import did_you_mean
 
 REFERENCE_BENCH = "reference_bench.toml"
+AVERAGING = effect_named("speed_averaging")
+LONGEST_AVERAGE_S = AVERAGING.parameter("time_s").high
 
 
 def _parameter_name(name: str) -> str:
@@ -139,10 +142,15 @@ class CurrentNoise(_NoiseEntry):
 
 
 class MeasurementSection(Section):
-    """``[measurement]``: how the bench is measured."""
+    """``[measurement]``: how the bench is measured.
+
+    ``speed_filter_s``: the time that the recorded speed is averaged over, as the effect
+    ``speed_averaging`` has it. A speed of the encoder is averaged over a sampling period.
+    """
 
     encoder_counts: int | None = Field(default=None, ge=1)
     speed_source: Literal["sensor", "encoder"] = "sensor"
+    speed_filter_s: float = Field(default=0.0, ge=0.0, le=LONGEST_AVERAGE_S)
     speed_noise: SpeedNoise = SpeedNoise(sd_rpm=0.0)
     current_noise: CurrentNoise = CurrentNoise(sd_a=0.0)
     noise_through_controller: bool = False
@@ -154,6 +162,12 @@ class MeasurementSection(Section):
                 "A speed from the encoder needs its counts.",
                 found="no encoder_counts",
                 expected="encoder_counts, in counts per motor revolution",
+            )
+        if self.speed_source == "encoder" and self.speed_filter_s > 0.0:
+            refuse(
+                "A speed from the encoder is averaged over a sampling period already.",
+                found=f"speed_filter_s = {self.speed_filter_s:g}",
+                expected='speed_filter_s alone, with the whole time, or speed_source = "encoder"',
             )
         return self
 
@@ -284,6 +298,28 @@ class BenchFile(Section):
         require_different([effect.name for effect in effects], "An effect is listed twice.")
         return effects
 
+    @model_validator(mode="after")
+    def _filter_is_stated_once(self) -> Self:
+        named = {effect.name for effect in self.effects}
+        if self.measurement.speed_filter_s > 0.0 and AVERAGING.name in named:
+            refuse(
+                "The averaging of the speed is stated twice.",
+                found=f"speed_filter_s under [measurement] and the effect {AVERAGING.name}",
+                expected="one of them",
+            )
+        return self
+
+    def _effects(self) -> Iterator[BenchEffect]:
+        """As the bench takes them."""
+        for effect in self.effects:
+            values = effect.parameters.items()
+            yield BenchEffect(
+                effect.name, {k: EffectParameterValue(v.value, v.sd) for k, v in values}
+            )
+        if self.measurement.speed_filter_s > 0.0:
+            time = EffectParameterValue(self.measurement.speed_filter_s)
+            yield BenchEffect(AVERAGING.name, {"time_s": time})
+
     def _values(self) -> dict[str, float]:
         """Every value given, in the bench's own unit."""
         units = {
@@ -330,13 +366,7 @@ class BenchFile(Section):
             gap_form=self.gap_form,
             drive=self.drive,
             measurement=self.measurement.measurement(),
-            effects=tuple(
-                BenchEffect(
-                    effect.name,
-                    {k: EffectParameterValue(v.value, v.sd) for k, v in effect.parameters.items()},
-                )
-                for effect in self.effects
-            ),
+            effects=tuple(self._effects()),
             assumed=frozenset(idle),
             learned_torque=None if self.learned_torque is None else self.learned_torque.learned(),
             encoder_error=None if self.encoder_error is None else self.encoder_error.learned(),

@@ -127,7 +127,7 @@ def candidates(
             continue
         if "load_angle" in effect.depends_on and not load_angle_known:
             continue
-        if effect.enters == "measurement" and any(len(seen.signals) < 2 for seen in recordings):
+        if effect.between_channels and any(len(seen.signals) < 2 for seen in recordings):
             continue
         if effect.is_periodic:
             found += _periodic(effect, recordings, peaks, motor_angle_known)

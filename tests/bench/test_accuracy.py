@@ -466,6 +466,17 @@ def test_recorded_references_make_the_motion_that_they_were_recorded_of() -> Non
         assert np.max(np.abs(by_position[0, 1] - made)) < 0.3
 
 
+@pytest.mark.parametrize("name", MOTIONS)
+def test_the_average_speed_of_a_motion_is_the_change_of_its_position(name: str) -> None:
+    motion, steps = MOTIONS[name], 3
+    parameters = reference_bench().vector(gap_rad=8e-4, start_angle_rad=motion.start_angle_rad)
+    true = simulate_motions(parameters, motion, 1500, 1000.0)[0]
+    parameters[0, Slot.speed_averaging__time_s] = steps * 1e-3
+    averaged = simulate_motions(parameters, motion, 1500, 1000.0)[0, 1]
+    change = (true[0, steps:] - true[0, :-steps]) / (steps * 1e-3) * RPM
+    assert np.max(np.abs(averaged[steps:] - change)) < 2.0 * PROMISED_RPM
+
+
 def test_a_load_at_rest_on_its_flank_stays_there() -> None:
     held = recorded_motion(np.arange(2000) / 1000.0, np.zeros(2000))
     for effects in ([], ["motor_coulomb_friction", "load_coulomb_friction"]):

@@ -349,6 +349,26 @@ def test_a_skewed_channel_lags_the_others(channel: int, shift: int) -> None:
         assert np.allclose(skewed[row][inside], expected[inside], atol=1e-3)
 
 
+@pytest.mark.parametrize("others", [{}, {"sampled_control__period_s": 1e-3}])
+def test_an_averaged_speed_is_the_change_of_the_encoder_over_that_time(others) -> None:
+    averaged = channels(speed_averaging__time_s=4e-3, **others)
+    true = channels(**others)
+    change = (true[POSITION][4:] - true[POSITION][:-4]) / 4e-3 * 60.0 / (2.0 * np.pi)
+    assert np.allclose(averaged[SPEED][4:], change, atol=2e-3)
+    rest = [POSITION, CURRENT]
+    assert np.allclose(averaged[rest], true[rest], atol=1e-4)
+
+
+def test_an_average_over_no_time_is_the_speed_itself() -> None:
+    assert np.allclose(channels(speed_averaging__time_s=1e-5)[SPEED], channels()[SPEED], atol=0.02)
+
+
+def test_an_average_that_lags_too_is_the_same_one_later() -> None:
+    averaged = channels(speed_averaging__time_s=3e-3)
+    late = channels(speed_averaging__time_s=3e-3, channel_time_skew__speed_s=2e-3)
+    assert np.allclose(late[SPEED][2:], averaged[SPEED][:-2], atol=2e-3)
+
+
 def test_backlash_is_the_gap_itself() -> None:
     assert np.array_equal(channels(), channels(gap_rad=0.0, backlash__gap_rad=GAP))
 

@@ -88,6 +88,35 @@ def test_a_dumped_bench_loads_back_equal(tmp_path: Path) -> None:
     assert load_bench(again).fingerprint() == bench.fingerprint()
 
 
+def test_a_speed_filter_is_the_effect_that_averages(tmp_path: Path) -> None:
+    stated = "[measurement]\nspeed_filter_s = 0.004"
+    bench = load_bench(bench_file(tmp_path, "[measurement]", stated))
+    assert bench.value("speed_averaging.time_s") == 0.004
+    again = tmp_path / "again.toml"
+    again.write_text(dump_bench(bench), encoding="utf-8")
+    assert load_bench(again) == bench
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('speed_filter_s = 0.001\nspeed_source = "encoder"', "averaged over a sampling period"),
+        ("speed_filter_s = 0.5", "speed_filter_s"),
+        (
+            "speed_filter_s = 0.001\n[[effects]]\nname = 'speed_averaging'\n"
+            "parameters = {time_s = {value = 0.001}}",
+            "stated twice",
+        ),
+    ],
+)
+def test_an_average_is_stated_once_and_in_range(tmp_path: Path, more: str, said: str) -> None:
+    parameters, _, _ = SHIPPED.read_text(encoding="utf-8").partition("[measurement]")
+    stated = tmp_path / "stated.toml"
+    stated.write_text(f"{parameters}[measurement]\nencoder_counts = 16384\n{more}\n", "utf-8")
+    with pytest.raises(ConfigError, match=said):
+        load_bench(stated)
+
+
 def test_noise_with_outliers_can_be_asked_for(tmp_path: Path) -> None:
     old = 'kind = "ar", sd_rpm = 1.5'
     new = 'kind = "student_t", degrees_of_freedom = 3.0, sd_rpm = 1.5'

@@ -72,6 +72,16 @@ def test_with_an_effect_they_differ_by_far_less_than_it_does(independent, plain,
     assert apart[1] < 0.01
 
 
+@pytest.mark.parametrize("time_s", [1e-3, 4e-3, 7.3e-3])
+def test_both_average_the_speed_alike(independent, plain, time_s):
+    package, own = both(independent, {"speed_averaging__time_s": time_s})
+    change = np.max(np.abs(package - plain[0]), axis=1)
+    apart = np.max(np.abs(package - own), axis=1)
+    assert np.all(apart < 0.005)
+    assert apart[1] < 0.01 * change[1]
+    assert np.all(change[[0, 2]] < 1e-4)
+
+
 def test_it_has_no_parameter_that_the_package_has_not_and_twenty_of_its_effects(independent):
     own = {name for name in independent.Plant._fields if not name.startswith("outside__")}
     assert own <= {slot.name for slot in Slot}

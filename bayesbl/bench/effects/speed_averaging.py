@@ -1,0 +1,34 @@
+"""Averaging: the recorded speed is a mean over the time before each sample.
+
+    ω_meas(t) = (θ_meas(t) − θ_meas(t − T))/T
+
+An encoder that is differentiated shows it, with T its sampling period, and a trace that the drive
+smooths. The controller does not see it. It lowers the ringing, and the gap that is read from it.
+"""
+
+from __future__ import annotations
+
+from bayesbl.bench.effect_declaration import Amplitude, Effect
+
+EFFECT = Effect(
+    place=205,
+    name="speed_averaging",
+    sentence="The recorded speed is a mean over the time before each sample.",
+    equation="ω_meas(t) = (θ_meas(t) − θ_meas(t − T))/T",
+    parameters=(
+        Amplitude(
+            "time_s",
+            "s",
+            "time T that the speed is averaged over",
+            low=0.0,
+            high=0.02,
+            typical=4e-3,
+            repeats="always",
+            not_negative=True,
+            sought_from=2e-4,  # shorter ones do not show
+        ),
+    ),
+    enters="measurement",
+    depends_on=(),
+    data="ringing lower in the speed than in the current, and later",
+)
