@@ -3,8 +3,9 @@
 Every parameter that is not known exactly is free within its tolerance, beside the gap and each
 recording's start angle; the match and its posterior are those of the direct route. What the
 parameters cannot explain within their tolerances is sought beyond one of them, and then among the
-effects of the catalogue. Where they seem to explain all, a delay in the controller's loop may be
-hidden in them: every drive has one, few data sheets, and the gap is wrong with them.
+effects of the catalogue. Where they seem to explain all, a delay in the controller's loop or in
+what it records may be hidden in them: every drive has one, few data sheets, and the gap is wrong
+with them.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ AT_EDGE = 1e-6
 POLISHED = 3
 """Parameters beyond their tolerance that are fitted to the end, the best of the rough fits."""
 
-LOOP_EFFECTS = tuple(e.name for e in EFFECTS if e.enters == "loop")
+DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
+"""Those of the drive: between the motor and the controller, and the recording."""
 
 STEADY_EFFECTS = tuple(e.name for e in EFFECTS if e.enters == "motor" and not e.is_periodic)
 """Those that may be a constant torque at constant speed, or nearly."""
@@ -284,16 +286,16 @@ def _agrees(explanation: Explanation) -> bool:
 def _delayed(
     nominal: Explanation, problem: Problem
 ) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
-    """With a delay in the controller's loop beside the parameters, if the recordings show one.
+    """With a delay in loop or recording beside the parameters, if the recordings show one.
 
     Those at constant speed must: a reference that was sampled has round corners, as by a delay.
     """
     if all(seen.motion is not None for seen in problem.used):
         return nominal, ()
-    loop = _effects(problem, nominal.fit, LOOP_EFFECTS)
+    delays = _effects(problem, nominal.fit, DELAYS)
     found = []
-    for candidate, promise in zip(loop, linear_gains(nominal, loop), strict=True):
-        asked = gain_threshold(len(candidate.unknowns), len(loop), FALSE_ALARM)
+    for candidate, promise in zip(delays, linear_gains(nominal, delays), strict=True):
+        asked = gain_threshold(len(candidate.unknowns), len(delays), FALSE_ALARM)
         if promise < WORTH_FITTING * asked:
             continue
         rough = explain(nominal, candidate)

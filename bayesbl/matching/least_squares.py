@@ -82,6 +82,14 @@ class SimulatedFit:
         """
         return _jacobian(self.model, self.point, self.residual, self.steps)[0]
 
+    def peak(self) -> FloatArray:
+        """Of the normal approximation, shape (d,): outside where a range's end stopped the fit."""
+        model = self.model
+        if np.all((self.point > model.low) & (self.point < model.high)):
+            return self.point
+        pull = self.derivatives().T @ self.residual + _prior_pull(model, self.point)
+        return np.asarray(self.point + self.covariance @ pull)
+
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""
         i = self.model.index(name, recording)

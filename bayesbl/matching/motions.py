@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.kernel import CURRENT, SPEED, TWIST, Slot
 from bayesbl.bench.simulation import simulate_motions
@@ -26,7 +28,13 @@ that a bench calls free of friction may still hold some per cent."""
 
 ANGLES_SCANNED = 36
 ANGLES_REFINED = 4
-REFINEMENTS = 3
+REFINEMENTS = 2
+FINE_ANGLE = 2.0 * math.pi / ANGLES_SCANNED / 4.0 ** (REFINEMENTS + 1)
+ANGLES_KEPT = 2
+"""Places that gravity tells apart by the current, and hardly by the speed alone."""
+PAIR_REFINEMENTS = 2
+ABOUT = np.arange(-3.0, 4.0)
+"""Places about the best of a coarser grid, in steps of a finer one that is a quarter of it."""
 GAPS_SCANNED = 12
 GAPS_SCANNED_FINELY = 96
 """Steps of 5 %: a motion has a valley of χ² for each sequence of impacts."""
@@ -35,6 +43,9 @@ AT_ONCE = 64
 """Simulated motions held in memory together."""
 SCANNED_S = 4.0
 """Of a motion, behind what is left out, or one cycle if that is longer: enough to start from."""
+
+_Scan = Callable[[int, FloatArray], tuple[FloatArray, FloatArray]]
+"""So many gaps at start angles (k,): points (k, m, d) and χ² there (k, m)."""
 
 
 def noise_of(seen: Observed, residual: FloatArray) -> ChannelNoise:
@@ -91,11 +102,11 @@ def start_angles(
     if place is None:
         return np.zeros(len(points)), _rough_chi_square(model, points, recording)
     width, best, reach = 2.0 * math.pi / ANGLES_SCANNED, 0.0, np.arange(float(ANGLES_SCANNED))
-    for _ in range(REFINEMENTS + 1):
+    for _ in range(REFINEMENTS + 2):
         tried = np.repeat(points[len(points) // 2][None], reach.size, axis=0)
         tried[:, place] = best + width * reach
         best = float(tried[int(np.argmin(_rough_chi_square(model, tried, recording))), place])
-        width, reach = width / 4.0, np.arange(-3.0, 4.0)
+        width, reach = width / 4.0, ABOUT
     tried = points.copy()
     tried[:, place] = best
     return tried[:, place], _rough_chi_square(model, tried, recording)
@@ -105,7 +116,8 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
     """Points to fit a motion alone from, best first: its gap and its start angle by scan.
 
     The angle is refined with the gap free over its whole range, for gravity moves the current by
-    more than any gap does; then the gap is scanned finely at each of the best angles.
+    more than any gap does; then both together are scanned finely about the best angles: a
+    milliradian shifts the impacts into another valley of the gap.
 
     Parameters
     ----------
@@ -125,23 +137,61 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
         cost = _rough_chi_square(model, tried, recording)
         return tried.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
 
-    best = np.zeros(1)
-    if place is not None:
-        width = 2.0 * math.pi / ANGLES_SCANNED
-        angles = width * np.arange(float(ANGLES_SCANNED))
-        cost = scanned(GAPS_SCANNED, angles)[1].min(axis=1)
-        valleys = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
-        best = angles[valleys[np.argsort(cost[valleys])][:ANGLES_REFINED]]
-        for _ in range(REFINEMENTS):
-            width /= 4.0
-            tried = (best[:, None] + width * np.arange(-3.0, 4.0)).ravel()
-            cost = scanned(GAPS_SCANNED, tried)[1].min(axis=1).reshape(best.size, -1)
-            best = tried.reshape(best.size, -1)[np.arange(best.size), np.argmin(cost, axis=1)]
-    points, costs = scanned(GAPS_SCANNED_FINELY, best)
-    beside = np.pad(costs, ((0, 0), (1, 1)), constant_values=np.inf)
-    valleys = np.flatnonzero((costs <= beside[:, :-2]) & (costs <= beside[:, 2:]))
-    order = valleys[np.argsort(costs.ravel()[valleys])][:VALLEYS_FITTED]
-    return [points.reshape(costs.size, -1)[k] for k in order]
+    likely = [np.zeros(1)] if place is None else _likely_angles(scanned)
+    found: list[tuple[float, FloatArray]] = []
+    for angles in likely:
+        points, costs = scanned(GAPS_SCANNED_FINELY, angles)
+        found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
+    starts = [point for _, point in sorted(found, key=lambda own: own[0])[:VALLEYS_FITTED]]
+    if place is None:
+        return starts
+    step = np.zeros(start.size)
+    step[gap] = (model.high[gap] - model.low[gap]) / (GAPS_SCANNED_FINELY - 1)
+    step[place] = FINE_ANGLE
+    return [_refined(model, own, recording, (gap, place), step) for own in starts]
+
+
+def _likely_angles(scanned: _Scan) -> list[FloatArray]:
+    """Fine grids of start angles about those that fit best with any gap, the best first."""
+    width = 2.0 * math.pi / ANGLES_SCANNED
+    angles = width * np.arange(float(ANGLES_SCANNED))
+    cost = scanned(GAPS_SCANNED, angles)[1].min(axis=1)
+    valleys = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
+    best = angles[valleys[np.argsort(cost[valleys])][:ANGLES_REFINED]]
+    for _ in range(REFINEMENTS):
+        width /= 4.0
+        tried = best[:, None] + width * ABOUT
+        cost = scanned(GAPS_SCANNED, tried.ravel())[1].min(axis=1).reshape(tried.shape)
+        order = np.argsort(cost.min(axis=1))
+        best = tried[np.arange(best.size), np.argmin(cost, axis=1)][order]
+    return list(best[:ANGLES_KEPT, None] + FINE_ANGLE * ABOUT)
+
+
+def _valleys(cost: FloatArray) -> list[tuple[int, int]]:
+    """Places of a grid (k, m) that lie no higher than the eight around them."""
+    beside = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3, 3))
+    return list(zip(*np.nonzero(cost <= beside.min(axis=(2, 3))), strict=True))
+
+
+def _refined(
+    model: SimulatedSignals,
+    start: FloatArray,
+    recording: int,
+    places: tuple[int, int],
+    step: FloatArray,
+) -> FloatArray:
+    """The best point about a start, by ever finer grids of gap and angle; ``step`` is (d,)."""
+    gap, angle = places
+    about = np.zeros((3 * ABOUT.size, start.size))
+    about[:, gap] = np.repeat([-1.0, 0.0, 1.0], ABOUT.size)
+    about[:, angle] = np.tile(ABOUT, 3)
+    for finer in range(1, PAIR_REFINEMENTS + 1):
+        own = step.copy()
+        own[gap] /= 2.0**finer
+        own[angle] /= 4.0**finer
+        tried = np.clip(start + own * about, model.low, model.high)
+        start = tried[int(np.argmin(_rough_chi_square(model, tried, recording)))]
+    return start
 
 
 def _angle_place(model: SimulatedSignals, recording: int) -> int | None:

@@ -14,9 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.bench.parameters import cannot_be_negative, is_share
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Progress, SamplerSettings, Walk, thinned, walk
@@ -25,8 +24,9 @@ from bayesbl.sampling.convergence import (
     judge,
     rank_r_hat_and_ess,
 )
-from bayesbl.sampling.ensemble import Ensemble
+from bayesbl.sampling.ensemble import Ensemble, walkers_needed
 from bayesbl.sampling.importance import effective_size, resampled
+from bayesbl.sampling.truncated_normal import truncated_normal
 
 DRAWS = 1000
 """Draws over all ensembles; each is simulated in full."""
@@ -47,10 +47,6 @@ PRESSED = 1.1
 1.10 where a normal likelihood has its peak two standard deviations beyond the edge, 1.32 where it
 has it at the edge, 1.73 where it is flat.
 """
-LEAST_SHARE = 0.1
-"""Of the lower end of a range above zero, that the surrogate's points stay above."""
-BEYOND = 0.5
-"""How far, in half-widths, the surrogate's points may leave a flat prior's range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +138,13 @@ def sample_direct(
     """
     model = fit.model
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
-    points = _design(fit, points_needed(model), np.random.default_rng(design_seed))
-    centre, covariance = fit.point, fit.covariance
-    chi_square, surrogate = regress(model, points, centre, covariance)
+    local = _Local(fit.point, fit.peak(), fit.covariance)
+    points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
+    chi_square, surrogate = regress(model, points, points.mean(axis=0), _covariance(points))
     failed = float(np.mean(~np.isfinite(chi_square)))
-    refits = 0
-    while True:
-        walked = _walk(model, surrogate, centre, covariance, settings, walk_seeds[refits], progress)
+    best: _Weighted | None = None
+    for refits, walk_seed in enumerate(walk_seeds):
+        walked = _walk(model, surrogate, local, settings, walk_seed, progress)
         draws = np.stack([thinned(c, DRAWS // len(walked.chains)) for c in walked.chains])
         flat = draws.reshape(-1, draws.shape[-1])
         expected = surrogate.chi_square(flat)
@@ -157,86 +153,104 @@ def sample_direct(
             return DirectPosterior(
                 fit, draws, expected.reshape(draws.shape[:2]), math.nan, 0, 0, diagnostics
             )
-        centre, covariance = flat.mean(axis=0), _covariance(flat)
-        chi_square, better = regress(model, flat, centre, covariance)
-        log_weights = np.where(
-            np.isfinite(chi_square), -0.5 * np.nan_to_num(chi_square - expected), -np.inf
-        )
-        effective = effective_size(log_weights)
-        failed = float(np.mean(~np.isfinite(chi_square)))
-        if effective >= GOOD_SHARE * len(flat) or refits == MOST_REFITS:
+        local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
+        chi_square, surrogate = regress(model, flat, local.centre, local.covariance)
+        found = _Weighted.by(walked, draws, expected, chi_square, refits)
+        if best is not None and found.effective <= best.effective:
+            break  # made of draws that hardly weigh: no surrogate made of it can be better
+        best = found
+        if best.effective >= GOOD_SHARE * len(flat):
             break
-        surrogate, refits = better, refits + 1
-    diagnostics = _judge(model, walked, draws, effective, failed)
-    weights = log_weights.reshape(draws.shape[:2])
-    picked = resampled(weights, draws.shape[1], np.random.default_rng(pick_seed))
+    assert best is not None
+    diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed)
+    picked = resampled(best.log_weights, best.draws.shape[1], np.random.default_rng(pick_seed))
     return DirectPosterior(
         fit,
-        np.take_along_axis(draws, picked[..., None], axis=1),
-        np.take_along_axis(chi_square.reshape(draws.shape[:2]), picked, axis=1),
-        effective,
-        len(flat),
-        refits,
+        np.take_along_axis(best.draws, picked[..., None], axis=1),
+        np.take_along_axis(best.chi_square, picked, axis=1),
+        best.effective,
+        best.chi_square.size,
+        best.refits,
         diagnostics,
     )
 
 
-def _design(fit: SimulatedFit, count: int, generator: np.random.Generator) -> FloatArray:
-    """Points drawn from the Laplace posterior; those outside the priors' ranges are pulled in.
+@dataclass(frozen=True, slots=True)
+class _Local:
+    """Roughly where the posterior is: a normal distribution, and a point within the ranges."""
 
-    A point moves towards the optimum as a whole: along one coordinate alone it would leave the
-    valley that the recordings allow.
+    centre: FloatArray
+    peak: FloatArray
+    covariance: FloatArray
+
+    def drawn(
+        self, count: int, box: tuple[FloatArray, FloatArray], seed: np.random.SeedSequence
+    ) -> FloatArray:
+        """Draws within a box, shape (count, d)."""
+        generator = np.random.default_rng(seed)
+        return truncated_normal(self.peak, self.covariance, self.centre, box, count, generator)
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighted:
+    """Draws of a surrogate with the weights that full simulation gives them.
+
+    ``chi_square``, ``log_weights``: shape (chain, draw).
     """
-    model = fit.model
-    steps = generator.standard_normal((count, fit.point.size))
-    moves = steps @ np.linalg.cholesky(fit.covariance).T
-    half = 0.5 * (model.high - model.low)
-    margin = np.array([_margin(u, h) for u, h in zip(model.unknowns, half, strict=True)])
-    # Below zero much makes no physical sense, and at zero some of it neither.
-    floor = [
-        -math.inf
-        if u.logarithmic or u.added or not cannot_be_negative(u.name)
-        else LEAST_SHARE * u.low
-        for u in model.unknowns
-    ]
-    ceiling = [1.0 if is_share(u.name) else math.inf for u in model.unknowns]
-    low = np.maximum(model.low - margin, floor)
-    high = np.minimum(model.high + margin, ceiling)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(moves > 0.0, (high - fit.point) / moves, (low - fit.point) / moves)
-    share = np.clip(np.nan_to_num(room, nan=1.0).min(axis=1), 0.0, 1.0)
-    return np.asarray(fit.point + share[:, None] * moves)
 
+    walked: Walk
+    draws: FloatArray
+    chi_square: FloatArray
+    log_weights: FloatArray
+    effective: float
+    refits: int
 
-def _margin(unknown: Unknown, half_width: float) -> float:
-    """How far the surrogate's points may leave a flat prior's range.
+    @classmethod
+    def by(
+        cls,
+        walked: Walk,
+        draws: FloatArray,
+        expected: FloatArray,
+        chi_square: FloatArray,
+        refits: int,
+    ) -> _Weighted:
+        """``expected``: χ² by the surrogate."""
+        log_weights = np.where(
+            np.isfinite(chi_square), -0.5 * np.nan_to_num(chi_square - expected), -np.inf
+        )
+        shape = draws.shape[:2]
+        effective = effective_size(log_weights)
+        return cls(
+            walked,
+            draws,
+            chi_square.reshape(shape),
+            log_weights.reshape(shape),
+            effective,
+            refits,
+        )
 
-    The logarithm of a bench parameter may go three standard deviations of that prior beyond it:
-    what scales several of them at once changes no signal, and points pulled back along it would
-    not spread along what does.
-    """
-    if unknown.name == GAP or not math.isfinite(half_width):
-        return 0.0
-    return 3.0 * unknown.prior_sd if unknown.logarithmic else BEYOND * half_width
+    @property
+    def failed(self) -> float:
+        """Share of simulations that failed."""
+        return float(np.mean(~np.isfinite(self.chi_square)))
 
 
 def _walk(
     model: SimulatedSignals,
     surrogate: Surrogate,
-    centre: FloatArray,
-    covariance: FloatArray,
+    local: _Local,
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None,
 ) -> Walk:
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
-    # Wide tolerances are cut by the ends of other parameters' ranges: most first draws are outside.
-    wide = bool(np.any(model.prior_slope))
-    ensembles = [
-        Ensemble(target, centre, covariance, (model.low, model.high), s, redrawn=wide)
-        for s in seed.spawn(settings.ensembles)
-    ]
+    walkers = walkers_needed(len(model.unknowns))
+    ensembles = []
+    for own_seed in seed.spawn(settings.ensembles):
+        start_seed, walk_seed = own_seed.spawn(2)
+        start = local.drawn(walkers, (model.low, model.high), start_seed)
+        ensembles.append(Ensemble(target, start, walk_seed))
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
     tail = 0.5 - 0.5 * settings.level
 
@@ -244,7 +258,7 @@ def _walk(
         pooled = np.concatenate([thinned(chain)[:, gaps] for chain in chains])
         return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
 
-    return walk(ensembles, settings, bounds, np.sqrt(np.diag(covariance))[gaps], progress)
+    return walk(ensembles, settings, bounds, np.sqrt(np.diag(local.covariance))[gaps], progress)
 
 
 def _covariance(points: FloatArray) -> FloatArray:

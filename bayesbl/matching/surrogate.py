@@ -16,6 +16,8 @@ from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
 POINTS_PER_TERM = 3
+REACH = 2.0
+"""Times the distance of the furthest point: of a normal posterior nothing lies beyond."""
 AT_ONCE = 64
 """Simulated recordings held in memory together."""
 
@@ -24,20 +26,23 @@ AT_ONCE = 64
 class _Part:
     """One recording: r(u) = Cᵀφ(u) with φ = (1, u, uuᵀ), so χ² = φᵀ(CCᵀ)φ.
 
-    ``index``: the recording's unknowns; u = ``inverse_root`` (x − ``centre``).
+    ``index``: the recording's unknowns; u = ``inverse_root`` (x − ``centre``). Beyond ``reach`` of
+    |u| the polynomial says nothing.
     """
 
     index: NDArray[np.int64]
     centre: FloatArray
     inverse_root: FloatArray
     gram: FloatArray
-
-    def terms(self, points: FloatArray) -> FloatArray:
-        return _terms((points[:, self.index] - self.centre) @ self.inverse_root.T)
+    reach: float
 
     def chi_square(self, points: FloatArray) -> FloatArray:
-        terms = self.terms(points)
-        return np.asarray(np.einsum("mp,mp->m", terms @ self.gram, terms))
+        u = (points[:, self.index] - self.centre) @ self.inverse_root.T
+        known = np.linalg.norm(u, axis=1) < self.reach
+        terms = _terms(u[known])
+        found = np.full(len(points), np.inf)
+        found[known] = np.einsum("mp,mp->m", terms @ self.gram, terms)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +52,7 @@ class Surrogate:
     parts: tuple[_Part, ...]
 
     def chi_square(self, points: FloatArray) -> FloatArray:
-        """Shape (m, d) to (m,)."""
+        """Shape (m, d) to (m,); infinite far from where it was made."""
         return np.asarray(np.sum([part.chi_square(points) for part in self.parts], axis=0))
 
 
@@ -80,7 +85,8 @@ def regress(
         index = _own(model, i)
         root = np.linalg.cholesky(covariance[np.ix_(index, index)])
         inverse_root = np.linalg.inv(root)
-        terms = _terms((points[:, index] - centre[index]) @ inverse_root.T)
+        u = (points[:, index] - centre[index]) @ inverse_root.T
+        terms = _terms(u)
         p = terms.shape[1]
         normal, right = np.zeros((p, p)), np.zeros((p, 0))
         for begin in range(0, len(points), AT_ONCE):
@@ -96,7 +102,8 @@ def regress(
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         gram = inverse @ (right @ right.T) @ inverse
-        parts.append(_Part(index, centre[index], inverse_root, gram))
+        reach = REACH * float(np.linalg.norm(u, axis=1).max())
+        parts.append(_Part(index, centre[index], inverse_root, gram, reach))
     return chi_square, Surrogate(tuple(parts))
 
 

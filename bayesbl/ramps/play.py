@@ -175,7 +175,8 @@ def sample_play(
     low, high = target.box
     covariance = np.diag((0.1 * (high - low)) ** 2)
     ensembles = [
-        Ensemble(target, target.centre, covariance, target.box, own) for own in ensemble_seeds
+        Ensemble.around(target, target.centre, covariance, target.box, own)
+        for own in ensemble_seeds
     ]
     tail = 0.5 * (1.0 - settings.level)
 

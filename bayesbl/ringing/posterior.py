@@ -95,7 +95,7 @@ def sample_posterior(
     searched = np.array([spread.names.index(n) for n in objective.searched])
     local = spread.scale * spread.inverse_curvature[np.ix_(searched, searched)]
     box = (target.low, target.high)
-    ensembles = [Ensemble(target, optimum.searched, local, box, s) for s in ensemble_seeds]
+    ensembles = [Ensemble.around(target, optimum.searched, local, box, s) for s in ensemble_seeds]
 
     walked = walk(
         ensembles,

@@ -13,6 +13,8 @@ from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_t
 from bayesbl.sampling.ensemble import Ensemble
 
 STEPS_BETWEEN_CHECKS = 250
+STEPS_PER_CHECK = 5
+"""Of all steps so far, one in so many before the next check, which costs as much as they all."""
 BURN_IN_AUTOCORRELATIONS = 5.0
 DRAWS_KEPT = 1000
 BOUND_TOLERANCE_SD = 0.05
@@ -83,7 +85,8 @@ def walk(
     steps, tau, stable = 0, math.inf, False
     last: FloatArray | None = None
     while steps < settings.max_steps:
-        count = min(STEPS_BETWEEN_CHECKS, settings.max_steps - steps)
+        stretch = max(STEPS_BETWEEN_CHECKS, steps // STEPS_PER_CHECK)
+        count = min(stretch, settings.max_steps - steps)
         for ensemble in ensembles:
             ensemble.run(count)
         steps += count

@@ -13,9 +13,10 @@ FEWEST_WALKERS = 32
 START_SPREAD = 1.5
 """Scatter of the walkers at the start, in standard deviations of the local covariance."""
 
-START_ROUNDS = 200
-"""Walkers outside the ranges are drawn again so often, and only then moved to their ends: one that
-is moved along one coordinate leaves the valley of several, and may not find back."""
+
+def walkers_needed(dimensions: int) -> int:
+    """How many an ensemble has."""
+    return max(FEWEST_WALKERS, 4 * dimensions)
 
 
 class Ensemble:
@@ -25,43 +26,19 @@ class Ensemble:
     ----------
     target
         Log density of points (m, d), shape (m,).
-    centre, local_covariance
-        Where the walkers start and how far they scatter there, shapes (d,) and (d, d).
-    box
-        Low and high end of every range, shapes (d,); infinite where there is none.
-    redrawn
-        Walkers that would start outside are drawn again; otherwise they start at the ends.
+    start
+        Of each walker, shape (:func:`walkers_needed`, d).
     """
 
     def __init__(
         self,
         target: Callable[[FloatArray], FloatArray],
-        centre: FloatArray,
-        local_covariance: FloatArray,
-        box: tuple[FloatArray, FloatArray],
+        start: FloatArray,
         seed: np.random.SeedSequence,
-        *,
-        redrawn: bool = False,
     ) -> None:
         import emcee
 
-        start_seed, walk_seed = seed.spawn(2)
-        d = centre.size
-        walkers = max(FEWEST_WALKERS, 4 * d)
-        generator = np.random.default_rng(start_seed)
-        root = np.linalg.cholesky(local_covariance)
-        low, high = box
-        margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
-        low, high = low + margin, high - margin
-        start = np.empty((walkers, d))
-        outside = np.ones(walkers, dtype=bool)
-        for _ in range(START_ROUNDS if redrawn else 1):
-            steps = START_SPREAD * generator.standard_normal((int(outside.sum()), d))
-            start[outside] = centre + steps @ root.T
-            outside = np.any((start < low) | (start > high), axis=1)
-            if not outside.any():
-                break
-        start = np.clip(start, low, high)
+        walkers, d = start.shape
         self._sampler = emcee.EnsembleSampler(
             walkers,
             d,
@@ -69,8 +46,35 @@ class Ensemble:
             moves=emcee.moves.DEMove(),  # DESnookerMove of 3.1.6 is biased
             vectorize=True,
         )
-        bits = np.random.MT19937(walk_seed)
+        bits = np.random.MT19937(seed)
         self._state: Any = emcee.State(start, random_state=np.random.RandomState(bits).get_state())
+
+    @classmethod
+    def around(
+        cls,
+        target: Callable[[FloatArray], FloatArray],
+        centre: FloatArray,
+        local_covariance: FloatArray,
+        box: tuple[FloatArray, FloatArray],
+        seed: np.random.SeedSequence,
+    ) -> Ensemble:
+        """One that begins about a point, at the ends of ranges where it would begin outside.
+
+        Parameters
+        ----------
+        centre, local_covariance
+            Where the walkers start and how far they scatter there, shapes (d,) and (d, d).
+        box
+            Low and high end of every range, shapes (d,); infinite where there is none.
+        """
+        start_seed, walk_seed = seed.spawn(2)
+        low, high = box
+        margin = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
+        scatter = np.random.default_rng(start_seed).standard_normal(
+            (walkers_needed(centre.size), centre.size)
+        )
+        start = centre + START_SPREAD * scatter @ np.linalg.cholesky(local_covariance).T
+        return cls(target, np.clip(start, low + margin, high - margin), walk_seed)
 
     def run(self, steps: int) -> None:
         """Go on for a number of steps."""

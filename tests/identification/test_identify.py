@@ -36,8 +36,10 @@ from bayesbl.identification.identify import (
 from bayesbl.identification.next_recording import next_recording
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
-from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
@@ -61,6 +63,8 @@ OFF = (0.12, -0.17, 0.08, 0.2, -0.1, 0.15, -0.05, 0.1)
 
 DELAY_S = 2e-3
 LAG_S = 1.5e-3
+SMOOTHED_S = 6e-3
+CORNER = {"shaft_stiffness_nm_per_rad": 1.0, "load_inertia_kg_m2": -1.0, "gravity_torque_nm": 1.0}
 
 
 def only_compared(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -243,6 +247,52 @@ def test_a_filter_in_the_speed_that_the_tolerances_would_absorb_is_found() -> No
     assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
     lags = found.posterior.values("speed_sensor_lag__time_s")
     assert abs(lags.mean() - LAG_S) < 3.5 * lags.std()
+
+
+def test_a_trace_that_the_drive_smooths_is_found() -> None:
+    """Gap and time within 3.5 standard deviations."""
+    time = {"time_s": EffectParameterValue(SMOOTHED_S)}
+    smoothed = joint().with_effects(BenchEffect("speed_averaging", time))
+    asked = replace(problem(data_sheet()), used=recordings_of(smoothed), effects="catalogue")
+    found = identify(asked, SETTINGS, np.random.SeedSequence(6))
+    assert found.missing[0][0] == "speed_averaging"
+    assert reason_of(found, asked) is None
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    times = found.posterior.values("speed_averaging__time_s")
+    assert abs(times.mean() - SMOOTHED_S) < 3.5 * times.std()
+
+
+def test_a_speed_of_the_encoder_is_a_difference() -> None:
+    """The gap within 3.5 standard deviations; taken for a sensor's speed it does not agree."""
+    counts = Measurement(2**16, "encoder", current_noise=NoiseModel(0.05))
+    joint_seen = replace(joint(), measurement=counts)
+    sheet = replace(data_sheet(), measurement=counts)
+    asked = replace(problem(sheet), used=recordings_of(joint_seen))
+    found = identify(asked, SETTINGS, np.random.SeedSequence(8))
+    assert found.verdict == "agrees"
+    assert reason_of(found, asked) is None
+    gaps = np.log(found.posterior.values(GAP))
+    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    assert not agrees(disagreements(taken_for_a_sensor(asked)))
+
+
+def taken_for_a_sensor(asked: Problem) -> SimulatedFit:
+    """The fit of the same recordings if their speed were a sensor's."""
+    bench = replace(asked.bench, measurement=joint().measurement)
+    return fit_aligned(bench, asked.used, asked.unknowns)
+
+
+def test_a_posterior_in_a_corner_of_the_tolerances_is_sampled_and_nothing_is_lost_there() -> None:
+    """A joint so far outside its data sheet that five ends of ranges stop the match."""
+    far = {name: 1.0 + 0.6 * sign for name, sign in CORNER.items()}
+    asked = problem(data_sheet(**far))
+    fit = fit_aligned(asked.bench, asked.used, asked.unknowns)
+    found = sample_direct(fit, SETTINGS, np.random.SeedSequence(9))
+    stopped = (fit.point <= fit.model.low) | (fit.point >= fit.model.high)
+    assert stopped.sum() >= 2
+    assert found.effective > 400.0
+    assert max(found.diagnostics.r_hat.values()) < 1.05
 
 
 def matched(bench: Bench) -> SimulatedSignals:

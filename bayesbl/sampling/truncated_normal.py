@@ -1,0 +1,70 @@
+"""Draws of a normal distribution within a box, however much of it the box cuts off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+
+STEPS_PER_DIMENSION = 200
+"""A peak twenty standard deviations beyond the box makes the distribution so much narrower across
+than along, and a random direction goes the way of the narrow side."""
+
+
+def truncated_normal(
+    peak: FloatArray,
+    covariance: FloatArray,
+    start: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> FloatArray:
+    """Independent draws by hit-and-run: along random lines, each time from what is left of one.
+
+    Bélisle, Romeijn & Smith 1993, Mathematics of Operations Research 18, 255.
+
+    Parameters
+    ----------
+    peak, covariance
+        Of the normal distribution without the box, shapes (d,) and (d, d); the peak may lie out.
+    start
+        A point in the box, shape (d,).
+    box
+        Low and high end of every range, shapes (d,); infinite where there is none.
+
+    Returns
+    -------
+    Shape (count, d).
+    """
+    low, high = box
+    d = peak.size
+    root = np.linalg.cholesky(covariance)
+    white = np.repeat(np.linalg.solve(root, start - peak)[None], count, axis=0)
+    if np.all(np.isinf(low)) and np.all(np.isinf(high)):
+        return np.asarray(peak + generator.standard_normal((count, d)) @ root.T)
+    for _ in range(STEPS_PER_DIMENSION * d):
+        direction = generator.standard_normal((count, d))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        at, ahead = peak + white @ root.T, direction @ root.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.stack([(low - at) / ahead, (high - at) / ahead])
+        # Rounding may leave a point a little outside; it goes on from the end.
+        begin = np.minimum(np.fmin(*ends).max(axis=1), 0.0)
+        end = np.maximum(np.fmax(*ends).min(axis=1), 0.0)
+        middle = -np.einsum("md,md->m", white, direction)
+        moved = middle + _between(begin - middle, end - middle, generator.random(count))
+        white += moved[:, None] * direction
+    return np.asarray(np.clip(peak + white @ root.T, low, high))
+
+
+def _between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:
+    """Quantiles of the standard normal distribution between two ends, all (m,)."""
+    from scipy.special import log_ndtr, ndtri_exp
+
+    # Mirrored, so that the ends lie where the logarithm of the distribution is exact.
+    mirrored = low > -high
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    below, above = log_ndtr(low), log_ndtr(high)
+    quantile = ndtri_exp(above + np.log(share + (1.0 - share) * np.exp(below - above)))
+    found = np.clip(quantile, low, high)
+    return np.asarray(np.where(mirrored, -found, found))

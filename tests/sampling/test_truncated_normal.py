@@ -1,0 +1,52 @@
+"""Draws within a box have the moments that integration gives, in a corner of it too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import kstest, truncnorm
+
+from bayesbl.sampling.truncated_normal import truncated_normal
+
+DRAWS = 4000
+FALSE_ALARM = 1e-3
+
+
+def drawn(
+    peak: list[float], covariance: np.ndarray, low: list[float], high: list[float]
+) -> np.ndarray:
+    box = np.array(low), np.array(high)
+    start = np.clip(np.array(peak), *box)
+    return truncated_normal(np.array(peak), covariance, start, box, DRAWS, np.random.default_rng(3))
+
+
+@pytest.mark.parametrize("beyond", [-3.0, 0.0, 2.0, 20.0])
+def test_one_range_of_independent_coordinates_gives_its_own_truncated_normal(beyond: float) -> None:
+    """Peaks inside and outside a range; a false alarm in 1000 each."""
+    found = drawn([beyond, 0.0], np.eye(2), [-5.0, -np.inf], [0.0, np.inf])
+    assert kstest(found[:, 0], truncnorm(-5.0 - beyond, -beyond, loc=beyond).cdf).pvalue > (
+        FALSE_ALARM
+    )
+    assert kstest(found[:, 1], "norm").pvalue > FALSE_ALARM
+
+
+def test_correlated_coordinates_in_a_corner_have_the_mean_of_an_integral() -> None:
+    """By a grid of their density; within 5 standard errors."""
+    covariance = np.array([[1.0, 0.95], [0.95, 1.0]])
+    peak = np.array([4.0, -1.0])
+    found = drawn(list(peak), covariance, [-2.0, -2.0], [0.5, 0.0])
+    x, y = np.meshgrid(np.linspace(-2.0, 0.5, 1001), np.linspace(-2.0, 0.0, 1001), indexing="ij")
+    off = np.stack([x - peak[0], y - peak[1]])
+    exponent = -0.5 * np.einsum("ijk,il,ljk->jk", off, np.linalg.inv(covariance), off)
+    density = np.exp(exponent - exponent.max())
+    mean = np.array([np.sum(x * density), np.sum(y * density)]) / density.sum()
+    error = found.std(axis=0) / np.sqrt(DRAWS)
+    assert np.all(np.abs(found.mean(axis=0) - mean) < 5.0 * error)
+    assert np.all((found >= [-2.0, -2.0]) & (found <= [0.5, 0.0]))
+
+
+def test_without_a_box_it_is_the_normal_distribution() -> None:
+    covariance = np.array([[2.0, -0.6], [-0.6, 0.5]])
+    found = drawn([1.0, 2.0], covariance, [-np.inf] * 2, [np.inf] * 2)
+    white = np.linalg.solve(np.linalg.cholesky(covariance), (found - [1.0, 2.0]).T)
+    assert kstest(white.ravel(), "norm").pvalue > FALSE_ALARM
