@@ -6,6 +6,8 @@ import numpy as np
 
 from bayesbl.recording.types import FloatArray
 
+TRIALS = 20
+"""Normal draws for each one that is needed, before lines are gone along."""
 STEPS_PER_DIMENSION = 200
 """A peak twenty standard deviations beyond the box makes the distribution so much narrower across
 than along, and a random direction goes the way of the narrow side."""
@@ -19,9 +21,10 @@ def truncated_normal(
     count: int,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """Independent draws by hit-and-run: along random lines, each time from what is left of one.
+    """Independent draws: by rejection where that is quick, else by hit-and-run.
 
-    Bélisle, Romeijn & Smith 1993, Mathematics of Operations Research 18, 255.
+    The latter goes along random lines, each time to a draw of what the box leaves of one. Bélisle,
+    Romeijn & Smith 1993, Mathematics of Operations Research 18, 255.
 
     Parameters
     ----------
@@ -39,9 +42,11 @@ def truncated_normal(
     low, high = box
     d = peak.size
     root = np.linalg.cholesky(covariance)
+    tried = peak + generator.standard_normal((TRIALS * count, d)) @ root.T
+    inside = tried[np.all((tried > low) & (tried < high), axis=1)]
+    if len(inside) >= count:
+        return inside[:count]
     white = np.repeat(np.linalg.solve(root, start - peak)[None], count, axis=0)
-    if np.all(np.isinf(low)) and np.all(np.isinf(high)):
-        return np.asarray(peak + generator.standard_normal((count, d)) @ root.T)
     for _ in range(STEPS_PER_DIMENSION * d):
         direction = generator.standard_normal((count, d))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
