@@ -150,10 +150,25 @@ def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> 
     return path
 
 
+DRIVE = """\
+# How often the drive's speed controller computes (its manual: sampling or cycle time, 62.5 µs to
+# 4 ms). Above 100 µs it matters.
+# [[effects]]
+# name = "sampled_control"
+# parameters = {period_s = {value = 250e-6}}
+
+# What is recorded as the speed, if not what the controller sees: a mean over speed_filter_s, or the
+# encoder's position, differentiated from sample to sample (speed_source = "encoder").
+# [measurement]
+# encoder_counts = 16384
+# speed_filter_s = 4e-3
+"""
+
+
 def first_bench(file: str) -> str:
     """The bench file as text; ``file`` is its name."""
     entries = "\n".join(_entry(name, source) for name, source in SOURCES.items())
-    return HEAD.format(file=file) + "\n" + entries
+    return HEAD.format(file=file) + "\n" + entries + "\n" + DRIVE
 
 
 def _entry(name: str, source: Source) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -82,17 +83,22 @@ def test_every_unit_s_own_name_comes_first() -> None:
         assert next(iter(units)) == own
 
 
+ENTRY = re.compile(r"# (\[|\w+ = (\{|\"|[-\d.e]+$))")
+
+
 def test_the_file_to_fill_in_explains_every_parameter_that_a_bench_needs(tmp_path: Path) -> None:
     needed = {name for name, info in PARAMETER_INFO.items() if info.default is None}
     assert needed <= set(SOURCES)
     filled = "".join(
-        line.removeprefix("# ") if line.startswith("# ") and " = {" in line else line
+        line.removeprefix("# ") if ENTRY.match(line) else line
         for line in first_bench("joint.toml").splitlines(keepends=True)
     )
     path = tmp_path / "joint.toml"
     path.write_text(filled)
     bench = load_bench(path)
     assert bench.tolerances
+    assert bench.value("sampled_control.period_s") == 250e-6
+    assert bench.value("speed_averaging.time_s") == 4e-3
 
 
 def test_a_file_that_nobody_filled_in_is_refused(tmp_path: Path) -> None:
