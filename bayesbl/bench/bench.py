@@ -59,6 +59,8 @@ LATE_PARAMETERS = ("gravity_angle_rad",)
 
 # Increased when the same bench gives other signals, so that cached results are not mixed.
 _SIGNALS_VERSION = 1
+# As hashed. Version 0.2 simulated the encoder's speed as a sensor's: its curves are other ones.
+_SPEED_SOURCES = {"sensor": "sensor", "encoder": "averaged"}
 _OF_SAMPLED_CONTROL = list(EFFECT_BY_NAME["sampled_control"].slots.values())
 
 
@@ -305,6 +307,7 @@ class Bench:
             reference_speed_rpm=reference_speed_rpm,
             **dict(overrides or {}),
         )
+        matrix = self.measurement.seen_by(matrix, sampling_hz)
         samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
         simulate = simulate_speeds if channels == "speed" else simulate_channels
         return simulate(matrix, samples, sampling_hz, accuracy_rpm=accuracy_rpm, workers=workers)
@@ -480,6 +483,6 @@ class Bench:
         content = {
             "version": _SIGNALS_VERSION,
             "vector": [repr(float(value)) for value in vector],
-            "speed_source": self.measurement.speed_source,
+            "speed_source": _SPEED_SOURCES[self.measurement.speed_source],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, FloatArray
@@ -39,6 +40,19 @@ class Measurement:
     speed_noise: NoiseModel = NO_NOISE
     current_noise: NoiseModel = NO_NOISE
     noise_through_controller: bool = False
+
+    def seen_by(self, matrix: FloatArray, sampling_hz: float) -> FloatArray:
+        """Benches, shape (m, SLOTS), with the speed averaged as its source does at this rate.
+
+        A difference of the encoder's positions is an average over a sampling period; where a bench
+        states an average, that is all of it.
+        """
+        if self.speed_source != "encoder":
+            return matrix
+        matrix = matrix.copy()
+        averaging = matrix[:, Slot.speed_averaging__time_s]
+        averaging[averaging == 0.0] = 1.0 / sampling_hz
+        return matrix
 
     def channels(
         self,

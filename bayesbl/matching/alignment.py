@@ -237,6 +237,7 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     matrix = model.bench.vector(**(model.settings_of(points, seen) | {START_ANGLE: 0.0}))
     if len(matrix) < len(points):
         matrix = np.repeat(matrix, len(points), axis=0)
+    matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
     # Points often differ only in the unknowns of other recordings, and candidates only in whose.
     matrix, place = np.unique(matrix, axis=0, return_inverse=True)
     found = model.recent.signals(

@@ -211,6 +211,7 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
     matrix = model.bench.vector(**model.settings_of(points, seen))
     if len(matrix) < len(points):
         matrix = np.repeat(matrix, len(points), axis=0)
+    matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
     cost = np.empty(len(points))
     for begin in range(0, len(points), AT_ONCE):
         rows = slice(begin, begin + AT_ONCE)

@@ -296,9 +296,7 @@ class SimulatedSignals:
             matrix = np.repeat(matrix, len(points), axis=0)
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
-        if self.bench.measurement.speed_source == "encoder":
-            averaging = matrix[:, Slot.speed_averaging__time_s]
-            averaging[averaging == 0.0] = 1.0 / seen.sampling_hz
+        matrix = self.bench.measurement.seen_by(matrix, seen.sampling_hz)
         return _in_whole_ticks(matrix, seen)
 
     def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:

@@ -156,3 +156,13 @@ def test_noise_inside_the_loop_comes_with_the_recording() -> None:
     ]
     assert spread[0].std() > 0.02
     assert spread[1].std() == 0.0
+
+
+def test_a_sweep_sees_the_speed_of_the_encoder_as_a_recording_does() -> None:
+    """To what counts of a millionth of a turn leave."""
+    seen = replace(BENCH, measurement=Measurement(encoder_counts=2**20, speed_source="encoder"))
+    settings = {"rotations": 0.5, "sampling_hz": 250.0, "start_angle_rad": 0.4}
+    recorded = seen.simulate(8e-4, **settings).motor_speed_rpm
+    simulated = seen.simulate_many(8e-4, **settings)[0]
+    assert np.max(np.abs(recorded - simulated)[1:]) < 0.02
+    assert np.max(np.abs(BENCH.simulate_many(8e-4, **settings)[0] - simulated)) > 1.0
