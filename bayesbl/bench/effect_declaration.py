@@ -224,6 +224,8 @@ class Effect:
         A declared unknown that says the same: the effect is no candidate beside it.
     sought_alone
         Of parameters that recordings cannot show together, the one that a search frees.
+    in_bench_file
+        A sentence: how a bench file states it in fewer words than under ``[[effects]]``.
     """
 
     place: int
@@ -241,6 +243,7 @@ class Effect:
     free_motion: bool = False
     replaces: str | None = None
     sought_alone: str | None = None
+    in_bench_file: str = ""
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

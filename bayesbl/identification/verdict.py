@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayesbl.bench.effects import told_how_to_state
 from bayesbl.identification.identify import FALSE_ALARM, Identification, Problem
 from bayesbl.matching.predictive_check import IMPACTS_DIFFER, agrees, impacts_alike
 from bayesbl.matching.signals import GAP
@@ -22,11 +23,12 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
         return beyond_in_words(found)
     if found.missing and not found.completed:
         names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
-        return (
+        lacks = (
             f"The bench lacks an effect that these recordings show: {names}. Let it be found "
             '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
             "data sheet under [[effects]]."
         )
+        return told_how_to_state(lacks, (members[0] for members in found.missing))
     if found.verdict == "unexplained" or _stands_out(found):
         return (
             "No values within the tolerances, no single value beyond its tolerance and no effect "

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import effect_named, told_how_to_state
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
@@ -105,11 +105,12 @@ def against_the_bench(found: JointFindings) -> str | None:
         [_as_found(c) + (f" in {c.recording or 'all'}" if several else "") for c in found.changed],
         "and",
     )
-    return (
+    contradiction = (
         f"The recordings contradict the bench: with {told} it would explain them."
         f"{_others(found, found.changed)} Correct the bench file (`bayesbl diagnose` writes one "
         "with what is missing), or give what is not known exactly a tolerance."
     )
+    return told_how_to_state(contradiction, (c.name.partition(".")[0] for c in found.changed))
 
 
 def _turns_with_the_motor(changed: ChangedParameter) -> bool:

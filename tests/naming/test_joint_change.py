@@ -72,6 +72,7 @@ CHANGES = {
     "speed_gain_nm_s_per_rad": times(0.9, "speed_gain_nm_s_per_rad"),
     "shaft_stiffness_nm_per_rad": times(0.9, "shaft_stiffness_nm_per_rad"),
     "payload": times(2.0, "gravity_torque_nm") | times(1.5, "load_inertia_kg_m2"),
+    "speed_averaging": {"speed_averaging.time_s": 4e-3},
     "load_coulomb_friction": {"load_coulomb_friction.torque_nm": 15.0},
 }
 
@@ -111,6 +112,14 @@ def test_a_bench_that_is_wrong_for_both_is_no_change_between_them(independent):
     assert found.against_bench
     assert not found.motor_orders
     assert found.changed[0].name == "shaft_stiffness_nm_per_rad"
+
+
+def test_a_smoothed_speed_is_told_with_its_time_and_how_a_bench_states_it(independent):
+    smoothed = {"speed_averaging__time_s": 4e-3}
+    _, found = find_changes(nominal_fit(independent, smoothed, seed=6, first=smoothed))
+    assert [c.name for c in found.changed] == ["speed_averaging.time_s"]
+    assert abs(found.changed[0].found - 4e-3) < SURE * found.changed[0].sd
+    assert "speed_filter_s under [measurement]" in against_the_bench(found)
 
 
 def test_an_error_of_the_encoder_is_told_by_its_orders_and_gets_no_other_name(independent):

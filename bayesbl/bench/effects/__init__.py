@@ -8,7 +8,7 @@ that no other file holds a list of them. To add one: ``docs/extending.md``.
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 
 import numpy as np
@@ -46,6 +46,12 @@ def effect_named(name: str) -> Effect:
             expected="one of " + ", ".join(EFFECT_BY_NAME),
         )
     return EFFECT_BY_NAME[name]
+
+
+def told_how_to_state(message: str, names: Iterable[str]) -> str:
+    """The message, and how a bench file states those effects that have words of their own there."""
+    known = [EFFECT_BY_NAME[name] for name in dict.fromkeys(names) if name in EFFECT_BY_NAME]
+    return " ".join([message, *(effect.in_bench_file for effect in known if effect.in_bench_file)])
 
 
 _AMPLITUDES = tuple(

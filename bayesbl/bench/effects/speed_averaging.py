@@ -31,4 +31,6 @@ EFFECT = Effect(
     enters="measurement",
     depends_on=(),
     data="ringing lower in the speed than in the current, and later",
+    in_bench_file="A bench file states such a mean as speed_filter_s under [measurement], and as "
+    'speed_source = "encoder" where the speed is the encoder\'s, differentiated.',
 )
