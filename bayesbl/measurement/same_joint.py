@@ -77,7 +77,7 @@ SHOWN_BEST = (PROPORTIONAL, INTEGRAL, harmonic_name("current", 1), FREQUENCY, DE
 
 WITHOUT_CURRENT = (
     BlindSpot(
-        "the speed controller's gains, the torque constant and friction",
+        "the speed controller's gains, the torque constant, friction and a filter of the speed",
         "there is no motor current in the recordings",
     ),
 )
