@@ -95,15 +95,21 @@ _SAME_IN_THESE = (
     {"current_loop_lag", "speed_sensor_lag"},
     {"current_loop_lag", "channel_time_skew"},
     {"speed_sensor_lag", "channel_time_skew"},
+    {"speed_averaging", "channel_time_skew"},
 )
 """Pairs declared indistinguishable beforehand; a drift contains a constant.
 
 See docs/design.md, "What recordings cannot tell apart".
 """
+_NEVER_TOGETHER = (
+    {"sampled_control", "speed_sensor_lag"},
+    {"sampled_control", "speed_averaging"},
+)
+"""The simulator's digital controller shows the speed of its ticks."""
 PAIRS = tuple(
     pair
     for pair in combinations([name for name in EFFECT_NAMES if name not in _ONLY_ALONE], 2)
-    if set(pair) not in _SAME_IN_THESE
+    if set(pair) not in (*_SAME_IN_THESE, *_NEVER_TOGETHER)
 )
 
 
