@@ -35,6 +35,8 @@ ANGLES_KEPT = 2
 PAIR_REFINEMENTS = 2
 ABOUT = np.arange(-3.0, 4.0)
 """Places about the best of a coarser grid, in steps of a finer one that is a quarter of it."""
+BESIDE = np.arange(-2.0, 3.0)
+"""The same in steps of the coarser one, and of one that is half of it."""
 GAPS_SCANNED = 12
 GAPS_SCANNED_FINELY = 96
 """Steps of 5 %: a motion has a valley of χ² for each sequence of impacts."""
@@ -142,13 +144,33 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
     for angles in likely:
         points, costs = scanned(GAPS_SCANNED_FINELY, angles)
         found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
-    starts = [point for _, point in sorted(found, key=lambda own: own[0])[:VALLEYS_FITTED]]
-    if place is None:
-        return starts
     step = np.zeros(start.size)
     step[gap] = (model.high[gap] - model.low[gap]) / (GAPS_SCANNED_FINELY - 1)
+    if place is None:
+        return _best(found, step)
     step[place] = FINE_ANGLE
-    return [_refined(model, own, recording, (gap, place), step) for own in starts]
+    for _ in range(PAIR_REFINEMENTS):
+        step[place] /= 4.0
+        starts, found = _best(found, step), []
+        about = np.zeros((BESIDE.size, ABOUT.size, start.size))
+        about[..., gap] = step[gap] * BESIDE[:, None]
+        about[..., place] = step[place] * ABOUT
+        for own in starts:
+            points = np.clip(own + about, model.low, model.high)
+            cost = _rough_chi_square(model, points.reshape(-1, start.size), recording)
+            costs = cost.reshape(about.shape[:2])
+            found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
+        step[gap] /= 2.0
+    return _best(found, step)
+
+
+def _best(found: list[tuple[float, FloatArray]], step: FloatArray) -> list[FloatArray]:
+    """Points of the lowest χ², the best first, no two within a step of each other."""
+    kept: list[FloatArray] = []
+    for _, point in sorted(found, key=lambda own: own[0]):
+        if all(np.any(np.abs(point - other) > 1.5 * step) for other in kept):
+            kept.append(point)
+    return kept[:VALLEYS_FITTED]
 
 
 def _likely_angles(scanned: _Scan) -> list[FloatArray]:
@@ -171,27 +193,6 @@ def _valleys(cost: FloatArray) -> list[tuple[int, int]]:
     """Places of a grid (k, m) that lie no higher than the eight around them."""
     beside = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3, 3))
     return list(zip(*np.nonzero(cost <= beside.min(axis=(2, 3))), strict=True))
-
-
-def _refined(
-    model: SimulatedSignals,
-    start: FloatArray,
-    recording: int,
-    places: tuple[int, int],
-    step: FloatArray,
-) -> FloatArray:
-    """The best point about a start, by ever finer grids of gap and angle; ``step`` is (d,)."""
-    gap, angle = places
-    about = np.zeros((3 * ABOUT.size, start.size))
-    about[:, gap] = np.repeat([-1.0, 0.0, 1.0], ABOUT.size)
-    about[:, angle] = np.tile(ABOUT, 3)
-    for finer in range(1, PAIR_REFINEMENTS + 1):
-        own = step.copy()
-        own[gap] /= 2.0**finer
-        own[angle] /= 4.0**finer
-        tried = np.clip(start + own * about, model.low, model.high)
-        start = tried[int(np.argmin(_rough_chi_square(model, tried, recording)))]
-    return start
 
 
 def _angle_place(model: SimulatedSignals, recording: int) -> int | None:
