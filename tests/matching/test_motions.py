@@ -122,6 +122,26 @@ def test_the_gap_is_recovered_and_the_check_passes(name: str) -> None:
     assert flank_changes(fit, 0)
 
 
+@pytest.mark.parametrize(
+    ("reach_rad", "speed_rpm", "acceleration_rpm_per_s", "duration_s", "gap_rad"),
+    [(0.03125, 1000.0, 900.0, 4.0, 8e-4), (0.5, 2000.0, 1800.0, 8.0, 1.12e-3)],
+)
+def test_the_gap_of_many_valleys_is_the_true_one(
+    reach_rad: float,
+    speed_rpm: float,
+    acceleration_rpm_per_s: float,
+    duration_s: float,
+    gap_rad: float,
+) -> None:
+    """Within 4 standard deviations; gap and start angle have another valley 6 % off."""
+    ends = (-reach_rad, reach_rad)
+    motion = strokes(120.0, ends, speed_rpm, acceleration_rpm_per_s, 0.15, duration_s)
+    rng = np.random.default_rng(77)
+    fit = fitted(BENCH.simulate_motion(gap_rad, motion, seed=rng, name="r"))
+    error = math.log(fit.value(GAP, "r") / gap_rad)
+    assert abs(error) < 4.0 * fit.sd(GAP, "r")
+
+
 def test_a_reference_that_is_held_and_late_is_found_so() -> None:
     # As a digital drive has it: four samples late, and held for a millisecond each.
     recording = recorded(seed=10, sampling_hz=1000.0)
