@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.sweep import SweepSettings, sweep_nominal
 from bayesbl.measurement.joint_features import MEAN_CURRENT, features, folded_signal, harmonic_name
@@ -50,6 +50,8 @@ CHANGES: dict[str, dict[str, float]] = {
     "K_t − 5 %": {"torque_constant_nm_per_a": 0.95},
     "D_s − 30 %": {"shaft_damping_nm_s_per_rad": 0.7},
 }
+FILTERS_S = (0.004, 0.01, 0.02)
+"""Means that the recorder formed in the first recording, and no longer in the second."""
 
 
 def bounds(benches: int) -> None:
@@ -86,14 +88,18 @@ def bounds(benches: int) -> None:
 def alarms(pairs: int, *, with_current: bool) -> None:
     """Share of pairs called different, for every change."""
     bench = load_bench(BENCH)
-    for name, factors in CHANGES.items():
+    changes = {name: (bench, _multiplied(bench, factors)) for name, factors in CHANGES.items()}
+    for time_s in FILTERS_S:
+        mean = BenchEffect("speed_averaging", {"time_s": EffectParameterValue(time_s)})
+        changes[f"no mean over {1e3 * time_s:g} ms"] = (bench.with_effects(mean), bench)
+    for name, (first, second) in changes.items():
         called = 0
         for pair in range(pairs):
             generator = np.random.default_rng([17, pair])
             gap = math.exp(generator.uniform(math.log(4e-4), math.log(2e-3)))
             points = [
                 _point(made, gap * growth, generator, with_current)
-                for made, growth in ((bench, 1.0), (_multiplied(bench, factors), 1.3))
+                for made, growth in ((first, 1.0), (second, 1.3))
             ]
             called += not same_joint(points, (False, False)).agrees
         print(f"{name:28s} {called} of {pairs} called different", flush=True)

@@ -36,7 +36,6 @@ from bayesbl.bench.parameters import (
     slot_of,
 )
 from bayesbl.bench.simulation import (
-    DEFAULT_ACCURACY_RPM,
     simulate_channels,
     simulate_motions,
     simulate_speeds,
@@ -284,7 +283,7 @@ class Bench:
         reference_speed_rpm: float | None = None,
         overrides: Mapping[str, float | FloatArray] | None = None,
         channels: Literal["speed", "all"] = "speed",
-        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+        accuracy_rpm: float | None = None,
         workers: int = 1,
     ) -> FloatArray:
         """Noise-free signals for arrays of gaps, start angles and parameter values of length m.
@@ -349,7 +348,7 @@ class Bench:
         motor_start_angle_rad: float | None = None,
         seed: np.random.Generator | None = None,
         name: str = "simulated",
-        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+        accuracy_rpm: float | None = None,
     ) -> Recording:
         """One recording in steady rotation.
 
@@ -404,7 +403,7 @@ class Bench:
         motor_start_angle_rad: float | None = None,
         seed: np.random.Generator | None = None,
         name: str = "simulated",
-        accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+        accuracy_rpm: float | None = None,
     ) -> Recording:
         """One recording of a motion, with its references as channels.
 

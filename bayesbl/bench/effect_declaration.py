@@ -9,8 +9,8 @@ the recording's ``motor_start_angle_rad`` is given.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field
-from typing import Literal, Protocol
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Literal, Protocol, Self
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class EffectParameter:
         ``phase`` matter only while an amplitude is not zero; an order is found from the data; a
         phase belongs to each recording, as the motor starts at another angle.
     low, high
-        Range that a search may use.
+        Range that a search may use on the reference bench; on others ``joint_size`` scales it.
     typical
         A middling strength on the reference bench: it shows and spoils nothing.
     neutral
@@ -59,6 +59,10 @@ class EffectParameter:
     high: float
     typical: float
     neutral: float = 0.0
+
+    def scaled(self, factor: float) -> Self:
+        """The same sought for in a range so many times as wide."""
+        return replace(self, low=factor * self.low, high=factor * self.high)
 
 
 @dataclass(frozen=True, slots=True)

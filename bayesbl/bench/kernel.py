@@ -133,9 +133,10 @@ POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width); both widths are about 1 rpm at the motor of a 1:100 gear.
-MOTOR_SIGN_WIDTH = 0.1  # rad/s
-LOAD_SIGN_WIDTH = 1e-3  # rad/s
+# sign(ω) of friction is tanh(ω/width), the width a share of the fastest reference speed: 1 rpm of
+# 2000. With the output held there is no such speed.
+SIGN_WIDTH_SHARE = 5e-4
+HELD_SIGN_WIDTH = 0.1  # rad/s
 # The integral fades out while the demand passes the current limit by this share of it.
 ANTI_WINDUP_BAND = 0.01
 
@@ -233,6 +234,10 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     held = math.isinf(p[Slot.load_inertia_kg_m2])
     sampled = p[Slot.sampled_control__period_s] > 0.0
     plain = not (effects or rigid or held or sampled)
+    fastest_reference = abs(p[Slot.reference_speed_rpm] / RPM)
+    friction_width = HELD_SIGN_WIDTH
+    if fastest_reference > 0.0:
+        friction_width = SIGN_WIDTH_SHARE * fastest_reference
     return Constants(
         ratio,
         1.0 / ratio,
@@ -252,8 +257,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.hard_dead_zone] != 0.0,
         rigid,
         p[Slot.reference_speed_rpm] / RPM,
-        MOTOR_SIGN_WIDTH,
-        LOAD_SIGN_WIDTH,
+        friction_width,
+        friction_width / ratio,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -263,7 +268,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         plain,
         sampled,
         math.copysign(1.0, p[Slot.reference_speed_rpm]),
-        abs(p[Slot.reference_speed_rpm] / RPM),
+        fastest_reference,
         False,
         0.0,
         0.0,

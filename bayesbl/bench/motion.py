@@ -58,6 +58,11 @@ class Motion:
     start_angle_rad: float | None = None
     output_held: bool = False
 
+    @property
+    def fastest_rpm(self) -> float:
+        """Largest reference speed at the start of a piece."""
+        return float(np.max(np.abs(self.pieces[:, 1]))) * RPM
+
     def speed_rpm(self, time_s: FloatArray) -> FloatArray:
         """ω_ref, rpm, shape as ``time_s``."""
         row, s = self._at(time_s)

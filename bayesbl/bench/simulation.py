@@ -17,7 +17,10 @@ from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import FloatArray
 
-DEFAULT_ACCURACY_RPM = 0.01
+ACCURACY = 5e-6
+"""Largest error of a simulated speed where none is given, as a share of the fastest reference
+speed: 0.01 rpm of 2000."""
+UNDRIVEN_ACCURACY_RPM = 0.01
 
 _REASONS = {
     kernel.DIVERGED: "the simulation diverged: the motor ran away or no step is short enough",
@@ -34,7 +37,7 @@ def simulate_speeds(
     samples: int,
     sampling_hz: float,
     *,
-    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    accuracy_rpm: float | None = None,
     workers: int = 1,
     failures: str = "raise",
 ) -> FloatArray:
@@ -47,7 +50,7 @@ def simulate_speeds(
     samples, sampling_hz
         Number n and rate of the samples; the first lies where the load passes the start angle.
     accuracy_rpm
-        Largest error of the speed, rpm.
+        Largest error of the speed, rpm; ``None`` for ``ACCURACY`` of the reference speed.
     workers
         Threads; the numbers do not depend on it.
     failures
@@ -72,7 +75,7 @@ def simulate_channels(
     samples: int,
     sampling_hz: float,
     *,
-    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    accuracy_rpm: float | None = None,
     workers: int = 1,
     failures: str = "raise",
 ) -> FloatArray:
@@ -92,7 +95,7 @@ def simulate_motions(
     samples: int,
     sampling_hz: float,
     *,
-    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    accuracy_rpm: float | None = None,
     workers: int = 1,
     failures: str = "raise",
     states: bool = False,
@@ -105,14 +108,16 @@ def simulate_motions(
     (m, 12, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
-    matrix = _sound(parameter_matrix, out, sampling_hz, accuracy_rpm)
+    fastest = 0.0 if motion.output_held else motion.fastest_rpm
+    accuracy = _accuracy_rpm(accuracy_rpm, fastest)
+    matrix = _sound(parameter_matrix, out, sampling_hz, accuracy)
     if motion.output_held:
         matrix = matrix.copy()
         matrix[:, Slot.load_inertia_kg_m2] = math.inf
 
     def run(row: int) -> int:
         found: int = kernel.simulate_motion(
-            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy_rpm, out[row]
+            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy, out[row]
         )[0]
         return found
 
@@ -126,7 +131,7 @@ def simulate_states(
     samples: int,
     sampling_hz: float,
     *,
-    accuracy_rpm: float = DEFAULT_ACCURACY_RPM,
+    accuracy_rpm: float | None = None,
     friction_width_rad_per_s: float | None = None,
 ) -> FloatArray:
     """All states from a given one on: free motion, transients, laws. Shape (12, n), SI.
@@ -158,7 +163,7 @@ def simulate_states(
         out,
         parameters,
         c,
-        accuracy_rpm,
+        _accuracy_rpm(accuracy_rpm, abs(float(parameters[Slot.reference_speed_rpm]))),
         np.empty((0, kernel.PIECE_COLUMNS)),
     )
     if status != kernel.DONE:
@@ -166,9 +171,7 @@ def simulate_states(
     return out
 
 
-def start_states(
-    parameter_matrix: FloatArray, *, accuracy_rpm: float = DEFAULT_ACCURACY_RPM
-) -> FloatArray:
+def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = None) -> FloatArray:
     """States at the first sample of a steady rotation, shape (m, 12), SI."""
     states = np.empty((parameter_matrix.shape[0], STATES))
     out = np.empty((parameter_matrix.shape[0], 1, 1))
@@ -180,24 +183,32 @@ def _fill(
     matrix: FloatArray,
     out: FloatArray,
     sampling_hz: float,
-    accuracy_rpm: float,
+    accuracy_rpm: float | None,
     workers: int,
     failures: str,
     states: FloatArray | None = None,
 ) -> None:
-    matrix = _sound(matrix, out, sampling_hz, accuracy_rpm)
-    settling = settling_time_s(matrix, accuracy_rpm, failures)
+    slowest = float(np.min(np.abs(matrix[:, Slot.reference_speed_rpm])))
+    accuracy = _accuracy_rpm(accuracy_rpm, slowest)
+    matrix = _sound(matrix, out, sampling_hz, accuracy)
+    settling = settling_time_s(matrix, accuracy, failures)
     ends = np.empty((matrix.shape[0], STATES)) if states is None else states
 
     def run(row: int) -> int:
         if math.isnan(settling[row]):
             return kernel.DIVERGED
         found: int = kernel.simulate(
-            matrix[row], settling[row], 1.0 / sampling_hz, accuracy_rpm, out[row], ends[row]
+            matrix[row], settling[row], 1.0 / sampling_hz, accuracy, out[row], ends[row]
         )[0]
         return found
 
     _in_threads(run, matrix, out, workers, failures)
+
+
+def _accuracy_rpm(asked_rpm: float | None, reference_rpm: float) -> float:
+    if asked_rpm is not None:
+        return asked_rpm
+    return ACCURACY * reference_rpm if reference_rpm > 0.0 else UNDRIVEN_ACCURACY_RPM
 
 
 def _sound(

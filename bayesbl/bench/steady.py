@@ -15,7 +15,7 @@ from bayesbl.recording.types import ComplexArray, FloatArray
 # The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start
 # is off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this
 # takes longer than twenty rotations are cut there.
-_START_ERROR_RPM = 20.0
+_START_ERROR = 0.01  # of the reference speed
 _SHARE_OF_ACCURACY = 0.1
 _MOST_ROTATIONS = 20.0
 # Lags of zero become this short: faster than anything else in the bench.
@@ -193,7 +193,9 @@ def settling_time_s(matrix: FloatArray, accuracy_rpm: float, failures: str = "ra
         matrix[:, Slot.speed_gain_nm_s_per_rad],
         matrix[:, Slot.integral_gain_nm_per_rad] * period / (2.0 * math.pi),
     )
-    start_error = np.maximum(_START_ERROR_RPM, RPM * torque / resistance)
+    start_error = np.maximum(
+        _START_ERROR * np.abs(matrix[:, Slot.reference_speed_rpm]), RPM * torque / resistance
+    )
     e_folds = np.log(np.maximum(start_error / (_SHARE_OF_ACCURACY * accuracy_rpm), math.e))
     settling = e_folds / slowest
     # Ringing that lasts into the next flip is fed on by it and dies more slowly than on a flank.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesbl.bench.effects import told_how_to_state
+from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import FALSE_ALARM, Identification, Problem
 from bayesbl.matching.predictive_check import IMPACTS_DIFFER, agrees, impacts_alike
 from bayesbl.matching.signals import GAP
@@ -28,7 +28,7 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
             '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
             "data sheet under [[effects]]."
         )
-        return told_how_to_state(lacks, (members[0] for members in found.missing))
+        return with_bench_file_hint(lacks, (members[0] for members in found.missing))
     if found.verdict == "unexplained" or _stands_out(found):
         return (
             "No values within the tolerances, no single value beyond its tolerance and no effect "

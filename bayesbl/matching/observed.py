@@ -14,7 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.kernel import SIGN_WIDTH_SHARE
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
+from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import RecordingError
 from bayesbl.noise.quantisation import Rounding, speed_steps
@@ -40,13 +42,13 @@ FAST_S = 0.25
 more of any ringing, and long beside the noise of sensors."""
 
 SHORTEST_REST_S = 0.05
-STANDSTILL_RPM = 20.0
-"""Twenty times the width over which a bench's friction changes its sign: beyond, it is that of
-motion."""
+STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
+"""Of the fastest reference speed, twenty times the width over which a bench's friction changes its
+sign: beyond, it is that of motion."""
 
 MEDIAN_OF_NORMAL = 0.6745
-LEAST_NOISE_RPM = 0.01
-"""Simulated speeds are as near as this to those of an independent solver."""
+LEAST_NOISE = ACCURACY
+"""Of the reference speed: as near simulated speeds are to those of an independent solver."""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -197,7 +199,7 @@ def observed(
         reference,
         rotation,
         excluded=recording.excluded,
-        rounding=_rounding(signals, bench),
+        rounding=_rounding(signals, bench, reference),
     )
 
 
@@ -210,16 +212,17 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
     require_same_motion(recording, asked)
     cycle = cycle_of(asked)
     signals = _signals(recording, bench)
+    fastest = float(np.max(np.abs(asked)))
     seen = Observed(
         recording.name,
         signals,
         1.0 / period_s,
-        float(np.max(np.abs(asked))),
+        fastest,
         period_s * (cycle or recording.samples),
         excluded=recording.excluded,
         motion=motion,
         cycle=cycle,
-        rounding=_rounding(signals, bench),
+        rounding=_rounding(signals, bench, fastest),
     )
     rest = first_move(asked)
     if _begins_at_rest(seen, rest) and not bench.effects:
@@ -236,10 +239,11 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
     return np.stack(rows)
 
 
-def _rounding(signals: FloatArray, bench: Bench) -> tuple[Rounding, ...]:
+def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[Rounding, ...]:
     """Of each channel: the current is as inexact as its controller makes it of the speed."""
     gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
-    exact = LEAST_NOISE_RPM, LEAST_NOISE_RPM / RPM_PER_RAD_PER_S * gain
+    least = LEAST_NOISE * abs(reference_rpm)
+    exact = least, least / RPM_PER_RAD_PER_S * gain
     return tuple(Rounding(speed_steps(row), sd) for row, sd in zip(signals, exact, strict=False))
 
 
@@ -278,7 +282,7 @@ def without_standstill(seen: Observed, bench: Bench) -> Observed:
     if seen.motion is None:
         return seen
     time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
-    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL_RPM
+    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL * seen.reference_speed_rpm
     memory = np.ones(_recovery(seen, bench) + 1)
     remembers = np.convolve(standing, memory)[: seen.samples] > 0.5
     # The motor lags behind its reference, so it stands a little later too: within the memory.
@@ -298,7 +302,8 @@ def _recovery(seen: Observed, bench: Bench) -> int:
     # By second differences, which a motion hardly has; noise that lasts counts as a little less.
     bends = np.abs(np.diff(seen.signals[0], 2))
     noise = float(np.median(bends)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
-    settled = float(settling_time_s(fastest, max(noise, LEAST_NOISE_RPM))[0])
+    accuracy_rpm = max(noise, LEAST_NOISE * abs(seen.reference_speed_rpm))
+    settled = float(settling_time_s(fastest, accuracy_rpm)[0])
     return math.ceil(settled * seen.sampling_hz)
 
 

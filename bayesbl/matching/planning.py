@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import CURRENT, RPM, SPEED
+from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.motion import Motion, strokes
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.errors import BenchError
@@ -248,7 +248,7 @@ def _told(
 
 def _as_recorded(motion: Motion, signals: FloatArray, sampling_hz: float) -> Observed:
     """A motion as if it had been recorded, signals of shape (2, n)."""
-    fastest = float(np.max(np.abs(motion.pieces[:, 1]))) * RPM
+    fastest = motion.fastest_rpm
     return Observed(
         NAME, signals, sampling_hz, fastest, signals.shape[1] / sampling_hz, motion=motion
     )

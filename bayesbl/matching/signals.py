@@ -26,7 +26,12 @@ from bayesbl.bench.effects import (
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.parameters import PARAMETER_INFO, is_share, rotation_period_s
-from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_speeds
+from bayesbl.bench.simulation import (
+    ACCURACY,
+    simulate_channels,
+    simulate_motions,
+    simulate_speeds,
+)
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations
@@ -40,6 +45,8 @@ MOST_DELAY_S = 0.02
 """Some cycles of the slowest usual bus."""
 ACCURACY_SHARE = 0.003
 """Largest error of a simulated speed as a share of the speed noise."""
+FINEST = 0.01
+"""Of the usual accuracy: what noise that is hardly there may ask for."""
 
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
@@ -261,7 +268,7 @@ class SimulatedSignals:
         matrix, place = np.unique(
             self._benches(np.atleast_2d(points), seen), axis=0, return_inverse=True
         )
-        accuracy = _accuracy_rpm(self.noise[recording])
+        accuracy = _accuracy_rpm(self.noise[recording], seen)
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
         found = self.recent.signals(
             matrix,
@@ -287,7 +294,7 @@ class SimulatedSignals:
         """
         for seen, noise in zip(self.recordings, self.noise, strict=True):
             matrix = self._benches(point[None], seen)
-            _simulated(seen, seen.samples, _accuracy_rpm(noise), 1, "raise", matrix)
+            _simulated(seen, seen.samples, _accuracy_rpm(noise, seen), 1, "raise", matrix)
 
     def _benches(self, points: FloatArray, seen: Observed) -> FloatArray:
         """What a recording's simulations run with, (m, d) to (m, SLOTS)."""
@@ -377,8 +384,9 @@ class SimulatedSignals:
         return np.asarray(np.diag(own) + together.T @ together)
 
 
-def _accuracy_rpm(noise: ChannelNoise) -> float:
-    return float(np.clip(ACCURACY_SHARE * noise.sd[0], 1e-4, 1e-2))
+def _accuracy_rpm(noise: ChannelNoise, seen: Observed) -> float:
+    coarsest = ACCURACY * abs(seen.reference_speed_rpm)
+    return float(np.clip(ACCURACY_SHARE * noise.sd[0], FINEST * coarsest, coarsest))
 
 
 def _simulated(

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesbl.bench.effects import effect_named, told_how_to_state
+from bayesbl.bench.effects import effect_named, with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
@@ -110,7 +110,7 @@ def against_the_bench(found: JointFindings) -> str | None:
         f"{_others(found, found.changed)} Correct the bench file (`bayesbl diagnose` writes one "
         "with what is missing), or give what is not known exactly a tolerance."
     )
-    return told_how_to_state(contradiction, (c.name.partition(".")[0] for c in found.changed))
+    return with_bench_file_hint(contradiction, (c.name.partition(".")[0] for c in found.changed))
 
 
 def _turns_with_the_motor(changed: ChangedParameter) -> bool:

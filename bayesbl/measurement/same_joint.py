@@ -3,6 +3,7 @@
 Compared is what the gap moves little or not at all: the controller's gains, the mean current, the
 first two load orders of current and speed, the ringing's frequency and decay. How far a changed gap
 may move each of them is taken off the difference before it is held against its standard error.
+Without a current a changed filter of the recorded speed shows in the colour of the noise alone.
 """
 
 from __future__ import annotations
@@ -23,6 +24,12 @@ from bayesbl.measurement.joint_features import (
     features_of,
     harmonic_name,
 )
+from bayesbl.measurement.noise_colour import (
+    FilterChange,
+    NoiseSpectrum,
+    filter_change,
+    noise_spectrum,
+)
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
 from bayesbl.units import number
@@ -31,6 +38,11 @@ FALSE_ALARM = 0.01
 """Of one comparison, over all its quantities and snapshots."""
 
 FREQUENCY, DECAY = "ringing frequency", "ringing decay"
+FILTER = "share of the ringing that is recorded"
+"""Its logarithm is compared, by the noise of the first snapshot and of another."""
+
+HARMLESS_SD = 0.5
+"""Of the change of ln A: a 90 % interval that is off by so much holds the truth in 86 %."""
 
 BY_AMPLITUDE = {FREQUENCY: 0.1, DECAY: 0.5}
 """Largest ∂ln quantity/∂ln A along the gap, over benches within a factor of 1.6 of the reference
@@ -57,6 +69,7 @@ COULD_BE = {
     harmonic_name("speed", 2): ("integral_gain_nm_per_rad",),
     FREQUENCY: ("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad"),
     DECAY: ("shaft_damping_nm_s_per_rad", "speed_gain_nm_s_per_rad"),
+    FILTER: ("speed_averaging", "speed_sensor_lag"),
 }
 """What of the joint would move each quantity."""
 
@@ -77,8 +90,12 @@ SHOWN_BEST = (PROPORTIONAL, INTEGRAL, harmonic_name("current", 1), FREQUENCY, DE
 
 WITHOUT_CURRENT = (
     BlindSpot(
-        "the speed controller's gains, the torque constant, friction and a filter of the speed",
+        "the speed controller's gains, the torque constant and friction",
         "there is no motor current in the recordings",
+    ),
+    BlindSpot(
+        "a filter of the speed before most of the noise that is recorded",
+        "the noise does not show it",
     ),
 )
 
@@ -90,8 +107,10 @@ class _Seen:
     name: str
     features: dict[str, Feature]
     log_amplitude: float
+    log_amplitude_sd: float
     log_speed: float
     direction: float
+    noise: NoiseSpectrum
 
 
 def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> JointCheck:
@@ -111,20 +130,25 @@ def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> Joi
             first = snapshot
         else:
             pairs.append((first, snapshot))
-    found = [(other, item) for first, other in pairs for item in _compared(first, other)]
-    if not found:
+    compared = sum(len(_compared(*pair)) + (not _gains_seen(*pair)) for pair in pairs)
+    if not compared:
         return NOTHING_COMPARED
-    bound = float(norm.isf(0.5 * FALSE_ALARM / len(found)))
+    bound = float(norm.isf(0.5 * FALSE_ALARM / compared))
+    several = len(pairs) > 1
+    found = [
+        finding
+        for first, other in pairs
+        for finding in _findings(first, other, bound, other.name if several else "")
+    ]
+    told = [(item, sentence) for item, sentence in found if sentence]
     blind = [*_too_small(pairs, bound)]
     if not all(MOTOR_CURRENT in point.recording.channels for point in points):
         blind = [*WITHOUT_CURRENT, *blind]
-    apart = [(other, item) for other, item in found if abs(item.z) > bound]
-    several = len(pairs) > 1
     return JointCheck(
-        not apart,
-        [item for _, item in found],
-        tuple(dict.fromkeys(cause for _, item in apart for cause in COULD_BE[item.quantity])),
-        [_sentence(item, other.name if several else "") for other, item in apart],
+        not told,
+        [item for item, _ in found],
+        tuple(dict.fromkeys(cause for item, _ in told for cause in COULD_BE[item.quantity])),
+        [sentence for _, sentence in told],
         blind,
     )
 
@@ -156,9 +180,35 @@ def _seen(point: PointEstimate) -> _Seen:
         recording.name,
         found,
         math.log(centre[0]),
+        math.sqrt(covariance[0, 0]) / centre[0],
         math.log(nominal_speed_rpm(recording)),
         float(np.sign(recording.motor_speed_rpm.mean())),
+        noise_spectrum(point),
     )
+
+
+def _findings(
+    first: _Seen, other: _Seen, bound: float, snapshot: str
+) -> Iterator[tuple[CheckItem, str]]:
+    """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
+    for item in _compared(first, other):
+        yield item, _sentence(item, snapshot) if abs(item.z) > bound else ""
+    change = _filter_change(first, other, bound)
+    if change is not None:
+        shift = change.log_amplitude
+        item = CheckItem(FILTER, math.exp(shift), 1.0, "", change.deviations)
+        sd = math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
+        harmful = abs(item.z) > bound and abs(shift) > HARMLESS_SD * sd
+        yield item, _sentence_of_filter(change, snapshot) if harmful else ""
+
+
+def _gains_seen(first: _Seen, other: _Seen) -> bool:
+    """The law of the controller shows a filter of the speed, and better than the noise does."""
+    return all(PROPORTIONAL in seen.features for seen in (first, other))
+
+
+def _filter_change(first: _Seen, other: _Seen, bound: float) -> FilterChange | None:
+    return None if _gains_seen(first, other) else filter_change(first.noise, other.noise, bound)
 
 
 def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
@@ -190,6 +240,14 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
                 f"a change of the {name} by less than {100.0 * max(shares):.2g} %",
                 "too small for these recordings to show",
             )
+    changes = [_filter_change(first, other, bound) for first, other in pairs]
+    reach = [max(abs(found.low), abs(found.high)) for found in changes if found is not None]
+    if reach:
+        yield BlindSpot(
+            "a change of a filter of the speed that moves the ringing by less than "
+            f"{100.0 * math.expm1(max(reach)):.2g} %",
+            "too small for the noise of these recordings to show",
+        )
 
 
 def _sd(name: str, first: _Seen, other: _Seen) -> float:
@@ -218,4 +276,18 @@ def _sentence(item: CheckItem, snapshot: str) -> str:
     return (
         f"The {item.quantity} {direction} from {before} to {after} {item.unit}{where}: "
         f"{IN_WORDS[item.quantity]}, not the gap."
+    )
+
+
+def _sentence_of_filter(change: FilterChange, snapshot: str) -> str:
+    direction, least = (
+        ("raise", math.expm1(change.low))
+        if change.log_amplitude > 0.0
+        else ("lower", -math.expm1(change.high))
+    )
+    where = f" in {snapshot}" if snapshot else ""
+    return (
+        f"The noise of the speed changed its colour{where}, as behind another filter, which alone "
+        f"would {direction} the ringing by {number(100.0 * least, 1)} % or more. Record all "
+        "snapshots through the same filter, or the motor current as well."
     )

@@ -22,6 +22,7 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, Unknown
+from bayesbl.naming.joint_size import search_scale
 from bayesbl.naming.motor_orders import OrderPeak
 from bayesbl.recording.types import FloatArray
 
@@ -130,15 +131,19 @@ def candidates(
         if effect.between_channels and any(len(seen.signals) < 2 for seen in recordings):
             continue
         if effect.is_periodic:
-            found += _periodic(effect, recordings, peaks, motor_angle_known)
+            found += _periodic(bench, effect, recordings, peaks, motor_angle_known)
         else:
-            found.append(_plain(effect))
+            found.append(_plain(bench, effect))
     found += [_parameter(bench, name) for name in CORRECTABLE_PARAMETERS if name not in declared]
     return found
 
 
-def _plain(effect: Effect) -> Candidate:
-    sought = [p for p in effect.parameters if effect.sought_alone in (None, p.name)]
+def _plain(bench: Bench, effect: Effect) -> Candidate:
+    sought = [
+        p.scaled(search_scale(bench, effect, p))
+        for p in effect.parameters
+        if effect.sought_alone in (None, p.name)
+    ]
     unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
     neutral = np.array([p.neutral for p in sought])
     starts: tuple[FloatArray, ...] = ()
@@ -171,6 +176,7 @@ def _lowest(parameter: EffectParameter) -> float:
 
 
 def _periodic(
+    bench: Bench,
     effect: Effect,
     recordings: Sequence[Observed],
     peaks: Sequence[OrderPeak],
@@ -178,6 +184,7 @@ def _periodic(
 ) -> list[Candidate]:
     """One candidate per whole order seen: what turns with the motor repeats with it."""
     (amplitude,) = effect.amplitudes
+    amplitude = amplitude.scaled(search_scale(bench, effect, amplitude))
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
     found = []
     for peak in peaks:
@@ -219,6 +226,7 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
     if any(present.name == effect.name for present in bench.effects):
         return None
     (torque,) = effect.parameters
+    torque = torque.scaled(search_scale(bench, effect, torque))
     name = f"{effect.name}__{torque.name}"
     unknowns = tuple(
         Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings

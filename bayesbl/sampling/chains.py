@@ -13,8 +13,8 @@ from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_t
 from bayesbl.sampling.ensemble import Ensemble
 
 STEPS_BETWEEN_CHECKS = 250
-STEPS_PER_CHECK = 5
-"""Of all steps so far, one in so many before the next check, which costs as much as they all."""
+GROWTH_BETWEEN_CHECKS = 0.2
+"""Of the steps so far, before the next check: it costs in proportion to the steps it looks at."""
 BURN_IN_AUTOCORRELATIONS = 5.0
 DRAWS_KEPT = 1000
 BOUND_TOLERANCE_SD = 0.05
@@ -85,7 +85,7 @@ def walk(
     steps, tau, stable = 0, math.inf, False
     last: FloatArray | None = None
     while steps < settings.max_steps:
-        stretch = max(STEPS_BETWEEN_CHECKS, steps // STEPS_PER_CHECK)
+        stretch = max(STEPS_BETWEEN_CHECKS, int(GROWTH_BETWEEN_CHECKS * steps))
         count = min(stretch, settings.max_steps - steps)
         for ensemble in ensembles:
             ensemble.run(count)

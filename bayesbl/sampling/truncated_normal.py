@@ -7,7 +7,7 @@ import numpy as np
 from bayesbl.recording.types import FloatArray
 
 TRIALS = 20
-"""Normal draws for each one that is needed, before lines are gone along."""
+"""Normal draws for each draw needed, before hit-and-run takes over."""
 STEPS_PER_DIMENSION = 200
 """A peak twenty standard deviations beyond the box makes the distribution so much narrower across
 than along, and a random direction goes the way of the narrow side."""

@@ -118,13 +118,18 @@ def identified() -> Identification:
     return identify(problem(data_sheet()), SETTINGS, np.random.SeedSequence(1))
 
 
+def gap_deviations(found: Identification) -> float:
+    """How far the posterior mean of ln δ lies from the truth, in standard deviations."""
+    gaps = np.log(found.posterior.values(GAP))
+    return float((gaps.mean() - math.log(GAP_RAD)) / gaps.std())
+
+
 def test_the_true_gap_and_parameters_are_found_although_the_data_sheet_is_off() -> None:
     """Each within 3.5 posterior standard deviations: fails by chance once in 200 seeds."""
     found, sheet = identified(), problem(data_sheet())
     assert found.verdict == "agrees"
     assert reason_of(found, sheet) is None
-    gaps = np.log(found.posterior.values(GAP))
-    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    assert abs(gap_deviations(found)) < 3.5
     draws = np.log(parameter_draws(found, sheet.parameters))
     truth = np.log([joint().value(name) for name in sheet.parameters])
     assert np.all(np.abs(draws.mean(axis=0) - truth) < 3.5 * draws.std(axis=0))
@@ -169,8 +174,8 @@ def test_strokes_tell_what_a_slower_turn_does_not() -> None:
     assert reason_of(found, problem_of_strokes) is None
     delay = found.posterior.values(REFERENCE_DELAY, "strokes")
     assert abs(delay.mean() - DELAY_S) < 3.5 * delay.std()
+    assert abs(gap_deviations(found)) < 3.5
     gap, before = (np.log(f.posterior.values(GAP)) for f in (found, identified()))
-    assert abs(gap.mean() - math.log(GAP_RAD)) < 3.5 * gap.std()
     assert gap.std() < 0.5 * before.std()
     ratio, before = (
         np.subtract(*np.log(parameter_draws(f, ("load_inertia_kg_m2", "gravity_torque_nm"))).T)
@@ -213,10 +218,10 @@ def test_a_gap_that_the_edge_of_a_tolerance_decides_is_withheld() -> None:
     sheet = data_sheet(shaft_damping_nm_s_per_rad=1.8)
     found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
     assert found.verdict == "agrees"
-    gaps = np.log(found.posterior.values(GAP))
-    assert abs(gaps.mean() - math.log(GAP_RAD)) > 2.0 * gaps.std()
+    assert abs(gap_deviations(found)) > 2.0
     assert found.wider is not None
-    assert abs(found.wider.gaps_rad[0, 1] - GAP_RAD) < 3.5 * GAP_RAD * gaps.std()
+    sd_rad = GAP_RAD * np.log(found.posterior.values(GAP)).std()
+    assert abs(found.wider.gaps_rad[0, 1] - GAP_RAD) < 3.5 * sd_rad
     assert "half as wide again" in (reason_of(found, problem(sheet)) or "")
 
 
@@ -230,8 +235,7 @@ def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None
     assert found.verdict == "missing_effect"
     assert "motor_coulomb_friction" in found.missing[0]
     assert reason_of(found, asked) is None
-    gaps = np.log(found.posterior.values(GAP))
-    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    assert abs(gap_deviations(found)) < 3.5
 
 
 def test_a_filter_in_the_speed_that_the_tolerances_would_absorb_is_found() -> None:
@@ -243,8 +247,7 @@ def test_a_filter_in_the_speed_that_the_tolerances_would_absorb_is_found() -> No
     assert agrees(disagreements(found.nominal.fit))
     assert found.missing[0][0] == "speed_sensor_lag"
     assert reason_of(found, asked) is None
-    gaps = np.log(found.posterior.values(GAP))
-    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    assert abs(gap_deviations(found)) < 3.5
     lags = found.posterior.values("speed_sensor_lag__time_s")
     assert abs(lags.mean() - LAG_S) < 3.5 * lags.std()
 
@@ -257,8 +260,7 @@ def test_a_trace_that_the_drive_smooths_is_found() -> None:
     found = identify(asked, SETTINGS, np.random.SeedSequence(6))
     assert found.missing[0][0] == "speed_averaging"
     assert reason_of(found, asked) is None
-    gaps = np.log(found.posterior.values(GAP))
-    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    assert abs(gap_deviations(found)) < 3.5
     times = found.posterior.values("speed_averaging__time_s")
     assert abs(times.mean() - SMOOTHED_S) < 3.5 * times.std()
 
@@ -272,8 +274,7 @@ def test_a_speed_of_the_encoder_is_a_difference() -> None:
     found = identify(asked, SETTINGS, np.random.SeedSequence(8))
     assert found.verdict == "agrees"
     assert reason_of(found, asked) is None
-    gaps = np.log(found.posterior.values(GAP))
-    assert abs(gaps.mean() - math.log(GAP_RAD)) < 3.5 * gaps.std()
+    assert abs(gap_deviations(found)) < 3.5
     assert not agrees(disagreements(taken_for_a_sensor(asked)))
 
 
@@ -284,7 +285,7 @@ def taken_for_a_sensor(asked: Problem) -> SimulatedFit:
 
 
 def test_a_posterior_in_a_corner_of_the_tolerances_is_sampled_and_nothing_is_lost_there() -> None:
-    """A joint so far outside its data sheet that five ends of ranges stop the match."""
+    """A joint so far outside its data sheet that several ends of ranges stop the match."""
     far = {name: 1.0 + 0.6 * sign for name, sign in CORNER.items()}
     asked = problem(data_sheet(**far))
     fit = fit_aligned(asked.bench, asked.used, asked.unknowns)

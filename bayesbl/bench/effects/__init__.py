@@ -48,7 +48,7 @@ def effect_named(name: str) -> Effect:
     return EFFECT_BY_NAME[name]
 
 
-def told_how_to_state(message: str, names: Iterable[str]) -> str:
+def with_bench_file_hint(message: str, names: Iterable[str]) -> str:
     """The message, and how a bench file states those effects that have words of their own there."""
     known = [EFFECT_BY_NAME[name] for name in dict.fromkeys(names) if name in EFFECT_BY_NAME]
     return " ".join([message, *(effect.in_bench_file for effect in known if effect.in_bench_file)])

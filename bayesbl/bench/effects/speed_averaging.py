@@ -31,6 +31,7 @@ EFFECT = Effect(
     enters="measurement",
     depends_on=(),
     data="ringing lower in the speed than in the current, and later",
-    in_bench_file="A bench file states such a mean as speed_filter_s under [measurement], and as "
-    'speed_source = "encoder" where the speed is the encoder\'s, differentiated.',
+    in_bench_file="If the drive smooths the speed that it records, say so in the bench file: "
+    "speed_filter_s under [measurement]; if the speed is the differentiated encoder, "
+    'speed_source = "encoder".',
 )

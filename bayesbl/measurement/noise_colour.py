@@ -1,0 +1,143 @@
+"""A filter that changed between two recordings of the speed, by the colour of their noise.
+
+A recorder that smooths the speed lowers the ringing, and with it what is taken for the gap. It also
+lowers the noise, the more the higher the frequency: what does not repeat from rotation to rotation
+tells the filter, well above the ringing, where it acts most. The ratio of two such spectra is
+fitted by that of two first-order filters,
+
+    ln S₂/S₁ = c ± ln(1 + u (f/f_r)²),    Δ ln A = ± ½ ln(1 + u),
+
+f_r the ringing's frequency, c the level, u the strength. Of common filters a first-order one lowers
+the ringing most for what it does above.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import polygamma
+
+from bayesbl.measurement.joint_features import folded_signal
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.estimator import PointEstimate
+from bayesbl.ringing.symbols import FREQUENCY, ROTATION
+
+FROM_RINGING = 2.0
+"""Lowest frequency over the ringing's: below, what differs between impacts stands out."""
+
+OF_SAMPLING = 0.4
+"""Highest one, as a share of the sampling rate: above, signals are folded between their samples."""
+
+BANDS = 24
+STRENGTHS = np.geomspace(1e-4, 30.0, 200)
+"""Steps of 3 % in a filter's corner; the strongest ones are not told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSpectrum:
+    """What does not repeat of a recorded speed.
+
+    Attributes
+    ----------
+    frequency_hz, log_power
+        Shape (k,); the power in an arbitrary unit, mean over ``degrees`` + 1 rotations.
+    degrees
+        Independent rotations behind each value.
+    highest_hz
+        Up to which the recording tells it.
+    """
+
+    frequency_hz: FloatArray
+    log_power: FloatArray
+    degrees: int
+    ringing_hz: float
+    highest_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class FilterChange:
+    """How far a changed filter would have moved ln A from a first recording to another.
+
+    Attributes
+    ----------
+    low, high
+        Where χ² is higher than at the best by the square of the deviations asked for.
+    deviations
+        Of the best from no change, in standard deviations, with the sign of ``log_amplitude``.
+    """
+
+    log_amplitude: float
+    low: float
+    high: float
+    deviations: float
+
+
+def noise_spectrum(point: PointEstimate) -> NoiseSpectrum:
+    """Of the recording that a fit was made of."""
+    recording, symbols = point.recording, point.optimum.symbols
+    rotation_s, period_s = symbols[ROTATION], recording.sampling_period_s
+    folded = folded_signal(recording.motor_speed_rpm, rotation_s / period_s)
+    scatter = np.fft.rfft(folded - folded.mean(axis=0), axis=1)[:, 1:]
+    degrees = len(folded) - 1
+    power = np.sum(np.abs(scatter) ** 2, axis=0) / (degrees * folded.shape[1])
+    return NoiseSpectrum(
+        np.arange(1, power.size + 1) / rotation_s,
+        np.log(np.maximum(power, np.finfo(float).tiny)),
+        degrees,
+        symbols[FREQUENCY] / (2.0 * math.pi),
+        OF_SAMPLING / period_s,
+    )
+
+
+def filter_change(
+    first: NoiseSpectrum, other: NoiseSpectrum, deviations: float
+) -> FilterChange | None:
+    """The filter that would explain how the noise's colour changed; ``None`` where too few bands.
+
+    Parameters
+    ----------
+    deviations
+        How many standard deviations the range of the answer spans on either side.
+    """
+    lowest = FROM_RINGING * max(first.ringing_hz, other.ringing_hz)
+    highest = min(first.highest_hz, other.highest_hz)
+    if highest <= lowest:
+        return None
+    edges = np.geomspace(lowest, highest, BANDS + 1)
+    (before, before_variance), (after, after_variance) = (
+        _in_bands(spectrum, edges) for spectrum in (first, other)
+    )
+    found = np.isfinite(before) & np.isfinite(after)
+    if np.count_nonzero(found) < 3:
+        return None
+    ratio = (after - before)[found]
+    weight = 1.0 / (before_variance + after_variance)[found]
+    place = np.sqrt(edges[1:] * edges[:-1])[found] / first.ringing_hz
+    strengths = np.concatenate([-STRENGTHS[::-1], [0.0], STRENGTHS])
+    shapes = np.sign(strengths)[:, None] * np.log1p(np.abs(strengths)[:, None] * place**2)
+    left = ratio - shapes
+    left -= (left @ weight / weight.sum())[:, None]
+    chi2 = left**2 @ weight
+    best = int(np.argmin(chi2))
+    # Another shape than the family's is no more certain than it fits.
+    chi2 /= max(1.0, chi2[best] / (place.size - 2))
+    shifts = 0.5 * np.sign(strengths) * np.log1p(np.abs(strengths))
+    within = shifts[chi2 <= chi2[best] + deviations**2]
+    return FilterChange(
+        float(shifts[best]),
+        float(within.min()),
+        float(within.max()),
+        float(np.sign(shifts[best]) * math.sqrt(chi2[STRENGTHS.size] - chi2[best])),
+    )
+
+
+def _in_bands(spectrum: NoiseSpectrum, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean of ln power in each band and its variance; NaN where a band holds nothing."""
+    band = np.digitize(spectrum.frequency_hz, edges) - 1
+    inside = (band >= 0) & (band < edges.size - 1)
+    count = np.bincount(band[inside], minlength=edges.size - 1)
+    total = np.bincount(band[inside], spectrum.log_power[inside], minlength=edges.size - 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return total / count, float(polygamma(1, spectrum.degrees)) / count

@@ -1,0 +1,184 @@
+"""A joint in other units of torque, motor angle and time is the same joint: no constant has a unit.
+
+Of an equal joint whose load torques are multiplied by t, motor angles by a and times by s, every
+number of the answer that has no unit is the same. Load angles stay: gravity knows what a radian is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.motion import strokes
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import observed
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.signals import GAP
+from bayesbl.measurement.direct_route import direct_unknowns
+from bayesbl.naming.candidates import candidates
+from bayesbl.naming.joint_size import search_scale
+from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.types import FloatArray
+
+GAP_RAD = 8e-4
+FRICTION = (
+    ("motor_coulomb_friction", {"torque_nm": 0.2}),
+    ("motor_stribeck_friction", {"torque_nm": 0.1, "speed_rad_per_s": 50.0}),
+    ("load_coulomb_friction", {"torque_nm": 5.0}),
+    ("load_viscous_friction", {"coefficient_nm_s_per_rad": 3.0}),
+    ("shaft_hysteresis", {"torque_nm": 10.0, "angle_rad": 1e-3}),
+)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Of load torques, motor angles and times."""
+
+    torque: float = 1.0
+    angle: float = 1.0
+    time: float = 1.0
+
+    @property
+    def speed(self) -> float:
+        """Of the motor."""
+        return self.angle / self.time
+
+    def bench(self) -> Bench:
+        """The reference bench, rubbing, and its noise."""
+        inertia, motor_torque = self.torque * self.time**2, self.torque / self.angle
+        factors = {
+            "gear_ratio": self.angle,
+            "motor_inertia_kg_m2": inertia / self.angle**2,
+            "load_inertia_kg_m2": inertia,
+            "shaft_stiffness_nm_per_rad": self.torque,
+            "shaft_damping_nm_s_per_rad": self.torque * self.time,
+            "gravity_torque_nm": self.torque,
+            "speed_gain_nm_s_per_rad": motor_torque / self.speed,
+            "integral_gain_nm_per_rad": motor_torque / self.angle,
+            "torque_constant_nm_per_a": motor_torque,
+            "reference_speed_rpm": self.speed,
+        }
+        made = reference_bench()
+        made = made.with_parameters(**{n: f * made.value(n) for n, f in factors.items()})
+        noise = NoiseModel(1.5 * self.speed, (0.6,))
+        measurement = Measurement(None, speed_noise=noise, current_noise=NoiseModel(0.05))
+        return replace(made, measurement=measurement)
+
+    def rubbing(self) -> Bench:
+        """With effects of motor, load and shaft."""
+        units = {
+            "torque_nm": self.torque,
+            "speed_rad_per_s": self.speed,
+            "coefficient_nm_s_per_rad": self.torque * self.time,
+            "angle_rad": 1.0,
+        }
+        effects = []
+        for name, given in FRICTION:
+            of_motor = {"torque_nm": 1.0 / self.angle} if name.startswith("motor") else {}
+            values = {p: v * units[p] * of_motor.get(p, 1.0) for p, v in given.items()}
+            effects.append(
+                BenchEffect(name, {p: EffectParameterValue(v) for p, v in values.items()})
+            )
+        return self.bench().with_effects(*effects)
+
+    def fit(self) -> SimulatedFit:
+        """A recording matched directly, by the same draws of noise."""
+        bench = self.bench()
+        made = bench.simulate(
+            GAP_RAD,
+            rotations=3.0,
+            sampling_hz=250.0 / self.time,
+            start_angle_rad=1.0,
+            seed=np.random.default_rng(1),
+            name="made",
+        )
+        unknowns = direct_unknowns(bench, ["made"], (1e-4, 1e-2))
+        return fit_aligned(bench, [observed(made, bench)], unknowns)
+
+
+SCALES = [
+    *(Scale(torque=1e3**power) for power in (1, -1)),
+    *(Scale(angle=1e3**power) for power in (1, -1)),
+    *(Scale(time=1e3**power) for power in (1, -1)),
+]
+
+
+@pytest.mark.parametrize("scale", SCALES, ids=str)
+def test_the_direct_answer_is_the_same_in_other_units(scale: Scale) -> None:
+    fit, plain = scale.fit(), Scale().fit()
+    for part in (fit, plain):
+        assert agrees(disagreements(part))
+        assert abs(math.log(part.value(GAP, "made") / GAP_RAD)) < 4.0 * part.sd(GAP, "made")
+    sd = plain.sd(GAP, "made")
+    # The noise of the speed is rounded by nothing and simulated to the same share: what is left is
+    # where the search stops.
+    assert math.log(fit.value(GAP, "made")) == pytest.approx(
+        math.log(plain.value(GAP, "made")), abs=0.02 * sd
+    )
+    assert fit.sd(GAP, "made") == pytest.approx(sd, rel=0.01)
+
+
+@pytest.mark.parametrize("scale", SCALES, ids=str)
+def test_friction_is_the_same_law_in_other_units(scale: Scale) -> None:
+    """In steady rotation to the accuracy, through strokes with standstills to ten times it."""
+
+    def turning(made: Scale) -> FloatArray:
+        run = made.rubbing().simulate_many(GAP_RAD, rotations=1.2, sampling_hz=250.0 / made.time)
+        return np.asarray(run[0] / made.speed)
+
+    def stroking(made: Scale) -> FloatArray:
+        motion = strokes(
+            120.0 * made.angle,
+            (-0.5, 0.5),
+            2000.0 * made.speed,
+            8000.0 * made.speed / made.time,
+            0.15 * made.time,
+            2.0 * made.time,
+        )
+        run = made.rubbing()
+        run = replace(run, measurement=replace(run.measurement, speed_noise=NoiseModel(0.0)))
+        recording = run.simulate_motion(GAP_RAD, motion, sampling_hz=250.0 / made.time)
+        return np.asarray(recording.motor_speed_rpm / made.speed)
+
+    assert turning(scale) == pytest.approx(turning(Scale()), abs=0.01)
+    assert stroking(scale) == pytest.approx(stroking(Scale()), abs=0.1)
+
+
+@pytest.mark.parametrize("scale", SCALES, ids=str)
+def test_what_is_sought_goes_with_the_joint(scale: Scale) -> None:
+    """Ranges of torques and coefficients, and what is scanned of them, have the joint's units."""
+    bench, plain = scale.bench(), Scale().bench()
+    seen = [
+        observed(b.simulate(GAP_RAD, rotations=2.0, sampling_hz=hz, name="made"), b)
+        for b, hz in ((plain, 250.0), (bench, 250.0 / scale.time))
+    ]
+    before, after = (candidates(b, [s]) for b, s in zip((plain, bench), seen, strict=True))
+    ranges = {u.name: u.high for c in before for u in c.unknowns if c.kind == "effect"}
+    found = {u.name: u.high for c in after for u in c.unknowns if c.kind == "effect"}
+    assert ranges.keys() == found.keys()
+    assert found["motor_coulomb_friction__torque_nm"] == pytest.approx(
+        scale.torque / scale.angle * ranges["motor_coulomb_friction__torque_nm"]
+    )
+    assert found["load_coulomb_friction__torque_nm"] == pytest.approx(
+        scale.torque * ranges["load_coulomb_friction__torque_nm"]
+    )
+    assert found["load_viscous_friction__coefficient_nm_s_per_rad"] == pytest.approx(
+        scale.torque * scale.time * ranges["load_viscous_friction__coefficient_nm_s_per_rad"]
+    )
+    assert found["motor_stribeck_friction__speed_rad_per_s"] == pytest.approx(
+        scale.speed * ranges["motor_stribeck_friction__speed_rad_per_s"]
+    )
+
+
+def test_the_ranges_of_the_catalogue_are_those_of_the_reference_bench() -> None:
+    for effect in EFFECTS:
+        for parameter in effect.parameters:
+            assert search_scale(reference_bench(), effect, parameter) == 1.0

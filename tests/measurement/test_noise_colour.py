@@ -1,0 +1,102 @@
+"""Laws of the filter that the noise's colour tells: its size, its sign, and nothing of a level."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from places import CONFIGS
+from scipy.signal import lfilter
+
+from bayesbl.config.bench import load_bench
+from bayesbl.measurement.noise_colour import FilterChange, filter_change, noise_spectrum
+from bayesbl.measurement.same_joint import change_reason, same_joint
+from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
+from bayesbl.ringing.estimator import Estimator, PointEstimate
+from bayesbl.ringing.symbols import FREQUENCY
+
+BENCH = load_bench(CONFIGS / "bench.toml")
+SAMPLING_HZ = 500.0
+LAG_S = 4e-3
+DEVIATIONS = 3.5
+"""Fails by chance in 1 of 2000."""
+
+
+@cache
+def recording(seed: int, noise_rpm: float = 0.5) -> Recording:
+    """By the speed alone."""
+    generator = np.random.default_rng(seed)
+    noise = replace(BENCH.measurement, speed_noise=NoiseModel(noise_rpm))
+    made = replace(BENCH, measurement=noise).simulate(
+        8e-4,
+        rotations=5.0,
+        sampling_hz=SAMPLING_HZ,
+        start_angle_rad=generator.uniform(0.0, 6.0),
+        seed=generator,
+    )
+    kept = {name: values for name, values in made.channels.items() if name != MOTOR_CURRENT}
+    return replace(made, channels=kept)
+
+
+def smoothed(made: Recording, time_s: float) -> Recording:
+    """Through a first-order filter; of a square window for a negative time."""
+    speed = made.motor_speed_rpm
+    if time_s > 0.0:
+        keep = math.exp(-1.0 / (SAMPLING_HZ * time_s))
+        passed = lfilter([1.0 - keep], [1.0, -keep], speed - speed[0]) + speed[0]
+    else:
+        width = round(-time_s * SAMPLING_HZ)
+        passed = lfilter(np.full(width, 1.0 / width), [1.0], speed - speed[0]) + speed[0]
+    return replace(made, channels={**made.channels, MOTOR_SPEED: passed})
+
+
+def point(made: Recording) -> PointEstimate:
+    return Estimator().estimate(made, np.random.SeedSequence(1))
+
+
+def between(first: Recording, other: Recording) -> FilterChange:
+    found = filter_change(*(noise_spectrum(point(made)) for made in (first, other)), DEVIATIONS)
+    assert found is not None
+    return found
+
+
+def test_a_filter_that_was_taken_away_is_found_with_what_it_did_to_the_ringing() -> None:
+    made = point(recording(2))
+    keep = math.exp(-1.0 / (SAMPLING_HZ * LAG_S))
+    turn = np.exp(-1j * made.optimum.symbols[FREQUENCY] / SAMPLING_HZ)
+    passed = abs((1.0 - keep) / (1.0 - keep * turn))
+    found = between(smoothed(recording(1), LAG_S), recording(2))
+    assert found.deviations > DEVIATIONS
+    assert found.low < -math.log(passed) < found.high
+
+
+def test_the_other_way_round_the_sign_is_the_other() -> None:
+    first, other = smoothed(recording(1), LAG_S), recording(2)
+    there, back = between(first, other), between(other, first)
+    assert back.deviations < -DEVIATIONS
+    # The ringing's frequency, by which a filter is measured, differs by a per cent.
+    assert back.log_amplitude == pytest.approx(-there.log_amplitude, rel=0.1)
+
+
+@pytest.mark.parametrize("noise_rpm", [0.05, 0.5, 1.5])
+def test_another_level_of_noise_is_no_other_filter(noise_rpm: float) -> None:
+    found = between(recording(1), recording(2, noise_rpm))
+    assert abs(found.deviations) < DEVIATIONS
+
+
+@pytest.mark.parametrize("time_s", [LAG_S, -0.02])
+def test_without_a_current_a_changed_filter_is_no_wear(time_s: float) -> None:
+    """The same gap, its ringing lower in the first snapshot behind a filter."""
+    check = same_joint([point(smoothed(recording(1), time_s)), point(recording(2))], (False, False))
+    assert "speed_averaging" in check.could_be
+    assert "filter" in (change_reason(check) or "")
+
+
+def test_what_the_noise_cannot_show_is_a_blind_spot() -> None:
+    check = same_joint([point(recording(1)), point(recording(2))], (False, False))
+    assert check.agrees
+    assert any("filter of the speed that moves" in spot.change for spot in check.blind_spots)
