@@ -71,10 +71,11 @@ S = Slot
 
 
 @numba.njit(error_model="numpy")
-def reference_slopes(t, y, p, piece):
+def reference_slopes(t, y, p, piece, width):
     """Slopes of θ_m, ω_m, θ_l, ω_l, ∫error, drive torque, sensed speed, Dahl z.
 
     ``piece``: start, ω_ref and θ_ref as polynomials of the time since, lowest power first.
+    ``width``: speed of the motor over which friction changes its sign.
     """
     motor_angle, motor_speed, load_angle, load_speed, integral, drive, seen, dahl = y
     n = p[S.gear_ratio]
@@ -129,7 +130,7 @@ def reference_slopes(t, y, p, piece):
         drive_slope = (demand - drive) / p[S.current_loop_lag__time_s]
         demand = drive
 
-    turning = math.tanh(motor_speed / 0.1)
+    turning = math.tanh(motor_speed / width)
     losses = p[S.motor_coulomb_friction__torque_nm] * turning
     losses += p[S.motor_viscous_friction__coefficient_nm_s_per_rad] * motor_speed
     if p[S.motor_stribeck_friction__speed_rad_per_s] > 0.0:
@@ -145,7 +146,7 @@ def reference_slopes(t, y, p, piece):
 
     load = p[S.gravity_torque_nm] * math.sin(load_angle + p[S.gravity_angle_rad])
     load += p[S.gravity_phase__torque_nm] * math.cos(load_angle)
-    load += p[S.load_coulomb_friction__torque_nm] * math.tanh(load_speed / 1e-3)
+    load += p[S.load_coulomb_friction__torque_nm] * math.tanh(load_speed * n / width)
     load += p[S.load_viscous_friction__coefficient_nm_s_per_rad] * load_speed
     load += p[S.load_torque_offset__torque_nm]
     return np.array(
@@ -172,6 +173,8 @@ def reference_channels(
     steady = np.zeros((1, 10))
     steady[0, [1, 6]] = p[Slot.reference_speed_rpm] / RPM
     pieces = steady if motion is None else motion.pieces
+    held = math.isinf(p[Slot.load_inertia_kg_m2])
+    width = 0.1 if held else 5e-4 * float(np.max(np.abs(pieces[:, 1])))
     n = p[Slot.gear_ratio]
     start = state[:8].copy()
     start[2] = state[0] / n - state[2]
@@ -197,7 +200,7 @@ def reference_channels(
             start,
             method="DOP853",
             t_eval=[*inside, end],
-            args=(p, piece),
+            args=(p, piece, width),
             rtol=1e-11,
             # in proportion to what each state does to the motor speed
             atol=np.array([1e-6, 1e-6, 1e-10, 1e-8, 1e-7, 1e-8, 1e-6, 1e-7]),
@@ -344,7 +347,7 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
             (0.0, duration_s),
             y,
             method="DOP853",
-            args=(free, np.zeros(10)),
+            args=(free, np.zeros(10), 5e-4 * abs(reference)),
             rtol=1e-11,
             atol=np.array([1e-9, 1e-7, 1e-12, 1e-9, 1e-7, 1e-8, 1e-6, 1e-7]),
         )

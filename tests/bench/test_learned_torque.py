@@ -66,7 +66,7 @@ def test_the_simulator_agrees_with_scipy(torque: LearnedTorque) -> None:
         }[torque.variable]
         learned = float(torque.over(np.array(x)))
         if torque.reverses:
-            learned *= math.tanh(speed / 0.1)
+            learned *= math.tanh(speed / (5e-4 * abs(speed_ref)))
         at_motor = torque.side == "motor"
         acceleration = (drive - shaft / n - learned * at_motor) / p["motor_inertia_kg_m2"]
         load += learned * (not at_motor)
