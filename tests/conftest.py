@@ -41,16 +41,25 @@ In a fresh clone the first compiles the simulator while the second compiles the 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """A run of all tests uses every core; ``-n 0`` or naming files keeps it in one process."""
+    """A run of all tests leaves out the long ones, which ``--all`` takes in, and uses every core;
+    naming files takes in all of theirs and, as ``-n 0`` does, keeps it in one process."""
     options = config.option
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    is_worker = hasattr(config, "workerinput")
-    if not whole or is_worker or not config.pluginmanager.hasplugin("xdist"):
+    if not whole or hasattr(config, "workerinput"):
+        return
+    if not options.all and not options.markexpr:
+        options.markexpr = "not long"
+    if not config.pluginmanager.hasplugin("xdist"):
         return
     if options.numprocesses is None and not options.usepdb:
         options.numprocesses = "logical"
         options.dist = "loadfile"  # what a file's tests share is made once
         options.loadscopereorder = False
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--all``: the long tests too, where no file is named."""
+    parser.addoption("--all", action="store_true", help="the tests marked long as well")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -58,6 +58,7 @@ def test_types_and_templates_are_shipped():
             assert file in shipped
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", PYTHON)
 def test_the_python_of_the_documentation_runs(page, monkeypatch, tmp_path):
     (tmp_path / "configs").symlink_to(ROOT / "configs")

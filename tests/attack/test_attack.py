@@ -24,8 +24,13 @@ CORE = {
 }
 """Cases of each group; what needs a process of its own has named tests."""
 
+QUICK = ("recordings, damaged", "configurations that it wrote", "configurations", "commands")
 
-@pytest.mark.parametrize("group", CORE)
+
+@pytest.mark.parametrize(
+    "group",
+    [group if group in QUICK else pytest.param(group, marks=pytest.mark.long) for group in CORE],
+)
 def test_nothing_damaged_or_odd_does_harm(
     group: str, originals: Originals, open_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def test_no_output_is_an_input(make: Callable[[Path], object], findings: Finding
 # 3, 4
 
 
+@pytest.mark.long
 def test_a_package_that_is_read_only_measures_without_a_home(findings: Findings) -> None:
     # The check imports all that a measurement compiles; compiling it takes half a minute.
     def work(place: Path) -> own_process.Findings:
@@ -188,6 +189,7 @@ CHECKED: Mapping[str, tuple[str, configurations.Edit]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CHECKED)
 def test_check_asks_what_run_asks(name: str, findings: Findings) -> None:
     kind, edit = CHECKED[name]
@@ -202,6 +204,7 @@ def test_a_study_file_that_fails_is_named(name: str, findings: Findings) -> None
     assert not findings(commands.study_file(commands.STUDY_FILES[name]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "act"),
     [
@@ -228,6 +231,7 @@ def test_only_regular_files_are_read(command: str, name: str, findings: Findings
     assert not findings(commands.asked_for_nothing(command, commands.MISSING[name]))
 
 
+@pytest.mark.long
 def test_a_large_csv_takes_a_few_times_its_size(findings: Findings) -> None:
     def work(place: Path) -> own_process.Findings:
         return own_process.memory_of_a_large_csv(place, 15_000_000)
@@ -238,6 +242,7 @@ def test_a_large_csv_takes_a_few_times_its_size(findings: Findings) -> None:
 # 12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("writer", ["fit", "init", "simulate"])
 @pytest.mark.parametrize("out", ["300 characters", "an escape", "a NUL"])
 def test_an_output_name_that_cannot_be_is_refused(
@@ -261,6 +266,7 @@ def test_absurd_numbers_dates_and_names_are_refused_in_plain_text(
 # 13
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["fit", "sweep", "simulate"])
 def test_a_full_disk_is_named_and_nothing_is_left(kind: str, findings: Findings) -> None:
     assert not findings(commands.full_disk(kind))

@@ -317,6 +317,7 @@ def with_effects(rng: np.random.Generator, names: list[str]) -> np.ndarray:
     )[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", list(EFFECT_RANGES))
 def test_each_effect_keeps_the_promise(name: str) -> None:
     seed = int.from_bytes(name.encode()[:8], "big")
@@ -383,6 +384,7 @@ def test_a_sampled_controller_keeps_the_promise(delay: float, effects: list[str]
     assert np.max(np.abs(channels[2] - exact[1])) < 1e-3
 
 
+@pytest.mark.long
 def test_any_set_of_effects_keeps_the_promise() -> None:
     for seed in range(8):
         rng = np.random.default_rng(seed)
@@ -410,6 +412,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize(
     "effects",

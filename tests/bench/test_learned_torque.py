@@ -39,6 +39,7 @@ def with_torque(torque: LearnedTorque) -> Bench:
     return replace(BENCH, gap_form="dead_zone", learned_torque=torque)
 
 
+@pytest.mark.long
 @EACH
 def test_the_simulator_agrees_with_scipy(torque: LearnedTorque) -> None:
     bench = with_torque(torque)

@@ -122,6 +122,7 @@ def test_the_summary_answers_with_the_contracts_keys(compared):
     assert summary["probability_increase"] > 0.99
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_numbers(compared, snapshots, capsys, tmp_path):
     arguments = ["run", str(compared / "config.toml"), "--out", str(tmp_path / "again"), "--json"]
     assert cli.status([*arguments, "--no-figures"]) == 0
@@ -163,6 +164,7 @@ def test_figures_are_drawn_again_in_their_place(compared, monkeypatch, capsys):
     assert content(compared) == kept | {"figures/gap.pdf": b"gap"}
 
 
+@pytest.mark.long
 def test_a_withheld_answer_is_stored_and_ends_with_status_3(no_figures, capsys, tmp_path):
     out = ["--out", str(tmp_path / "out")]
     loud = altered(BEFORE, tmp_path / "loud.csv", lambda v: v.mean() + 4.0 * (v - v.mean()))
@@ -370,6 +372,7 @@ def test_a_bug_is_told_with_its_traceback_and_status_1(monkeypatch, capsys):
     assert "KeyError: 'posterior'" in errors
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
 def test_ctrl_c_ends_with_1_and_leaves_no_output(tmp_path):
     arguments = ["compare", BEFORE, AFTER, "--out", tmp_path / "results" / "out"]
@@ -394,6 +397,7 @@ def test_ctrl_c_ends_with_1_and_leaves_no_output(tmp_path):
     assert [name for name in left if not name.startswith(".")] == []
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of another kind")
 def test_no_standard_output_costs_no_answer(tmp_path):
     config = tmp_path / "simulate.toml"
@@ -406,6 +410,7 @@ def test_no_standard_output_costs_no_answer(tmp_path):
     assert (tmp_path / "a.csv").read_text().startswith("time_s,")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of another kind")
 def test_a_closed_pipe_is_quiet(compared):
     process = subprocess.Popen(
@@ -419,6 +424,7 @@ def test_a_closed_pipe_is_quiet(compared):
     assert errors == b""
 
 
+@pytest.mark.long
 def test_quiet_says_the_answer_alone_wherever_it_stands(tmp_path, capsys):
     base = two_ensembles(tmp_path, "fit")
     recording = cut(BEFORE, tmp_path / "two.csv", 2 * ROTATION_SAMPLES + 100)

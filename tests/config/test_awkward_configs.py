@@ -133,6 +133,7 @@ LOADERS: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.long
 @settings(max_examples=250, deadline=None, suppress_health_check=list(HealthCheck))
 @given(kind=st.sampled_from(sorted(LOADERS)), tables=st.dictionaries(KEYS, VALUES, max_size=5))
 def test_no_value_in_a_file_of_any_kind_ends_in_a_traceback(

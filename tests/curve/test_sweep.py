@@ -99,6 +99,7 @@ bench_draws = {draws}
     return config
 
 
+@pytest.mark.long
 def test_the_reference_bench_follows_the_papers_curve_within_5_percent(nominal: SweepRow) -> None:
     paper = 1e-4 * np.array([-0.138809, 0.138764, 0.003122, -0.000009])
     grid = np.linspace(5.0, 115.0, 50_000)
@@ -106,6 +107,7 @@ def test_the_reference_bench_follows_the_papers_curve_within_5_percent(nominal: 
     assert np.all(np.abs(nominal.amplitude_rpm.mean(axis=1) / expected - 1.0) < 0.05)
 
 
+@pytest.mark.long
 def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
     bench, settings = reference_bench(), SweepSettings(5e-4, 2e-3, 6, start_angles=2, rotations=3.0)
     model = DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})  # free, 18 to 20
@@ -118,6 +120,7 @@ def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
     assert row.amplitude_rpm[3, 1] == pytest.approx(fitted.symbols["amplitude_rpm"], rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: GapCurve) -> None:
     rng = np.random.default_rng(3)
     for gap in np.exp(rng.uniform(np.log(1.5e-4), np.log(3.8e-3), 4)):
@@ -127,6 +130,7 @@ def test_a_noise_free_recording_gives_its_gap_back_at_any_start_angle(curve: Gap
         assert abs(float(curve.gap(np.array(amplitude))) / gap - 1.0) < 5e-3
 
 
+@pytest.mark.long
 def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve) -> None:
     truths = (6.8539e-4, 9.5394e-4)
     points = [
@@ -148,6 +152,7 @@ def test_the_example_recordings_give_their_gaps_and_their_change(curve: GapCurve
     assert low < truths[1] - truths[0] < high
 
 
+@pytest.mark.long
 def test_a_waveform_that_is_not_exact_bends_the_sum_of_squares_as_the_sandwich_says() -> None:
     model, noise = DisturbanceModel(), NoiseModel(1.5, (0.6,))
     speed = reference_bench().simulate_many(1.2e-3, start_angle_rad=1.0)[0]
@@ -192,6 +197,7 @@ def test_the_curvature_of_the_misfit_is_the_derivative_of_the_gradient() -> None
             np.testing.assert_allclose(curvature[i, column], numeric[i], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.long
 def test_pulses_exchanged_by_noise_are_told_by_how_the_bench_rings(curve: GapCurve) -> None:
     estimator, noise = Estimator(), NoiseModel(4.0, (0.6,))
     rng = np.random.default_rng(3)
@@ -340,6 +346,7 @@ def test_a_curve_is_accepted_within_one_percent_of_its_speed_and_nowhere_else(
             require_same_estimator(stored, Estimator(), at(ratio * swept_rpm))
 
 
+@pytest.mark.long
 def test_one_percent_of_speed_moves_the_gap_by_less_than_a_curve_may_be_off(
     nominal: SweepRow, curve: GapCurve
 ) -> None:
@@ -372,6 +379,7 @@ def tolerant_sweep(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no
     return folder, config, run_sweep(config)
 
 
+@pytest.mark.long
 def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_same(
     tolerant_sweep,
     tmp_path: Path,  # type: ignore[no-untyped-def]
@@ -391,6 +399,7 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
     )
 
 
+@pytest.mark.long
 def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,6 +65,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_a_diagnosis_leaves_a_whole_result_in_the_words_of_the_contract(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,6 +111,7 @@ def spoiled(folder: Path, table: np.ndarray) -> None:
     np.savetxt(folder / "b.csv", table, delimiter=",", header=header, comments="")
 
 
+@pytest.mark.long
 def test_lost_and_stray_samples_count_nowhere(folder: Path) -> None:
     table = np.loadtxt(folder / "b.csv", delimiter=",", skiprows=1)
     table[[300, 1500], 3] = 65535.0
@@ -171,6 +173,7 @@ def test_free_motion_may_come_to_rest(folder: Path) -> None:
     assert status(["check", str(folder / "config.toml")]) == 0
 
 
+@pytest.mark.long
 def test_effects_that_the_bench_has_are_not_missing(folder: Path) -> None:
     bench = BENCH + (
         '[[effects]]\nname = "motor_coulomb_friction"\nparameters = {torque_nm = {value = 0.5}}\n'
@@ -184,6 +187,7 @@ def test_effects_that_the_bench_has_are_not_missing(folder: Path) -> None:
     assert summary["disagreement"]["over_all"]["held_out"]["before"] < 0.15
 
 
+@pytest.mark.long
 def test_current_says_as_much_as_torque_and_speed_as_much_as_position(folder: Path) -> None:
     for name in "ab":
         made = recording(name, 70 + "ab".index(name), coulomb=0.5, viscous=5e-3)

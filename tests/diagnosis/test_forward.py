@@ -130,6 +130,7 @@ def test_a_hidden_effect_is_named_with_its_size(friction: Found) -> None:
     assert size.sd < 0.1 * FRICTION_NM
 
 
+@pytest.mark.long
 def test_a_gap_that_the_edge_of_a_search_decides_is_withheld(independent) -> None:
     """Damping a quarter of the bench's: found at the edge of half, with a wrong gap."""
     soft = {"shaft_damping_nm_s_per_rad": 0.25 * BELIEVED["shaft_damping_nm_s_per_rad"]}
@@ -146,6 +147,7 @@ def test_a_gap_that_the_edge_of_a_search_decides_is_withheld(independent) -> Non
     assert any("The gap is withheld" in sentence for sentence in wear(summary))
 
 
+@pytest.mark.long
 def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> None:
     settings = SamplerSettings(ensembles=2)
     posterior = sample_direct(friction.findings.final.fit, settings, np.random.SeedSequence(1))
@@ -168,6 +170,7 @@ def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> No
     assert float(log_gap.std()) == pytest.approx(laplace.sd, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_stored_diagnosis_says_with_what_the_residuals_repeat(
     friction: Found, tmp_path: Path
 ) -> None:
@@ -215,6 +218,7 @@ def test_the_augmented_bench_is_a_bench_file_that_simulates(
     assert np.max(np.abs(with_it - without)) > 1.0
 
 
+@pytest.mark.long
 def test_where_nothing_is_missing_nothing_is_named(independent) -> None:
     found = diagnosed(
         recorded(independent, (2000.0, -1200.0), 2),
@@ -227,6 +231,7 @@ def test_where_nothing_is_missing_nothing_is_named(independent) -> None:
     assert near(found.answer.delta_after, math.log(GAP_RAD))
 
 
+@pytest.mark.long
 def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
     true = 0.9 * BELIEVED["shaft_stiffness_nm_per_rad"]
     found = diagnosed(
@@ -242,6 +247,7 @@ def test_a_wrong_parameter_is_no_missing_effect(independent) -> None:
     assert bench.value("shaft_stiffness_nm_per_rad") == pytest.approx(true, rel=0.03)
 
 
+@pytest.mark.long
 def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
     hidden = {"shaft_hysteresis__torque_nm": 40.0, "shaft_hysteresis__angle_rad": 1e-3}
     found = diagnosed(
@@ -254,6 +260,7 @@ def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
     assert near(found.answer.delta_after, math.log(2.7e-3))
 
 
+@pytest.mark.long
 def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(independent) -> None:
     hidden = {
         "motor_coulomb_friction__torque_nm": 0.2,
@@ -269,6 +276,7 @@ def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(in
     assert near(found.answer.delta_after, math.log(2.7e-3))
 
 
+@pytest.mark.long
 def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> None:
     hidden = {
         "load_torque_offset__torque_nm": FRICTION_NM,
@@ -287,6 +295,7 @@ def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> 
     assert near(ripple["torque_nm"], 0.05)
 
 
+@pytest.mark.long
 def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None:
     found = diagnosed(
         recorded(independent, (2000.0, -1200.0), 4, {"outside__belt_torque_nm": 0.2}),
@@ -303,6 +312,7 @@ def test_what_no_catalogue_holds_is_described_and_not_named(independent) -> None
     assert near(found.answer.delta_after, math.log(GAP_RAD))
 
 
+@pytest.mark.long
 def test_a_torque_in_time_is_no_wrong_parameter(independent) -> None:
     found = diagnosed(
         recorded(independent, (2000.0, -2000.0, 1200.0), 8, {"outside__time_torque_nm": 0.3}),
@@ -316,6 +326,7 @@ def test_a_torque_in_time_is_no_wrong_parameter(independent) -> None:
     assert any(abs(e.frequency_hz - 7.3) < 0.05 for e in found.answer.remaining)
 
 
+@pytest.mark.long
 def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
     alike = {"motor_coulomb_friction", "motor_viscous_friction", "motor_torque_offset"}
     found = diagnosed(
@@ -330,6 +341,7 @@ def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
     assert found.answer.suggestion.distance > 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turns", [0, 1, -1])
 def test_a_known_start_angle_counts_in_any_turn(independent, turns: int) -> None:
     angle = 2.5
@@ -353,6 +365,7 @@ def explained(seen: Observed, bench: Bench) -> float:
     return fit.chi_square / fit.residual.size
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("start", "lost"), [(0.5, 0), (1.6, 20), (4.7, 0), (4.7, 20)])
 def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
     independent, tmp_path: Path, start: float, lost: int
@@ -416,6 +429,7 @@ def folder(tmp_path: Path, independent) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("file", "old", "new", "told"),
     [
@@ -444,6 +458,7 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
     assert not (folder / "out").exists()
 
 
+@pytest.mark.long
 def test_too_few_rotations_to_tell_noise_from_what_repeats_are_refused(folder, capsys) -> None:
     bench, config = folder / "bench.toml", folder / "config.toml"
     bench.write_text(bench.read_text().replace("value = 120.0\n", "value = 310.0\n", 1))
@@ -470,6 +485,7 @@ def test_a_current_held_by_the_drive_that_is_simulated_is_not_refused(folder: Pa
     assert status(["check", str(folder / "config.toml")]) == 0
 
 
+@pytest.mark.long
 def test_peaks_that_a_limit_cut_off_are_refused(folder: Path, capsys) -> None:
     table = np.loadtxt(folder / "forward.csv", delimiter=",", skiprows=1)
     table[:, 2] = np.minimum(table[:, 2], 0.9 * table[:, 2].max())
@@ -481,6 +497,7 @@ def test_peaks_that_a_limit_cut_off_are_refused(folder: Path, capsys) -> None:
     assert "forward.csv" in said
 
 
+@pytest.mark.long
 def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatch) -> None:
     class AskedError(Exception):
         pass
@@ -496,6 +513,7 @@ def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatc
         run_diagnose(config)
 
 
+@pytest.mark.long
 def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
     drifting = replace(
         reference_bench(),

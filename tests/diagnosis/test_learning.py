@@ -30,6 +30,8 @@ from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.naming.explanation import Explanation, nominal_explanation
 from bayesbl.recording.types import MOTOR_TORQUE
 
+pytestmark = pytest.mark.long
+
 TURN = 2.0 * math.pi
 BENCH = reference_bench()
 GAP_RAD = 8e-4

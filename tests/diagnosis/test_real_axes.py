@@ -20,6 +20,8 @@ from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
 from experiments.positioning_axis import Axis, believed, drawn_axis, recorded
 
+pytestmark = pytest.mark.long
+
 MOTOR = ("motor_coulomb_friction", "motor_viscous_friction", "motor_torque_offset")
 
 

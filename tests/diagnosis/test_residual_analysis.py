@@ -81,6 +81,7 @@ def only_line(channel):
     return channel.lines[0]
 
 
+@pytest.mark.long
 def test_noise_alone_shows_a_line_no_more_often_than_stated():
     # At a rate of 0.1 over both channels, 120 recordings of noise: 12 expected at most. More than
     # 24 would happen by chance once in a thousand times.

@@ -173,6 +173,7 @@ def test_play_and_dahl_keep_their_laws() -> None:
 # Noise and covariance
 
 
+@pytest.mark.long
 def test_the_covariance_of_a_fit_is_its_scatter_under_coloured_noise() -> None:
     # 60 recordings with AR(1) noise of φ 0.6; the sample sd of 60 is good to 9 %, 3 sd taken.
     values, claimed = [], []
@@ -191,6 +192,7 @@ def test_the_covariance_of_a_fit_is_its_scatter_under_coloured_noise() -> None:
 # Naming
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_hidden_frictions_are_named_with_their_size(seed: int) -> None:
     hidden = {"coulomb": 0.6, "viscous": 6e-3}
@@ -215,6 +217,7 @@ def test_hidden_frictions_are_named_with_their_size(seed: int) -> None:
         assert overall.closed_fraction > 0.95
 
 
+@pytest.mark.long
 def test_nothing_hidden_leaves_nothing_missing() -> None:
     # False alarms come in at most 1 % of datasets by the threshold alone: of 6, two in 0.15 %.
     false = 0
@@ -235,6 +238,7 @@ def passed_by(cutoff_hz: float) -> float:
     return math.sqrt(float(np.sum(power * (passed[0] * passed[1]) ** 2) / np.sum(power)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("phases_shared", [True, False])
 def test_a_hidden_ripple_is_named_with_its_order(phases_shared: bool) -> None:
     hidden = {"ripple": (0.15, 6.0, 0.8), "coulomb": 0.4}
@@ -268,6 +272,7 @@ def test_what_repeats_beyond_the_effects_allowed_is_reported() -> None:
     assert found.remaining[0].amplitude == pytest.approx(0.15, rel=0.2)
 
 
+@pytest.mark.long
 def test_stribeck_friction_is_named_beside_the_frictions_it_hides_behind() -> None:
     hidden = {"coulomb": 0.5, "viscous": 6e-3, "stribeck": (0.5, 8.0)}
     recordings = [recording(n, 80 + i, **hidden) for i, n in enumerate("abcd")]
@@ -279,6 +284,7 @@ def test_stribeck_friction_is_named_beside_the_frictions_it_hides_behind() -> No
     }
 
 
+@pytest.mark.long
 def test_a_wrong_inertia_is_a_parameter_error_and_no_effect() -> None:
     recordings = [recording(n, 20 + i) for i, n in enumerate("abc")]
     found = answer(inverse(recordings, bench(load_inertia_kg_m2=0.9 * LOAD_INERTIA)))
@@ -300,6 +306,7 @@ def load_positions(kind: str) -> list[Recording]:
     return made
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "name", "parameter", "size"),
     [
@@ -392,6 +399,7 @@ def test_a_pendulum_without_friction_keeps_its_energy() -> None:
     assert np.ptp(energy) < 2e-5 * 0.5 * (1.0 - math.cos(1.2))
 
 
+@pytest.mark.long
 def test_both_frictions_of_a_free_pendulum_are_named_with_their_size() -> None:
     comparison = free([swing(s, 0.012, 3e-3, i) for i, s in enumerate((0.4, -0.7, 1.0))])
     found = diagnose(Problem(comparison, lambda fit: ()), PENDULUM, Settings())
@@ -403,6 +411,7 @@ def test_both_frictions_of_a_free_pendulum_are_named_with_their_size() -> None:
     assert found.disagreement.overall["held_out"].after < 3e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("more", ["gear_mesh_friction", "motor_stribeck_friction", "gravity_phase"])
 def test_an_effect_more_never_fits_a_free_pendulum_worse(more: str) -> None:
     comparison = free([swing(s, 0.012, 3e-3, i) for i, s in enumerate((0.4, -0.7, 1.0))])

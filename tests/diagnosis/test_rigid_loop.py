@@ -87,6 +87,7 @@ def ripples(found: Diagnosis) -> dict[float, float]:
     }
 
 
+@pytest.mark.long
 def test_a_ripple_and_two_harmonics_at_five_speeds_have_their_orders_and_sizes(
     tmp_path: Path,
 ) -> None:
@@ -100,6 +101,7 @@ def test_a_ripple_and_two_harmonics_at_five_speeds_have_their_orders_and_sizes(
     assert (found.disagreement.overall["held_out"].closed_fraction or 0.0) > 0.95
 
 
+@pytest.mark.long
 def test_an_order_that_is_not_whole_is_not_rounded(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Drive(torques=((7.31, 0.08, 0.0),)), SPEEDS_RPM)
     ((order, torque),) = ripples(found).items()
@@ -108,6 +110,7 @@ def test_an_order_that_is_not_whole_is_not_rounded(tmp_path: Path) -> None:
     assert torque == pytest.approx(0.08, rel=0.1)
 
 
+@pytest.mark.long
 def test_an_encoder_that_is_off_centre_is_no_ripple_and_stands_beside_one(tmp_path: Path) -> None:
     off_centre = ((1.0, 2e-3, 0.3),)
     (alone,) = diagnosed(tmp_path, Drive(angles=off_centre), FAST_RPM).effects
@@ -122,6 +125,7 @@ def test_an_encoder_that_is_off_centre_is_no_ripple_and_stands_beside_one(tmp_pa
         assert abs(fitted.value - size) < SURE * fitted.sd < 0.2 * size
 
 
+@pytest.mark.long
 def test_a_ripple_has_no_sidebands_over_an_encoder_that_is_off_centre(tmp_path: Path) -> None:
     drive = Drive(angles=((1.0, 8e-3, 0.3),), torques=((6.0, 0.3, 1.0),))
     found = diagnosed(tmp_path, drive, FAST_RPM)
@@ -162,6 +166,7 @@ def test_nothing_hidden_leaves_nothing_missing(tmp_path: Path) -> None:
         assert found.verdict == "nothing_missing"
 
 
+@pytest.mark.long
 def test_friction_shows_in_how_the_loop_answers_and_so_does_a_wrong_gain(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Drive(torques=RIPPLE, viscous=0.06), SLOW_RPM, EXACT)
     (friction,) = (e for e in found.effects if e.name == "motor_viscous_friction")
@@ -174,6 +179,7 @@ def test_friction_shows_in_how_the_loop_answers_and_so_does_a_wrong_gain(tmp_pat
     assert math.exp(error.fitted.value) == pytest.approx(6.0, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_lag_of_the_sensor_is_named_with_its_time(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Drive(torques=RIPPLE, sensor_lag_s=2e-3), SPEEDS_RPM)
     (lag,) = (e.parameters["time_s"] for e in found.effects if e.name == "speed_sensor_lag")
@@ -245,6 +251,7 @@ def test_the_bench_s_own_friction_and_lags_are_in_its_loop(tmp_path: Path) -> No
     assert values["speed_sensor_lag"] == 1e-3
 
 
+@pytest.mark.long
 def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bench.toml").write_text(BENCH)

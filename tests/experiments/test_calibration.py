@@ -36,6 +36,8 @@ from bayesbl.runs.study import run as run_study
 from bayesbl.runs.sweep import run_sweep
 from bayesbl.runs.workflow import Options
 
+pytestmark = pytest.mark.long
+
 
 def ranks_of(count: int, *, claimed: float = 1.0, bias: float = 0.0, seed: int = 1) -> np.ndarray:
     """Ranks of truths from N(0, 1) seen with unit noise, the posterior scaled and shifted.

@@ -51,6 +51,7 @@ def test_without_effects_the_simulators_agree(plain):
     assert np.max(np.abs(package - own), axis=1) == pytest.approx([0, 0, 0], abs=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [
@@ -72,6 +73,7 @@ def test_with_an_effect_they_differ_by_far_less_than_it_does(independent, plain,
     assert apart[1] < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("time_s", [1e-3, 4e-3, 7.3e-3])
 def test_both_average_the_speed_alike(independent, plain, time_s):
     package, own = both(independent, {"speed_averaging__time_s": time_s})
@@ -101,6 +103,7 @@ def test_what_no_catalogue_holds_is_in_the_signals(independent, plain, name):
     assert np.max(np.abs(change)) > 0.3
 
 
+@pytest.mark.long
 def test_a_torque_periodic_in_time_is_a_line_at_its_frequency(independent):
     settings = {**VALUES, **RUN, "gap_rad": 0.0, "gravity_torque_nm": 0.0}
     settings |= {"outside__time_torque_nm": 0.1}
@@ -109,6 +112,7 @@ def test_a_torque_periodic_in_time_is_a_line_at_its_frequency(independent):
     assert np.argmax(spectrum) / (speed.size * 1e-3) == pytest.approx(7.3, abs=0.02)
 
 
+@pytest.mark.long
 def test_a_belt_defect_comes_once_per_belt_turn_and_brakes_nothing_on_average(independent):
     settings = {**VALUES, **RUN, "gap_rad": 0.0, "gravity_torque_nm": 0.0}
     settings |= {"outside__belt_torque_nm": 0.3}

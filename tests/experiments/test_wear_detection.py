@@ -17,6 +17,8 @@ from bayesbl.runs.study import prepare
 from bayesbl.runs.study_file import load_study
 from bayesbl.runs.sweep import run_sweep
 
+pytestmark = pytest.mark.long
+
 SWEEP = f"""
 schema = 1
 kind = "sweep"

@@ -13,6 +13,7 @@ from bayesbl.recording.types import FloatArray
 PRIOR = [kind.probability for kind in KINDS]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("spread", "error"), [(0.2, 0.6), (0.4, 0.15)])
 def test_intervals_hold_the_truth_as_often_as_said(spread, error):
     """12 fleets of 20 joints; by fleets 90 % scatters by 2.3 % (``pooled_coverage.csv``)."""
@@ -24,6 +25,7 @@ def test_intervals_hold_the_truth_as_often_as_said(spread, error):
         assert means["width_over_alone"] < 0.7
 
 
+@pytest.mark.long
 def test_joints_under_another_load_are_told_by_what_it_does():
     """12 fleets of 20 joints, rates twice as high for a standard deviation more load."""
     cases = [case(seed, 0.2, 0.6, 0.7) for seed in range(12)]
@@ -33,6 +35,7 @@ def test_joints_under_another_load_are_told_by_what_it_does():
     assert means["width_over_without_load"] < 0.9
 
 
+@pytest.mark.long
 def test_a_load_that_all_joints_share_changes_nothing():
     generator = np.random.default_rng(9)
     _, rates = fleet(generator, 12, 0.3, 0.5)
@@ -109,6 +112,7 @@ def test_a_joint_unlike_its_type_keeps_its_answer_and_is_named():
     assert np.quantile(found.rates.spread, 0.95) < 0.3
 
 
+@pytest.mark.long
 def test_a_joint_with_few_recordings_leans_less_on_a_type_of_strangers():
     """Its law is as wide as the prior; that of the others is one, or each another."""
     generator = np.random.default_rng(12)

@@ -42,6 +42,8 @@ REMAINS = re.compile(r"disagreement\..*\.after")
 REMAINS_ELSEWHERE = 0.5 * 0.1**2
 MEAN_SHARE, WIDTH_SHARE = 0.25, 0.5
 """Parts of a posterior standard deviation by which another machine may differ."""
+QUICK = ("fit_published", "sweep_draws", "simulate_wear", "direct", "diagnose_inverse")
+"""Runs of a run of all tests that leaves out the long ones."""
 SDS_IN_INTERVAL = 3.29
 """Width of a normal 90 % interval in standard deviations; narrower levels are held closer."""
 
@@ -58,7 +60,10 @@ def test_every_run_is_kept() -> None:
     assert list(GOLDEN["runs"]) == list(RUNS)
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(
+    "name",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in RUNS],
+)
 def test_a_run_gives_the_numbers_that_were_kept(name: str, workshop: Workshop) -> None:
     found = json.loads(json.dumps(workshop.numbers(name)))
     wrong = list(differences(GOLDEN["runs"][name], found, exact=SAME_MACHINE))

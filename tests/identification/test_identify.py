@@ -54,6 +54,8 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import REFERENCE_POSITION, REFERENCE_SPEED, FloatArray
 from bayesbl.sampling.chains import SamplerSettings
 
+pytestmark = pytest.mark.long
+
 GAP_RAD = 8e-4
 SETTINGS = SamplerSettings(ensembles=2)
 SHARE = 0.25

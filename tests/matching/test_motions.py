@@ -142,6 +142,7 @@ def test_the_gap_of_many_valleys_is_the_true_one(
     assert abs(error) < 4.0 * fit.sd(GAP, "r")
 
 
+@pytest.mark.long
 def test_a_reference_that_is_held_and_late_is_found_so() -> None:
     # As a digital drive has it: four samples late, and held for a millisecond each.
     recording = recorded(seed=10, sampling_hz=1000.0)
@@ -154,6 +155,7 @@ def test_a_reference_that_is_held_and_late_is_found_so() -> None:
     assert abs(z_of(fit)) < 4.0
 
 
+@pytest.mark.long
 def test_a_reference_that_a_drive_holds_is_found_so() -> None:
     held = held_motion(SWINGING, 3501, 500.0)
     seen = observed(recorded(held, seed=11), BENCH)
@@ -170,6 +172,7 @@ def test_what_begins_unknown_is_left_out() -> None:
     assert 0.02 < begin / 500.0 < 0.5
 
 
+@pytest.mark.long
 def test_a_motion_without_a_change_of_flank_tells_no_gap() -> None:
     seen = observed(recorded(HELD_UP), BENCH)
     sampler = SamplerSettings(2, 1000, 0.9)
@@ -218,6 +221,7 @@ def test_noise_is_that_of_the_samples_that_are_kept() -> None:
     assert fast.sd == pytest.approx([1.0, 1.0], rel=0.05)
 
 
+@pytest.mark.long
 def test_a_plan_expects_what_a_fit_then_finds() -> None:
     limits = MotionLimits((-0.4, 1.4), 1500.0, 6000.0, 0.1, 3.0)
     ranked = ranked_motions(BENCH, limits, GAP_RAD, 250.0)

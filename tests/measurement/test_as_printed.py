@@ -29,6 +29,7 @@ def fitted(folder: Path, method: str, harmonics: int) -> tuple[int, dict]:
     return ended, json.loads((folder / "out" / "summary.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.long
 def test_pulses_fitted_to_gravitys_wave_give_no_gap(tmp_path: Path, no_figures) -> None:
     ended, summary = fitted(tmp_path, "guess", 0)
     assert ended == 3
@@ -37,6 +38,7 @@ def test_pulses_fitted_to_gravitys_wave_give_no_gap(tmp_path: Path, no_figures) 
         assert word in summary["reason"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["paper", "table_2_box"])
 def test_a_search_that_ended_elsewhere_is_told_and_gives_no_gap(
     tmp_path: Path, no_figures, monkeypatch: pytest.MonkeyPatch, method: str

@@ -16,6 +16,7 @@ from bayesbl.results.store import read_tree
 from bayesbl.ringing.symbols import AMPLITUDE
 
 
+@pytest.mark.long
 def test_a_model_without_baseline_is_measured_and_stored(tmp_path: Path) -> None:
     recording = synthetic_recording(STRONG, NOISE, np.random.default_rng(1))
     columns = {"time_s": recording.time_s, "motor_speed_rpm": recording.motor_speed_rpm}

@@ -56,6 +56,7 @@ def test_snapshots_of_different_speeds_are_not_compared(tmp_path: Path, capsys) 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(
     tmp_path: Path, no_figures, capsys
 ) -> None:
@@ -66,6 +67,7 @@ def test_a_gap_read_from_a_curve_of_another_speed_is_withheld(
         assert word in said(capsys) or word in (out / "summary.json").read_text()
 
 
+@pytest.mark.long
 def test_a_gear_ratio_that_is_not_the_rotations_is_told(tmp_path: Path, no_figures, capsys) -> None:
     file = recorded(tmp_path, 2000.0)
     right, wrong = tmp_path / "right", tmp_path / "wrong"

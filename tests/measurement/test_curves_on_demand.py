@@ -22,6 +22,8 @@ from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator
 
+pytestmark = pytest.mark.long
+
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
 
 

@@ -83,6 +83,7 @@ def log_gap(posterior, name="one"):
     return np.log(posterior.values(GAP, name)).ravel()
 
 
+@pytest.mark.long
 def test_optima_scatter_as_the_cramer_rao_bound_allows():
     # χ² of 30 errors within its 99.8 % range: fails by chance in 2 of 1000.
     z = []
@@ -94,6 +95,7 @@ def test_optima_scatter_as_the_cramer_rao_bound_allows():
     assert low < float(np.sum(np.square(z))) < high
 
 
+@pytest.mark.long
 def test_the_posterior_is_that_of_full_simulations_on_a_grid():
     # Noise ten times larger, so that the posterior is not normal.
     known = bench(noise=10.0)
@@ -118,6 +120,7 @@ def test_the_posterior_is_that_of_full_simulations_on_a_grid():
     assert posterior.effective > 0.8 * posterior.simulated
 
 
+@pytest.mark.long
 def test_without_correction_the_surrogate_alone_agrees_with_full_simulation():
     known = bench(tolerances=True)
     fit = fitted(known, record(known, 8e-4, 4))
@@ -168,6 +171,7 @@ def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
     assert draws.std(axis=0) / sd == pytest.approx(1.0, abs=0.09)
 
 
+@pytest.mark.long
 def test_a_uniform_tolerance_cuts_the_posterior_exactly():
     # Kolmogorov-Smirnov with 1000 draws, thinned to 250 so that they are independent: fails by
     # chance in 1 of 1000.
@@ -190,6 +194,7 @@ def test_forward_and_reverse_give_the_same_gap():
     )
 
 
+@pytest.mark.long
 def test_coverage_with_seven_parameters_off():
     # 90 % intervals of 16: fewer than 10 hold the truth in 2 of 10 000 studies.
     known, inside = bench(tolerances=True), 0
@@ -204,6 +209,7 @@ def test_coverage_with_seven_parameters_off():
     assert inside >= 10
 
 
+@pytest.mark.long
 def test_snapshots_of_one_joint_share_what_is_wrong_with_their_bench():
     known = bench(tolerances=True)
     true = known.draw(np.random.default_rng(9))
@@ -245,6 +251,7 @@ def test_excluded_samples_do_not_count():
     assert gone == 2 * (2 * (model.noise[0].order + 1) + 1)
 
 
+@pytest.mark.long
 def test_a_missing_effect_is_refused_and_a_known_one_is_not():
     recording = record(bench().with_effects(FRICTION), 8e-4, 12)
     assert not agrees(disagreements(fitted(bench(), recording)))
@@ -263,6 +270,7 @@ def test_friction_that_only_shifts_the_mean_current_is_refused():
     assert (worst.channel, worst.highest_order) == (MOTOR_CURRENT, 0)
 
 
+@pytest.mark.long
 def test_the_check_raises_false_alarms_as_often_as_it_says():
     # Ten expected among 1000 residuals of pure noise; more than 22 in 2 of 10 000 studies.
     generator = np.random.default_rng(14)
@@ -277,6 +285,7 @@ def test_the_check_raises_false_alarms_as_often_as_it_says():
     assert 0 < alarms <= 22
 
 
+@pytest.mark.long
 def test_a_gap_beyond_its_range_is_withheld():
     fit = fitted(bench(), record(bench(), 8e-4, 15), gap_rad=(1e-4, 7e-4))
     posterior = sample_direct(fit, SETTINGS, np.random.SeedSequence(1))
@@ -284,6 +293,7 @@ def test_a_gap_beyond_its_range_is_withheld():
     assert "upper bound of its range" in posterior.diagnostics.reasons[0]
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_draws_on_any_number_of_workers():
     recording = record(bench(), 8e-4, 16)
     results = []

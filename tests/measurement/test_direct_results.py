@@ -19,6 +19,8 @@ from bayesbl.results.store import read_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.runs.declared_groups import declared_groups
 
+pytestmark = pytest.mark.long
+
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
 FRICTION = """
 [[effects]]

@@ -77,6 +77,7 @@ def test_what_would_be_ignored_is_refused(
         config_of(tmp_path, known=known, drift=drift, estimator=estimator)
 
 
+@pytest.mark.long
 def test_the_curve_of_a_recording_is_of_the_bench_as_it_was_then(tmp_path: Path) -> None:
     config = config_of(tmp_path, known="{speed_gain_nm_s_per_rad = 0.1665}")
     bench = load_bench(BENCH)

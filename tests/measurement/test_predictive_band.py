@@ -14,6 +14,7 @@ from bayesbl.sampling.chains import SamplerSettings
 LEVEL = 0.9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("gap_rad", "noise_rpm"), [(8e-4, 0.3), (8e-4, 1.5), (3e-3, 1.5)])
 def test_the_band_holds_its_share_whatever_misfit_repeats(gap_rad: float, noise_rpm: float) -> None:
     made = reference_bench().simulate(

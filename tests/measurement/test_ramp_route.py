@@ -18,6 +18,8 @@ from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 
+pytestmark = pytest.mark.long
+
 GAP, FRICTION, COMPLIANCE = 6e-3, 1.0, 4e-4
 TICK_S = 0.0156
 

@@ -87,6 +87,7 @@ def test_more_gap_alone_is_no_other_joint(before: PointEstimate) -> None:
         assert check.blind_spots
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("factors", "quantity", "cause"),
     [
@@ -118,6 +119,7 @@ def test_what_changed_besides_the_gap_is_told_with_its_cause(
     assert check.sentences[0] in (change_reason(check) or "")
 
 
+@pytest.mark.long
 def test_a_repair_begins_anew(before: PointEstimate) -> None:
     other = point(changed(gravity_torque_nm=1.3), 3e-4, 6)
     again = point(changed(gravity_torque_nm=1.3), 4e-4, 7)
@@ -125,6 +127,7 @@ def test_a_repair_begins_anew(before: PointEstimate) -> None:
     assert same_joint([before, other, again], (False, True, False)).agrees
 
 
+@pytest.mark.long
 def test_without_a_current_the_gains_are_a_blind_spot(before: PointEstimate) -> None:
     blind = [point(BENCH, 8e-4, n, with_current=False) for n in (1, 2)]
     check = same_joint(blind, (False, False))

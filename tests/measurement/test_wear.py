@@ -72,6 +72,7 @@ def share_of(found, *names):
     return float(np.isin(found.law, numbers).mean())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("years", [YEARS[[0, 3]], YEARS[:3], YEARS], ids=["two", "three", "five"])
 def test_a_known_rate_and_present_gap_are_covered_as_often_as_said(years):
     # From three snapshots on the laws leave room for what is not there: ranks may be too central.
@@ -88,6 +89,7 @@ def test_a_known_rate_and_present_gap_are_covered_as_often_as_said(years):
         assert np.mean(np.abs(ranks - 0.5) < 0.45) > 0.9 - 3.1 * 0.0274
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shared", [0.0, 0.1])
 def test_irregular_wear_is_covered_and_found(shared):
     # A curve that is 10 % off hides none of it: its factor is common to all snapshots.

@@ -20,6 +20,8 @@ from bayesbl.measurement.model_check import against_the_bench
 from bayesbl.naming.joint_change import find_changes
 from bayesbl.sampling.chains import SamplerSettings
 
+pytestmark = pytest.mark.long
+
 BENCH = reference_bench()
 BELIEVED = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
 GAP_RAD = 8e-4

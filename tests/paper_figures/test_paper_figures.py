@@ -23,6 +23,8 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.presentation.figures.snapshots import snapshots
 from bayesbl.presentation.figures.style import publication_style
 
+pytestmark = pytest.mark.long
+
 SCRIPTS = ROOT / "paper_figures"
 TABLES = EXPERIMENTS / "results"
 sys.path.insert(0, str(SCRIPTS))

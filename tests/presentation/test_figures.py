@@ -148,6 +148,7 @@ def labelled(axes, label):
 # What is drawn is what is stored
 
 
+@pytest.mark.long
 def test_all_that_the_groups_declare_is_stored(tree):
     require_declared(tree, declared_groups(tree))
 
@@ -357,6 +358,7 @@ def test_a_withheld_gap_is_said_so_and_its_number_is_not_given(tree):
     assert len(re.findall(r"\d mrad \(", shown)) == 1, "only the snapshot that has an answer"
 
 
+@pytest.mark.long
 def test_a_withheld_reason_is_on_the_corner_and_the_trace(tree):
     old, new = snapshots(judged(tree, new=REASON))
     assert REASON.split(":")[0] in " ".join(texts(corner(new)).split())
@@ -410,6 +412,7 @@ def points(figure, label):
     return np.column_stack([line.get_xdata(), line.get_ydata()])
 
 
+@pytest.mark.long
 def test_the_curve_figure_shows_every_sweep_point_and_the_stored_curve(swept):
     figure = curve(swept)
     shown = points(figure, "sweep: 8 gaps, 2 start angles")
@@ -527,6 +530,7 @@ def test_slopes_are_left_out_where_the_draws_are_too_few(swept):
     assert "too few draws" in texts(bench_draws(few))
 
 
+@pytest.mark.long
 def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monkeypatch):
     save = "bayesbl.presentation.figures.draw.save"
     monkeypatch.setattr(save, lambda _, folder, name, formats: [folder / name])
@@ -607,6 +611,7 @@ def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
     assert "← before" in texts(far)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [2, 6])
 def test_the_whole_change_has_the_colour_of_no_snapshot_and_titles_keep_clear(tree, count):
     parts = snapshots(tree)

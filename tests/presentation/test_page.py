@@ -127,6 +127,7 @@ def hostile(tree: xr.DataTree) -> xr.DataTree:
     return tree
 
 
+@pytest.mark.long
 def test_a_page_needs_no_network_no_script_and_no_other_file(written):
     reader = Reader(written)
     require_closed(reader)

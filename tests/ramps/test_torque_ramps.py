@@ -94,6 +94,7 @@ def test_a_torque_that_counts_against_the_position_is_turned_round():
         assert other.width_rad == one.width_rad > 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cycles", [1, 4, 300])
 def test_few_ramps_and_many_are_read_alike(cycles):
     torque = triangles(*[SMALL] * cycles)
@@ -167,6 +168,7 @@ def test_lost_motion_is_between_the_middles_of_the_loop():
     assert lost == pytest.approx(2.0 * (GAP + COMPLIANCE * 1.0), rel=0.02)
 
 
+@pytest.mark.long
 def test_one_snapshot_of_three_positions_is_nearly_students_t():
     """The prior of σ is bounded, so the tails are shorter than with two degrees of freedom."""
     values = np.array([9.0e-3, 10.0e-3, 11.0e-3])
@@ -180,6 +182,7 @@ def test_one_snapshot_of_three_positions_is_nearly_students_t():
     assert t.ppf(0.85) < high < t.ppf(0.95) + 1e-4
 
 
+@pytest.mark.long
 def test_a_pattern_round_the_turn_that_stays_sharpens_the_change():
     pattern = np.array([-2e-3, 0.0, 2e-3])
     small = np.array([1e-4, -1e-4, 0.0])
@@ -198,6 +201,7 @@ def test_a_pattern_round_the_turn_that_stays_sharpens_the_change():
     assert widths[0] < 0.7 * widths[1]
 
 
+@pytest.mark.long
 def test_widths_are_covered_by_their_interval():
     """Scatter of a fifth, five cycles: 90 % intervals hold the truth in 22 of 30 or more (1 %).
 
@@ -292,6 +296,7 @@ def test_gearboxes_of_a_test_stand_have_the_play_that_their_author_read():
     assert [play > 0.5 for _, play in by_preload] == [True, True, False, False]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "answered", "none"), [("preloaded", 1.0, 1), ("too_small", 0.0, 0)]
 )

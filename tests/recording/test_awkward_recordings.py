@@ -201,6 +201,7 @@ FITTED: dict[str, tuple[Callable[[Path], Path], int, dict[str, ColumnSpec]]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", FITTED)
 def test_what_can_be_handled_is_fitted_right(
     tmp_path: Path, case: str, reference: PointEstimate
@@ -499,6 +500,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_is_refused_in_one_message_with_status_2(
     tmp_path: Path, case: str, capsys: pytest.CaptureFixture[str]

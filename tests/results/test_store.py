@@ -219,6 +219,7 @@ for number in range(1000000):
 """
 
 
+@pytest.mark.long
 def test_a_kill_at_any_moment_leaves_one_whole_result(tmp_path: Path) -> None:
     path = tmp_path / "wear"
     rng = np.random.default_rng(1)

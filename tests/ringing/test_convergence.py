@@ -25,6 +25,8 @@ from bayesbl.ringing.symbols import (
 )
 from bayesbl.sampling.chains import SamplerSettings
 
+pytestmark = pytest.mark.long
+
 SHORT = SamplerSettings(ensembles=2, max_steps=500)
 
 

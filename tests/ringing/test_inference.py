@@ -216,6 +216,7 @@ def test_under_white_noise_the_sandwich_is_the_inverse_curvature() -> None:
     np.testing.assert_allclose(spread.calibration, np.eye(len(spread.names)), atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [WHITE, SLOW], ids=["white", "AR(1) 0.9"])
 def test_optima_scatter_as_the_sandwich_predicts(noise: NoiseModel) -> None:
     count = 150
@@ -248,6 +249,7 @@ def test_symbols_that_the_recording_does_not_determine_are_refused() -> None:
         covariance(lost, objective.time_s, np.zeros(objective.samples), noise)
 
 
+@pytest.mark.long
 def test_intervals_cover_the_truth_as_often_as_they_say(
     searching_from: Callable[[np.ndarray], None],
 ) -> None:
@@ -326,6 +328,7 @@ def test_the_fast_refinement_and_cma_end_in_the_same_optimum() -> None:
         assert abs(amplitude[0] - amplitude[1]) < 0.02  # a twentieth of its standard deviation
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_optimum_and_leaves_numpys_random_state_alone(
     point: PointEstimate,
 ) -> None:
@@ -476,6 +479,7 @@ def test_the_same_seed_gives_the_same_draws_and_leaves_numpys_random_state_alone
         assert not np.array_equal(first[name], other[name])
 
 
+@pytest.mark.long
 def test_a_strong_signal_is_sampled_to_convergence(fit: Fit) -> None:
     diagnostics = fit.posterior.diagnostics
     assert diagnostics.outcome == "converged", diagnostics.reasons
@@ -520,6 +524,7 @@ def test_all_draws_together_scatter_as_the_sandwich_also_where_symbols_are_corre
     np.testing.assert_allclose(whitened, np.eye(len(spread.names)), atol=0.12)
 
 
+@pytest.mark.long
 def test_linear_symbols_are_integrated_out_as_a_grid_over_all_symbols_does() -> None:
     # A weak, short and coarsely sampled recording: far enough from a normal posterior that the
     # determinant of the linear symbols moves it (without it, the mean of τ by 0.25 sd).
@@ -568,6 +573,7 @@ def test_linear_symbols_are_integrated_out_as_a_grid_over_all_symbols_does() -> 
         assert abs(drawn.std() / sd - 1.0) < 0.08, name
 
 
+@pytest.mark.long
 def test_a_fit_with_a_free_window_end_is_sampled() -> None:
     model = DisturbanceModel(fixed={WINDOW_START: 0.0}, ranges={WINDOW_END: (0.1, 0.4)})
     estimator = Estimator(model, sampler=SamplerSettings(ensembles=2, max_steps=1000))
@@ -641,6 +647,7 @@ def test_a_walker_that_never_moves_makes_the_autocorrelation_time_infinite() -> 
     assert integrated_time(chain) == math.inf
 
 
+@pytest.mark.long
 def test_ringing_no_stronger_than_its_uncertainty_is_withheld() -> None:
     symbols = {**TRUTH, AMPLITUDE: 1.0}
     estimator = Estimator(sampler=SamplerSettings(ensembles=2, max_steps=500))
@@ -650,6 +657,7 @@ def test_ringing_no_stronger_than_its_uncertainty_is_withheld() -> None:
     assert any("too weak" in reason for reason in verdict.reasons)
 
 
+@pytest.mark.long
 def test_a_range_that_cuts_the_posterior_is_said() -> None:
     model = DisturbanceModel(ranges={DECAY: (5.0, 11.9)})
     estimator = Estimator(model, sampler=SamplerSettings(ensembles=2, max_steps=500))
@@ -657,6 +665,7 @@ def test_a_range_that_cuts_the_posterior_is_said() -> None:
     assert any(f"draws of {DECAY} lie at a bound" in reason for reason in verdict.reasons)
 
 
+@pytest.mark.long
 def test_a_residual_holds_what_the_model_does_not(point: PointEstimate) -> None:
     # The search, the noise and the misfit see the same residual: what is put in comes out.
     measured = point.recording

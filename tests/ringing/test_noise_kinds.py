@@ -188,6 +188,7 @@ def test_steps_of_a_speed_are_found_and_told_apart(quiet: PointEstimate) -> None
     assert found.sd_rpm == pytest.approx((counted - smooth).std(), rel=0.1)
 
 
+@pytest.mark.long
 def test_rounding_that_repeats_every_rotation_is_counted_in_the_width(
     quiet: PointEstimate,
 ) -> None:
@@ -203,6 +204,7 @@ def test_rounding_that_repeats_every_rotation_is_counted_in_the_width(
     assert 0.6 < np.mean(claimed) / actual < 1.6
 
 
+@pytest.mark.long
 def test_rotations_whose_rounding_is_alike_are_left_alone(quiet: PointEstimate) -> None:
     # Between rotations there is next to no noise, by which anything would look uneven.
     for begin_rad in (0.1, 1.3, 2.9):
@@ -296,6 +298,7 @@ def test_uneven_rotations_are_made_even(quiet: PointEstimate) -> None:
     assert abs(amplitude(again) - amplitude(reference)) < 0.5 * sd
 
 
+@pytest.mark.long
 def test_the_estimator_mends_and_says_so(quiet: PointEstimate) -> None:
     noise = NOISE.draw(quiet.recording.samples, seeded(11))
     measured = recorded(drifting(quiet, 0.002, of_the_motor=True) + noise, quiet.recording)

@@ -20,6 +20,8 @@ from bayesbl.ringing.second_sampler import SamplerCheck
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.sampling.chains import SamplerSettings
 
+pytestmark = pytest.mark.long
+
 pytest.importorskip("dynesty")
 
 

@@ -101,6 +101,7 @@ def test_whether_a_search_found_the_pulses_of_an_optimum(
     assert found.has_pulses_of(OWN, 5.0 * OWN[ROTATION]) is same
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["paper", "table_2_box"])
 def test_the_optimum_does_not_depend_on_what_a_search_of_the_box_ended_at(
     objective: Objective, method: str, monkeypatch: pytest.MonkeyPatch

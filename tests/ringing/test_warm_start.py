@@ -66,12 +66,14 @@ def assert_same(warm: Optimum, other: Optimum) -> None:
     assert warm.symbols[START] == pytest.approx(other.symbols[START], abs=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", np.linspace(0.0, 3.6, 7, endpoint=False))
 def test_the_gear_may_stand_in_any_phase_at_the_begin(start: float) -> None:
     objective = objective_of(recording(**{START: start + 0.05}))
     assert_same(warm_optimum(objective, OLD), full(objective))
 
 
+@pytest.mark.long
 def test_a_worn_gap_on_the_bench_is_followed() -> None:
     bench = load_bench(CONFIGS / "bench.toml")
     generator = np.random.default_rng(4)
@@ -88,6 +90,7 @@ def test_a_worn_gap_on_the_bench_is_followed() -> None:
         assert_same(warm_optimum(objectives[1], earlier), full(objectives[1]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "ranges",
     [
@@ -156,6 +159,7 @@ def test_ringing_lost_in_the_noise_falls_back_to_the_full_search() -> None:
     assert point.optimum.method == "guess"
 
 
+@pytest.mark.long
 def test_a_fall_back_gives_what_the_full_search_gives() -> None:
     other = recording(**{ROTATION: 3.3})
     warm = Estimator().estimate(other, np.random.SeedSequence(1), None, OLD)
@@ -191,6 +195,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict
     return run_one
 
 
+@pytest.mark.long
 def test_a_fit_starts_from_the_result_of_an_earlier_one(fitted: Any) -> None:
     cold, _ = fitted("fit", ["after"], "cold")
     warm, said = fitted("fit", ["after"], "warm", start_from="old")
@@ -201,6 +206,7 @@ def test_a_fit_starts_from_the_result_of_an_earlier_one(fitted: Any) -> None:
         assert warm["delta_rad"][key] == pytest.approx(cold["delta_rad"][key], abs=0.05 * width)
 
 
+@pytest.mark.long
 def test_a_recording_of_another_name_starts_from_the_last_one(fitted: Any) -> None:
     fitted("fit", ["before"], "single")
     _, said = fitted("fit", ["after"], "next", start_from="single")

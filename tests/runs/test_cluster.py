@@ -114,6 +114,7 @@ def numbers(output: Path, *names: str) -> list[list[float]]:
     return [row[name].values.tolist() for row in rows for name in names or ("norm", "own")]
 
 
+@pytest.mark.long
 def test_one_worker_two_workers_and_a_cluster_give_the_same_numbers(folder, scheduler):
     run(configure(folder, "one", "workers = 1"))
     run(configure(folder, "two", "workers = 2"))
@@ -131,6 +132,7 @@ def test_a_case_whose_worker_dies_is_run_again_by_another_to_the_same_numbers(fo
     assert numbers(folder / "dies") == numbers(folder / "lives")
 
 
+@pytest.mark.long
 def test_a_case_that_kills_every_worker_ends_the_study_in_words_and_the_others_are_kept(
     folder, scheduler, capsys
 ):
@@ -170,6 +172,7 @@ def processes(tmp_path, monkeypatch):
         yield json.loads(at.read_text())["address"], *started
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ends", [subprocess.Popen.kill, subprocess.Popen.terminate])
 def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folder, processes, ends):
     address, scheduler, _ = processes
@@ -183,6 +186,7 @@ def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folde
     assert numbers(folder / "kept") == numbers(folder / "whole")
 
 
+@pytest.mark.long
 def test_a_fleet_whose_scheduler_is_killed_loses_nothing_and_measures_nothing_twice(
     tmp_path, processes
 ):
@@ -211,6 +215,7 @@ def test_a_fleet_whose_scheduler_is_killed_loses_nothing_and_measures_nothing_tw
     assert len(fleet.table(tmp_path / "killed", "recordings")) == 4
 
 
+@pytest.mark.long
 def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
     folder, scheduler, capsys
 ):

@@ -226,6 +226,7 @@ def test_a_run_that_was_killed_goes_on_with_the_joints_that_it_lacks(tmp_path):
     assert "withheld" in (tmp_path / "plant/summary.json").read_text()
 
 
+@pytest.mark.long
 def test_recordings_matched_with_the_bench_one_by_one_give_the_change(plant, tmp_path):
     for name in ("bench.toml", "data/J1"):
         (shutil.copytree if "/" in name else shutil.copy)(plant / name, tmp_path / name)
@@ -240,6 +241,7 @@ def test_recordings_matched_with_the_bench_one_by_one_give_the_change(plant, tmp
     assert high - low < 0.1 * 4e-4
 
 
+@pytest.mark.long
 def test_one_process_two_and_a_cluster_write_the_same_tables(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")

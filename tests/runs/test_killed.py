@@ -23,6 +23,8 @@ from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.runs.run import load_run, run
 from bayesbl.runs.simulate import recording_csv
 
+pytestmark = pytest.mark.long
+
 RUN = '[run]\nseed = 5\nworkers = 1\noutput = "out"\n'
 POSTERIOR = "[posterior]\nensembles = 2\nmax_steps = 500\n"
 BEFORE = '[[recordings]]\nfile = "before.csv"\n'

@@ -54,6 +54,7 @@ def test_a_current_is_no_position(name, measured, tmp_path):
     assert "motor_position_rad" not in found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("time", TIME)
 @pytest.mark.parametrize("speed", SPEED)
 @pytest.mark.parametrize("angle", ["rad", "rev"])

@@ -154,6 +154,7 @@ def test_a_case_that_is_refused_is_counted_and_its_reason_kept(folder):
     assert "mean_rpm" not in summary["rows"][2]
 
 
+@pytest.mark.long
 def test_a_row_defined_differently_is_run_again_and_said_so(folder, monkeypatch):
     config = configure(folder)
     interrupt_before_the_result(config, monkeypatch)
@@ -180,6 +181,7 @@ def interrupted(*arguments):
     raise KeyboardInterrupt
 
 
+@pytest.mark.long
 def test_a_finished_study_is_added_to_but_none_of_its_rows_is_lost(folder):
     config = configure(folder)
     run(config)
@@ -287,6 +289,7 @@ def figure(table, cases):
     return str(configure(folder))
 
 
+@pytest.mark.long
 def test_a_study_runs_and_is_inspected_on_the_command_line(folder, capsys):
     config = drawing(folder)
     assert cli.status(["check", config]) == 0

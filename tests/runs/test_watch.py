@@ -152,6 +152,7 @@ cli.status(sys.argv[2:])
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("where", ["Outbox.put", "RecordingTable.save"])
 def test_a_device_that_is_killed_loses_nothing_and_measures_nothing_twice(plant, where):
     """Killed with the second recording measured, before it is sent or before it is a row."""
@@ -183,6 +184,7 @@ def test_a_device_that_is_killed_loses_nothing_and_measures_nothing_twice(plant,
     assert sent == {(row["joint"], row["file"]) for row in rows}
 
 
+@pytest.mark.long
 def test_a_service_that_is_stopped_ends_well(plant, capfd):
     code = "import sys; from bayesbl import cli; sys.exit(cli.status(sys.argv[1:]))"
     arguments = ["watch", str(plant / "data"), "--config", str(plant / "plant.toml")]
