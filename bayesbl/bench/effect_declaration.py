@@ -61,8 +61,10 @@ class EffectParameter:
     neutral: float = 0.0
 
     def scaled(self, factor: float) -> Self:
-        """The same sought for in a range so many times as wide."""
-        return replace(self, low=factor * self.low, high=factor * self.high)
+        """The same of a joint on which all its values are so many times as large."""
+        return replace(
+            self, low=factor * self.low, high=factor * self.high, neutral=factor * self.neutral
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,8 +133,8 @@ POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width), the width a share of the fastest reference speed: 1 rpm of
-# 2000. With the output held there is no such speed.
+# sign(ω) of friction is tanh(ω/width), the width a share of the joint's reference speed: 1 rpm of
+# 2000. With the output held there is no speed.
 SIGN_WIDTH_SHARE = 5e-4
 HELD_SIGN_WIDTH = 0.1  # rad/s
 # The integral fades out while the demand passes the current limit by this share of it.
@@ -1341,7 +1341,9 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     pieces[:, 0] += p[Slot.reference_delay_s]
     q = p.copy()
     held = math.isinf(p[Slot.load_inertia_kg_m2])
-    q[Slot.reference_speed_rpm] = 0.0 if held else np.max(np.abs(pieces[:, 1])) * RPM
+    # A slow motion of a fast joint meets the same friction.
+    fastest = max(np.max(np.abs(pieces[:, 1])) * RPM, abs(p[Slot.reference_speed_rpm]))
+    q[Slot.reference_speed_rpm] = 0.0 if held else fastest
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     y = np.empty(states_of(begun))
     c = constants(q, standing_state(-lag, p, begun, y), 0.0)

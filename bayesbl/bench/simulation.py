@@ -109,7 +109,7 @@ def simulate_motions(
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     fastest = 0.0 if motion.output_held else motion.fastest_rpm
-    accuracy = _accuracy_rpm(accuracy_rpm, fastest)
+    accuracy = _accuracy_rpm(accuracy_rpm, np.full(len(parameter_matrix), fastest))
     matrix = _sound(parameter_matrix, out, sampling_hz, accuracy)
     if motion.output_held:
         matrix = matrix.copy()
@@ -117,7 +117,7 @@ def simulate_motions(
 
     def run(row: int) -> int:
         found: int = kernel.simulate_motion(
-            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy, out[row]
+            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy[row], out[row]
         )[0]
         return found
 
@@ -163,7 +163,7 @@ def simulate_states(
         out,
         parameters,
         c,
-        _accuracy_rpm(accuracy_rpm, abs(float(parameters[Slot.reference_speed_rpm]))),
+        float(_accuracy_rpm(accuracy_rpm, parameters[Slot.reference_speed_rpm])),
         np.empty((0, kernel.PIECE_COLUMNS)),
     )
     if status != kernel.DONE:
@@ -188,8 +188,7 @@ def _fill(
     failures: str,
     states: FloatArray | None = None,
 ) -> None:
-    slowest = float(np.min(np.abs(matrix[:, Slot.reference_speed_rpm])))
-    accuracy = _accuracy_rpm(accuracy_rpm, slowest)
+    accuracy = _accuracy_rpm(accuracy_rpm, matrix[:, Slot.reference_speed_rpm])
     matrix = _sound(matrix, out, sampling_hz, accuracy)
     settling = settling_time_s(matrix, accuracy, failures)
     ends = np.empty((matrix.shape[0], STATES)) if states is None else states
@@ -198,27 +197,30 @@ def _fill(
         if math.isnan(settling[row]):
             return kernel.DIVERGED
         found: int = kernel.simulate(
-            matrix[row], settling[row], 1.0 / sampling_hz, accuracy, out[row], ends[row]
+            matrix[row], settling[row], 1.0 / sampling_hz, accuracy[row], out[row], ends[row]
         )[0]
         return found
 
     _in_threads(run, matrix, out, workers, failures)
 
 
-def _accuracy_rpm(asked_rpm: float | None, reference_rpm: float) -> float:
+def _accuracy_rpm(asked_rpm: float | None, reference_rpm: FloatArray) -> FloatArray:
+    """Of each simulation, as the reference speeds are given."""
     if asked_rpm is not None:
-        return asked_rpm
-    return ACCURACY * reference_rpm if reference_rpm > 0.0 else UNDRIVEN_ACCURACY_RPM
+        return np.full_like(reference_rpm, asked_rpm)
+    share = ACCURACY * np.abs(reference_rpm)
+    return np.where(share > 0.0, share, UNDRIVEN_ACCURACY_RPM)
 
 
 def _sound(
-    matrix: FloatArray, out: FloatArray, sampling_hz: float, accuracy_rpm: float
+    matrix: FloatArray, out: FloatArray, sampling_hz: float, accuracy_rpm: FloatArray
 ) -> FloatArray:
     """The parameter vectors as the kernel takes them; raises where nothing can be simulated."""
-    if not (accuracy_rpm > 0.0 and sampling_hz > 0.0 and out.shape[2] > 0):
+    if not (np.all(accuracy_rpm > 0.0) and sampling_hz > 0.0 and out.shape[2] > 0):
         raise BenchError(
             "A simulation needs an accuracy, a sampling rate and a number of samples above zero.",
-            found=f"{accuracy_rpm:g} rpm, {sampling_hz:g} Hz, {out.shape[2]} samples",
+            found=f"{np.min(accuracy_rpm, initial=math.inf):g} rpm, {sampling_hz:g} Hz, "
+            f"{out.shape[2]} samples",
         )
     matrix = np.ascontiguousarray(matrix, dtype=float)
     check_parameters(matrix)

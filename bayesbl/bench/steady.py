@@ -163,7 +163,9 @@ def contact_rates(matrix: FloatArray) -> ComplexArray:
     return rates
 
 
-def settling_time_s(matrix: FloatArray, accuracy_rpm: float, failures: str = "raise") -> FloatArray:
+def settling_time_s(
+    matrix: FloatArray, accuracy_rpm: float | FloatArray, failures: str = "raise"
+) -> FloatArray:
     """Run-in after which a bench is in steady rotation to a tenth of the accuracy, shape (m,), s.
 
     A bench whose ringing hardly decays between two flips may rattle on without ever repeating (one

@@ -43,8 +43,8 @@ more of any ringing, and long beside the noise of sensors."""
 
 SHORTEST_REST_S = 0.05
 STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
-"""Of the fastest reference speed, twenty times the width over which a bench's friction changes its
-sign: beyond, it is that of motion."""
+"""Of the joint's reference speed, twenty times the width over which friction changes its sign:
+beyond, it is that of motion."""
 
 MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
@@ -282,7 +282,8 @@ def without_standstill(seen: Observed, bench: Bench) -> Observed:
     if seen.motion is None:
         return seen
     time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
-    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL * seen.reference_speed_rpm
+    fastest = max(seen.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
+    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL * fastest
     memory = np.ones(_recovery(seen, bench) + 1)
     remembers = np.convolve(standing, memory)[: seen.samples] > 0.5
     # The motor lags behind its reference, so it stands a little later too: within the memory.

@@ -311,7 +311,9 @@ class SimulatedSignals:
 
         What is known of the recording goes before what all share, its own unknowns before both.
         """
-        settings: dict[str, Any] = {"reference_speed_rpm": seen.reference_speed_rpm}
+        settings: dict[str, Any] = {}
+        if seen.motion is None:
+            settings["reference_speed_rpm"] = seen.reference_speed_rpm
         settings |= self.settings
         own = []
         for i, unknown in enumerate(self.unknowns):

@@ -59,7 +59,10 @@ def harmonic_name(channel: str, order: int) -> str:
 
 
 def features_of(point: PointEstimate) -> list[Feature]:
-    """Features of the recording that a fit was made of; those of the current where there is one."""
+    """Features of the recording that a fit was made of; those of the current where there is one.
+
+    None of less than two whole rotations: nothing tells their noise.
+    """
     recording, rotation_s = point.recording, point.optimum.symbols[ROTATION]
     direction = math.copysign(1.0, float(recording.motor_speed_rpm.mean()))
     rows = [recording.motor_speed_rpm]
@@ -67,6 +70,8 @@ def features_of(point: PointEstimate) -> list[Feature]:
         rows.append(recording.channels[MOTOR_CURRENT])
     period_s = recording.sampling_period_s
     folded = np.stack([folded_signal(direction * row, rotation_s / period_s) for row in rows])
+    if folded.shape[1] < 2:
+        return []
     return features(folded, rotation_s / folded.shape[2])
 
 
@@ -149,8 +154,10 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
 
 def folded_signal(signal: FloatArray, samples_per_rotation: float) -> FloatArray:
     """Whole rotations below one another, shape (rotations, samples), between samples linear."""
-    rotations = math.floor((signal.size - 1) / samples_per_rotation)
     count = round(samples_per_rotation)
+    # The last value read lies a step before the end of its rotation.
+    recorded = signal.size - 1 + samples_per_rotation / count
+    rotations = math.floor(recorded / samples_per_rotation + 1e-9)
     place = np.arange(rotations * count) * (samples_per_rotation / count)
     folded = np.interp(place, np.arange(signal.size), signal)
     return np.asarray(folded.reshape(rotations, count))

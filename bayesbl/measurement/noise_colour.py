@@ -7,8 +7,9 @@ fitted by that of two first-order filters,
 
     ln S₂/S₁ = c ± ln(1 + u (f/f_r)²),    Δ ln A = ± ½ ln(1 + u),
 
-f_r the ringing's frequency, c the level, u the strength. Of common filters a first-order one lowers
-the ringing most for what it does above.
+f_r the ringing's frequency, c the level, u the strength. Among common filters the first-order one
+lowers the ringing most for a given loss at higher frequencies, so this errs on the safe side. Noise
+from another source may look like a filter.
 """
 
 from __future__ import annotations
@@ -24,11 +25,14 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import FREQUENCY, ROTATION
 
-FROM_RINGING = 2.0
-"""Lowest frequency over the ringing's: below, what differs between impacts stands out."""
+LOWEST_OVER_RINGING = 2.0
+"""Below this frequency, what differs between impacts stands out."""
 
-OF_SAMPLING = 0.4
-"""Highest one, as a share of the sampling rate: above, signals are folded between their samples."""
+HIGHEST_OVER_SAMPLING = 0.4
+"""Beyond, little is left of what lies between two samples."""
+
+LEAST_SCATTER = 1e-6
+"""Of the mean speed: less is no noise, but what the fitted rotation is off by."""
 
 BANDS = 24
 STRENGTHS = np.geomspace(1e-4, 30.0, 200)
@@ -74,20 +78,33 @@ class FilterChange:
     deviations: float
 
 
-def noise_spectrum(point: PointEstimate) -> NoiseSpectrum:
-    """Of the recording that a fit was made of."""
+def noise_spectrum(point: PointEstimate) -> NoiseSpectrum | None:
+    """Of the recording that a fit was made of; ``None`` where it has no noise of its own to show.
+
+    That is where samples were mended, where its rounding is alike in all rotations, and where less
+    than two whole rotations were recorded.
+    """
     recording, symbols = point.recording, point.optimum.symbols
     rotation_s, period_s = symbols[ROTATION], recording.sampling_period_s
     folded = folded_signal(recording.motor_speed_rpm, rotation_s / period_s)
-    scatter = np.fft.rfft(folded - folded.mean(axis=0), axis=1)[:, 1:]
-    degrees = len(folded) - 1
-    power = np.sum(np.abs(scatter) ** 2, axis=0) / (degrees * folded.shape[1])
+    scatter = folded - folded.mean(axis=0)
+    degrees, count = len(folded) - 1, folded.shape[1]
+    least = LEAST_SCATTER * abs(float(folded.mean()))
+    if point.mended or point.noise.rounding_repeats or not scatter.std() > least:
+        return None
+    spectrum = np.fft.rfft(scatter, axis=1)[:, 1:]
+    power = np.sum(np.abs(spectrum) ** 2, axis=0) / (degrees * count)
+    # A value read between two samples, a share a of the way, is the mean of both: it keeps
+    # 1 − 2a(1 − a)(1 − cos ωT) of the power.
+    share = np.arange(folded.size) * (rotation_s / period_s / count) % 1.0
+    turn = 2.0 * math.pi * np.arange(1, power.size + 1) / count
+    power /= 1.0 - 2.0 * np.mean(share * (1.0 - share)) * (1.0 - np.cos(turn))
     return NoiseSpectrum(
         np.arange(1, power.size + 1) / rotation_s,
-        np.log(np.maximum(power, np.finfo(float).tiny)),
+        np.log(power),
         degrees,
         symbols[FREQUENCY] / (2.0 * math.pi),
-        OF_SAMPLING / period_s,
+        HIGHEST_OVER_SAMPLING / period_s,
     )
 
 
@@ -101,7 +118,7 @@ def filter_change(
     deviations
         How many standard deviations the range of the answer spans on either side.
     """
-    lowest = FROM_RINGING * max(first.ringing_hz, other.ringing_hz)
+    lowest = LOWEST_OVER_RINGING * max(first.ringing_hz, other.ringing_hz)
     highest = min(first.highest_hz, other.highest_hz)
     if highest <= lowest:
         return None

@@ -91,7 +91,7 @@ SHOWN_BEST = (PROPORTIONAL, INTEGRAL, harmonic_name("current", 1), FREQUENCY, DE
 WITHOUT_CURRENT = (
     BlindSpot(
         "the speed controller's gains, the torque constant and friction",
-        "there is no motor current in the recordings",
+        "no motor current can be compared",
     ),
     BlindSpot(
         "a filter of the speed before most of the noise that is recorded",
@@ -110,7 +110,7 @@ class _Seen:
     log_amplitude_sd: float
     log_speed: float
     direction: float
-    noise: NoiseSpectrum
+    noise: NoiseSpectrum | None
 
 
 def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> JointCheck:
@@ -135,13 +135,14 @@ def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> Joi
         return NOTHING_COMPARED
     bound = float(norm.isf(0.5 * FALSE_ALARM / compared))
     several = len(pairs) > 1
+    filters = [None if _gains_seen(*pair) else _filter_change(*pair, bound) for pair in pairs]
     found = [
         finding
-        for first, other in pairs
-        for finding in _findings(first, other, bound, other.name if several else "")
+        for (first, other), change in zip(pairs, filters, strict=True)
+        for finding in _findings(first, other, change, bound, other.name if several else "")
     ]
     told = [(item, sentence) for item, sentence in found if sentence]
-    blind = [*_too_small(pairs, bound)]
+    blind = [*_too_small(pairs, bound), *_filters_unseen(pairs, filters)]
     if not all(MOTOR_CURRENT in point.recording.channels for point in points):
         blind = [*WITHOUT_CURRENT, *blind]
     return JointCheck(
@@ -188,17 +189,15 @@ def _seen(point: PointEstimate) -> _Seen:
 
 
 def _findings(
-    first: _Seen, other: _Seen, bound: float, snapshot: str
+    first: _Seen, other: _Seen, change: FilterChange | None, bound: float, snapshot: str
 ) -> Iterator[tuple[CheckItem, str]]:
     """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
     for item in _compared(first, other):
         yield item, _sentence(item, snapshot) if abs(item.z) > bound else ""
-    change = _filter_change(first, other, bound)
     if change is not None:
         shift = change.log_amplitude
         item = CheckItem(FILTER, math.exp(shift), 1.0, "", change.deviations)
-        sd = math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
-        harmful = abs(item.z) > bound and abs(shift) > HARMLESS_SD * sd
+        harmful = abs(item.z) > bound and abs(shift) > _harmless(first, other)
         yield item, _sentence_of_filter(change, snapshot) if harmful else ""
 
 
@@ -208,7 +207,14 @@ def _gains_seen(first: _Seen, other: _Seen) -> bool:
 
 
 def _filter_change(first: _Seen, other: _Seen, bound: float) -> FilterChange | None:
-    return None if _gains_seen(first, other) else filter_change(first.noise, other.noise, bound)
+    if first.noise is None or other.noise is None:
+        return None
+    return filter_change(first.noise, other.noise, bound)
+
+
+def _harmless(first: _Seen, other: _Seen) -> float:
+    """What a filter may do to ln A without harm to an interval."""
+    return HARMLESS_SD * math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
 
 
 def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
@@ -240,8 +246,31 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
                 f"a change of the {name} by less than {100.0 * max(shares):.2g} %",
                 "too small for these recordings to show",
             )
-    changes = [_filter_change(first, other, bound) for first, other in pairs]
-    reach = [max(abs(found.low), abs(found.high)) for found in changes if found is not None]
+
+
+def _filters_unseen(
+    pairs: Sequence[tuple[_Seen, _Seen]], filters: Sequence[FilterChange | None]
+) -> Iterator[BlindSpot]:
+    """What filter of the speed would pass, by the pair that shows it worst."""
+    by_noise = [
+        (pair, change)
+        for pair, change in zip(pairs, filters, strict=True)
+        if not _gains_seen(*pair)
+    ]
+    if any(change is None for _, change in by_noise):
+        yield BlindSpot(
+            "a filter of the speed",
+            "these recordings have too little noise well above the ringing to show it",
+        )
+    reach = [
+        max(
+            change.high - change.log_amplitude,
+            change.log_amplitude - change.low,
+            _harmless(*pair),
+        )
+        for pair, change in by_noise
+        if change is not None
+    ]
     if reach:
         yield BlindSpot(
             "a change of a filter of the speed that moves the ringing by less than "
@@ -287,7 +316,8 @@ def _sentence_of_filter(change: FilterChange, snapshot: str) -> str:
     )
     where = f" in {snapshot}" if snapshot else ""
     return (
-        f"The noise of the speed changed its colour{where}, as behind another filter, which alone "
-        f"would {direction} the ringing by {number(100.0 * least, 1)} % or more. Record all "
-        "snapshots through the same filter, or the motor current as well."
+        f"The noise of the speed changed its colour{where}, as behind another filter or with noise "
+        f"from another source. Such a filter alone would {direction} the ringing by "
+        f"{100.0 * least:.2g} % or more. Record all snapshots through the same filter, or the "
+        "motor current as well."
     )

@@ -139,17 +139,14 @@ def candidates(
 
 
 def _plain(bench: Bench, effect: Effect) -> Candidate:
-    sought = [
-        p.scaled(search_scale(bench, effect, p))
-        for p in effect.parameters
-        if effect.sought_alone in (None, p.name)
-    ]
+    parameters = [p.scaled(search_scale(bench, effect, p)) for p in effect.parameters]
+    sought = [p for p in parameters if effect.sought_alone in (None, p.name)]
     unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
     neutral = np.array([p.neutral for p in sought])
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
-        main = effect.amplitudes[0]
+        main = next(p for p in sought if isinstance(p, Amplitude))
         grid = main.high * np.array(_SCANNED_SHARES)
         scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
     shape = [i for i, p in enumerate(sought) if isinstance(p, Shape) and not p.share]

@@ -28,11 +28,10 @@ def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> fl
     if bench.drive == "two_mass":
         stiffness = bench.value("shaft_stiffness_nm_per_rad") / SHAFT_STIFFNESS_NM_PER_RAD
         torque = max(torque, stiffness)
-    speed = abs(bench.value("reference_speed_rpm")) / REFERENCE_SPEED_RPM
-    if torque == 0.0 or speed == 0.0:
-        return 1.0
+    torque = torque or 1.0
+    speed = abs(bench.value("reference_speed_rpm")) / REFERENCE_SPEED_RPM or 1.0
     gear = bench.value("gear_ratio") / GEAR_RATIO
-    torque_power, speed_power = _POWERS.get(parameter.unit, (0, 0))
+    torque_power, speed_power = _POWERS[parameter.unit]
     if effect.enters == "motor":
         torque /= gear
     else:
@@ -41,6 +40,9 @@ def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> fl
 
 
 _POWERS = {
+    "": (0, 0),
+    "rad": (0, 0),
+    "s": (0, 0),
     "N m": (1, 0),
     "N m/s": (1, 0),
     "N m/rad³": (1, 0),

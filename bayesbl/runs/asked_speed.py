@@ -9,9 +9,10 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import LARGEST_SPEED_ERROR
 from bayesbl.recording.types import Recording
 
-WHOLE_SPEED_RPM = 0.1
+WHOLE_SPEED_RPM, WHOLE_SHARE = 0.1, 5e-4
 """How far a mean speed may be from a whole number of rpm that is taken for the reference: over
-whole rotations the integral of the controller keeps the mean there but for noise."""
+whole rotations the integral of the controller keeps the mean there but for noise. At a slow speed
+as a share of it, for 10.06 rpm is not 10."""
 
 
 def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float | None, str]:
@@ -26,7 +27,7 @@ def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float |
     own = bench.value("reference_speed_rpm")
     if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
         return None, ""
-    if abs(mean - round(mean)) > WHOLE_SPEED_RPM:
+    if abs(mean - round(mean)) > min(WHOLE_SPEED_RPM, WHOLE_SHARE * abs(mean)):
         raise RecordingError(
             "The recording was made at another speed than the bench's.",
             file=file,

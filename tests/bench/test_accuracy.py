@@ -174,7 +174,8 @@ def reference_channels(
     steady[0, [1, 6]] = p[Slot.reference_speed_rpm] / RPM
     pieces = steady if motion is None else motion.pieces
     held = math.isinf(p[Slot.load_inertia_kg_m2])
-    width = 0.1 if held else 5e-4 * float(np.max(np.abs(pieces[:, 1])))
+    fastest = max(float(np.max(np.abs(pieces[:, 1]))), abs(p[Slot.reference_speed_rpm]) / RPM)
+    width = 0.1 if held else 5e-4 * fastest
     n = p[Slot.gear_ratio]
     start = state[:8].copy()
     start[2] = state[0] / n - state[2]

@@ -1,7 +1,7 @@
 """A joint in other units of torque, motor angle and time is the same joint: no constant has a unit.
 
-Of an equal joint whose load torques are multiplied by t, motor angles by a and times by s, every
-number of the answer that has no unit is the same. Load angles stay: gravity knows what a radian is.
+A joint whose load torques are t times as large, its motor angles a times and its times s times, has
+the same answer in every number without a unit. Load angles stay: gravity knows what a radian is.
 """
 
 from __future__ import annotations
@@ -118,8 +118,7 @@ def test_the_direct_answer_is_the_same_in_other_units(scale: Scale) -> None:
         assert agrees(disagreements(part))
         assert abs(math.log(part.value(GAP, "made") / GAP_RAD)) < 4.0 * part.sd(GAP, "made")
     sd = plain.sd(GAP, "made")
-    # The noise of the speed is rounded by nothing and simulated to the same share: what is left is
-    # where the search stops.
+    # Not rounded and simulated to the same share, so what is left is where a search stops.
     assert math.log(fit.value(GAP, "made")) == pytest.approx(
         math.log(plain.value(GAP, "made")), abs=0.02 * sd
     )
@@ -163,7 +162,15 @@ def test_what_is_sought_goes_with_the_joint(scale: Scale) -> None:
     before, after = (candidates(b, [s]) for b, s in zip((plain, bench), seen, strict=True))
     ranges = {u.name: u.high for c in before for u in c.unknowns if c.kind == "effect"}
     found = {u.name: u.high for c in after for u in c.unknowns if c.kind == "effect"}
-    assert ranges.keys() == found.keys()
+    for old, new in zip(before, after, strict=True):
+        sizes = [(u.low, u.high) for u in old.unknowns], [(u.low, u.high) for u in new.unknowns]
+        for place, grid in old.scanned.items():
+            (_, was), (_, now) = (size[place] for size in sizes)
+            assert new.scanned[place] == pytest.approx(grid * (now / was))
+        assert len(new.starts) == len(old.starts)
+        for start, other in zip(old.starts, new.starts, strict=True):
+            shares = [np.array([h for _, h in size]) for size in sizes]
+            assert other / shares[1] == pytest.approx(start / shares[0])
     assert found["motor_coulomb_friction__torque_nm"] == pytest.approx(
         scale.torque / scale.angle * ranges["motor_coulomb_friction__torque_nm"]
     )

@@ -12,7 +12,12 @@ from places import CONFIGS
 from scipy.signal import lfilter
 
 from bayesbl.config.bench import load_bench
-from bayesbl.measurement.noise_colour import FilterChange, filter_change, noise_spectrum
+from bayesbl.measurement.noise_colour import (
+    FilterChange,
+    NoiseSpectrum,
+    filter_change,
+    noise_spectrum,
+)
 from bayesbl.measurement.same_joint import change_reason, same_joint
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -27,14 +32,22 @@ DEVIATIONS = 3.5
 
 
 @cache
-def recording(seed: int, noise_rpm: float = 0.5) -> Recording:
+def recording(
+    seed: int,
+    noise_rpm: float = 0.5,
+    *,
+    speed_rpm: float = 2000.0,
+    sampling_hz: float = SAMPLING_HZ,
+    rotations: float = 5.0,
+) -> Recording:
     """By the speed alone."""
     generator = np.random.default_rng(seed)
     noise = replace(BENCH.measurement, speed_noise=NoiseModel(noise_rpm))
     made = replace(BENCH, measurement=noise).simulate(
         8e-4,
-        rotations=5.0,
-        sampling_hz=SAMPLING_HZ,
+        rotations=rotations,
+        sampling_hz=sampling_hz,
+        reference_speed_rpm=speed_rpm,
         start_angle_rad=generator.uniform(0.0, 6.0),
         seed=generator,
     )
@@ -58,8 +71,14 @@ def point(made: Recording) -> PointEstimate:
     return Estimator().estimate(made, np.random.SeedSequence(1))
 
 
+def spectrum(made: Recording) -> NoiseSpectrum:
+    found = noise_spectrum(point(made))
+    assert found is not None
+    return found
+
+
 def between(first: Recording, other: Recording) -> FilterChange:
-    found = filter_change(*(noise_spectrum(point(made)) for made in (first, other)), DEVIATIONS)
+    found = filter_change(spectrum(first), spectrum(other), DEVIATIONS)
     assert found is not None
     return found
 
@@ -72,8 +91,10 @@ def test_a_filter_that_was_taken_away_is_found_with_what_it_did_to_the_ringing()
     found = between(smoothed(recording(1), LAG_S), recording(2))
     assert found.deviations > DEVIATIONS
     assert found.low < -math.log(passed) < found.high
+    assert found.high - found.low < 0.05
 
 
+@pytest.mark.long
 def test_the_other_way_round_the_sign_is_the_other() -> None:
     first, other = smoothed(recording(1), LAG_S), recording(2)
     there, back = between(first, other), between(other, first)
@@ -82,10 +103,34 @@ def test_the_other_way_round_the_sign_is_the_other() -> None:
     assert back.log_amplitude == pytest.approx(-there.log_amplitude, rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise_rpm", [0.05, 0.5, 1.5])
 def test_another_level_of_noise_is_no_other_filter(noise_rpm: float) -> None:
     found = between(recording(1), recording(2, noise_rpm))
     assert abs(found.deviations) < DEVIATIONS
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "other",
+    [{"speed_rpm": 1999.5}, {"speed_rpm": -1990.0}, {"sampling_hz": 250.0}, {"rotations": 2.0}],
+    ids=str,
+)
+def test_samples_at_other_places_are_no_other_filter(other: dict[str, float]) -> None:
+    """Rotations of a whole number of samples beside others, which are read between samples."""
+    first, second = recording(1), recording(2, **other)
+    assert abs(between(first, second).deviations) < DEVIATIONS
+    assert same_joint([point(first), point(second)], (False, False)).agrees
+
+
+def test_what_shows_no_noise_tells_no_filter() -> None:
+    """Without noise, or where all that shows lies below twice the ringing: a blind spot."""
+    silent = point(recording(1, 0.0))
+    assert noise_spectrum(silent) is None
+    slow = replace(spectrum(recording(1)), highest_hz=20.0)
+    assert filter_change(slow, spectrum(recording(2)), DEVIATIONS) is None
+    check = same_joint([silent, point(recording(2))], (False, False))
+    assert "a filter of the speed" in [spot.change for spot in check.blind_spots]
 
 
 @pytest.mark.parametrize("time_s", [LAG_S, -0.02])
@@ -96,6 +141,7 @@ def test_without_a_current_a_changed_filter_is_no_wear(time_s: float) -> None:
     assert "filter" in (change_reason(check) or "")
 
 
+@pytest.mark.long
 def test_what_the_noise_cannot_show_is_a_blind_spot() -> None:
     check = same_joint([point(recording(1)), point(recording(2))], (False, False))
     assert check.agrees

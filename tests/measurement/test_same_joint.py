@@ -26,11 +26,18 @@ from bayesbl.ringing.estimator import Estimator, PointEstimate
 BENCH = load_bench(CONFIGS / "bench.toml")
 
 
-def point(bench: Bench, gap_rad: float, seed: int, *, with_current: bool = True) -> PointEstimate:
+def point(
+    bench: Bench,
+    gap_rad: float,
+    seed: int,
+    *,
+    with_current: bool = True,
+    rotations: float = 4.0,
+) -> PointEstimate:
     generator = np.random.default_rng(seed)
     made = bench.simulate(
         gap_rad,
-        rotations=4.0,
+        rotations=rotations,
         sampling_hz=500.0,
         start_angle_rad=generator.uniform(0.0, 6.0),
         seed=generator,
@@ -120,6 +127,18 @@ def test_what_changed_besides_the_gap_is_told_with_its_cause(
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("rotations", [1.97, 2.0])
+def test_what_is_hardly_two_rotations_is_compared_by_the_ringing(
+    before: PointEstimate, rotations: float
+) -> None:
+    short = point(BENCH, 8e-4, 2, rotations=rotations)
+    check = same_joint([before, short], (False, False))
+    assert check.agrees
+    names = {item.quantity for item in check.items}
+    assert {"ringing frequency", "ringing decay"} <= names
+    assert ("mean current" in names) == (rotations == 2.0)
+
+
 def test_a_repair_begins_anew(before: PointEstimate) -> None:
     other = point(changed(gravity_torque_nm=1.3), 3e-4, 6)
     again = point(changed(gravity_torque_nm=1.3), 4e-4, 7)
