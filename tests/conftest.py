@@ -22,15 +22,15 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 LONGEST = (
     "test_paper_figures.py",
     "test_golden.py",
+    "test_cli.py",
+    "test_figures.py",
     "test_forward.py",
     "test_joint_change.py",
     "test_calibration.py",
     "test_direct.py",
     "test_wear_detection.py",
-    "test_cli.py",
     "test_sweep.py",
     "test_direct_results.py",
-    "test_figures.py",
     "test_page.py",
 )
 """Files that a whole run starts with, or it would end with one core waiting for another.
@@ -45,11 +45,10 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     naming files takes in all of theirs and, as ``-n 0`` does, keeps it in one process."""
     options = config.option
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    if not whole or hasattr(config, "workerinput"):
-        return
-    if not options.all and not options.markexpr:
+    if whole and not options.all and not options.markexpr:
         options.markexpr = "not long"
-    if not config.pluginmanager.hasplugin("xdist"):
+    is_worker = hasattr(config, "workerinput")
+    if not whole or is_worker or not config.pluginmanager.hasplugin("xdist"):
         return
     if options.numprocesses is None and not options.usepdb:
         options.numprocesses = "logical"
