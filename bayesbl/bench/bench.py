@@ -367,7 +367,7 @@ class Bench:
         seed
             Generator of the noise; ``None`` for none.
         name, accuracy_rpm
-            Of the recording; largest error of the simulated speed.
+            Of the recording; largest error of the simulated speed, as in :func:`simulate_speeds`.
 
         Raises
         ------

@@ -93,10 +93,6 @@ WITHOUT_CURRENT = (
         "the speed controller's gains, the torque constant and friction",
         "no motor current can be compared",
     ),
-    BlindSpot(
-        "a filter of the speed before most of the noise that is recorded",
-        "the noise does not show it",
-    ),
 )
 
 
@@ -260,7 +256,7 @@ def _filters_unseen(
     if any(change is None for _, change in by_noise):
         yield BlindSpot(
             "a filter of the speed",
-            "these recordings have too little noise well above the ringing to show it",
+            "these recordings have too little noise above the ringing, or were mended",
         )
     reach = [
         max(
@@ -272,6 +268,10 @@ def _filters_unseen(
         if change is not None
     ]
     if reach:
+        yield BlindSpot(
+            "a filter of the speed behind which most of the noise arises",
+            "the noise does not show it",
+        )
         yield BlindSpot(
             "a change of a filter of the speed that moves the ringing by less than "
             f"{100.0 * math.expm1(max(reach)):.2g} %",

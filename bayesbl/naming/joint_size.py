@@ -17,9 +17,22 @@ GEAR_RATIO = 120.0
 REFERENCE_SPEED_RPM = 2000.0
 """Of the reference bench."""
 
+_POWERS = {
+    "": (0, 0),
+    "rad": (0, 0),
+    "s": (0, 0),
+    "N m": (1, 0),
+    "N m/s": (1, 0),
+    "N m/rad³": (1, 0),
+    "N m s/rad": (1, -1),
+    "rad/s": (0, 1),
+}
+"""Of torque and speed in each unit."""
+
 
 def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> float:
-    """By what the range and the grid of a catalogue's parameter are multiplied on a bench.
+    """By what the range and the grid of a catalogue's parameter are multiplied on a bench, a pure
+    number: 1 on the reference bench.
 
     The torque of a joint is that of gravity, or what winds its shaft by as much as on the
     reference bench, whichever is larger: an upright axis has no gravity.
@@ -37,16 +50,3 @@ def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> fl
     else:
         speed /= gear
     return math.pow(torque, torque_power) * math.pow(speed, speed_power)
-
-
-_POWERS = {
-    "": (0, 0),
-    "rad": (0, 0),
-    "s": (0, 0),
-    "N m": (1, 0),
-    "N m/s": (1, 0),
-    "N m/rad³": (1, 0),
-    "N m s/rad": (1, -1),
-    "rad/s": (0, 1),
-}
-"""Of torque and speed in each unit."""

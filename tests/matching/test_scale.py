@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,10 +22,11 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
 from bayesbl.matching.predictive_check import agrees, disagreements
-from bayesbl.matching.signals import GAP
+from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.joint_size import search_scale
+from bayesbl.naming.search import name_missing
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
 
@@ -182,6 +184,41 @@ def test_what_is_sought_goes_with_the_joint(scale: Scale) -> None:
     )
     assert found["motor_stribeck_friction__speed_rad_per_s"] == pytest.approx(
         scale.speed * ranges["motor_stribeck_friction__speed_rad_per_s"]
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("torque", [0.02, 20.0])
+def test_what_is_missing_has_the_same_name_on_another_size_of_joint(torque: float) -> None:
+    """Coulomb friction of the motor, 0.2 N m on the reference bench; two speeds, both ways."""
+    scale = Scale(torque=torque)
+    bench, size = scale.bench(), 0.2 * torque
+    friction = BenchEffect("motor_coulomb_friction", {"torque_nm": EffectParameterValue(size)})
+    speeds_rpm = (2000.0, -2000.0, 1400.0)
+    recordings = [
+        bench.with_effects(friction).simulate(
+            GAP_RAD,
+            rotations=4.0,
+            sampling_hz=250.0,
+            start_angle_rad=1.0 + index,
+            reference_speed_rpm=speed_rpm,
+            seed=np.random.default_rng(index),
+            name=f"at {speed_rpm:g} rpm",
+        )
+        for index, speed_rpm in enumerate(speeds_rpm)
+    ]
+    seen = [
+        observed(made, bench, speed_rpm)
+        for made, speed_rpm in zip(recordings, speeds_rpm, strict=True)
+    ]
+    unknowns = [gap_unknown(1e-4, 1e-2), *(start_angle_unknown(made.name) for made in recordings)]
+    found = name_missing(
+        fit_aligned(bench, seen, unknowns), partial(candidates, bench, seen, "all")
+    )
+    assert [effect.members for effect in found.effects] == [("motor_coulomb_friction",)]
+    assert abs(math.log(found.final.fit.value(GAP) / GAP_RAD)) < 4.0 * found.final.fit.sd(GAP)
+    assert found.final.fit.value("motor_coulomb_friction__torque_nm") == pytest.approx(
+        size, rel=0.01
     )
 
 
