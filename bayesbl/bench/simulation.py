@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import FloatArray
+from bayesbl.threads import in_threads
 
 ACCURACY = 5e-6
 """Largest error of a simulated speed where none is given, as a share of the fastest reference
@@ -121,7 +121,7 @@ def simulate_motions(
         )[0]
         return found
 
-    _in_threads(run, matrix, out, workers, failures)
+    _run_rows(run, matrix, out, workers, failures)
     return out
 
 
@@ -201,7 +201,7 @@ def _fill(
         )[0]
         return found
 
-    _in_threads(run, matrix, out, workers, failures)
+    _run_rows(run, matrix, out, workers, failures)
 
 
 def _accuracy_rpm(asked_rpm: float | None, reference_rpm: FloatArray) -> FloatArray:
@@ -227,7 +227,7 @@ def _sound(
     return matrix
 
 
-def _in_threads(
+def _run_rows(
     run: Callable[[int], int], matrix: FloatArray, out: FloatArray, workers: int, failures: str
 ) -> None:
     """Run every row, which returns its status; rows that fail are raised, or filled with nan."""
@@ -237,15 +237,10 @@ def _in_threads(
         for row in rows:
             status[row] = run(row)
 
+    # Small pieces, so that slow rows do not leave a core idle; each row is on its own, so the
+    # numbers do not depend on how they are dealt out.
     rows = np.arange(matrix.shape[0])
-    if workers <= 1 or rows.size == 1:
-        run_all(rows)
-    else:
-        # Small pieces, so that slow rows do not leave a core idle; each row is on its own, so
-        # the numbers do not depend on how they are dealt out.
-        pieces = np.array_split(rows, min(rows.size, 8 * workers))
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(run_all, pieces))
+    in_threads(run_all, np.array_split(rows, max(1, min(rows.size, 8 * workers))), workers)
     failed = np.flatnonzero(status != kernel.DONE)
     if failed.size and failures == "nan":
         out[failed] = np.nan

@@ -22,8 +22,9 @@ class Folds:
     def predicts(self, old: EffectsFit, new: EffectsFit, candidate: TestedEffect) -> bool:
         """Whether they are predicted surely better with the new effects.
 
-        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise. Pieces that
-        the answer does not show count only for what acts there.
+        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise, each piece
+        in units of its own mean square: what a noisy one gains does not pay for what a quiet one
+        loses. Pieces that the answer does not show count only for what acts there.
         """
         gain = spread = 0.0
         for fold, first, last in zip(
@@ -33,8 +34,9 @@ class Folds:
             for piece, a, b in zip(predicted, first, last, strict=True):
                 if piece.shown or candidate.acts_above:
                     d = a - b
-                    gain += float(a @ a - b @ b)
-                    spread += float(d @ ResidualNoise.of(b).covariance_times(d))
+                    unit = float(b @ b) / b.size or 1.0
+                    gain += float(a @ a - b @ b) / unit
+                    spread += float(d @ ResidualNoise.of(b).covariance_times(d)) / unit**2
         return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
 
     def _residuals(self, fit: EffectsFit) -> list[list[FloatArray]]:

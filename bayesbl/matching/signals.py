@@ -37,6 +37,7 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
+from bayesbl.threads import in_threads
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
@@ -333,8 +334,12 @@ class SimulatedSignals:
         points = np.atleast_2d(points)
         sizes = [seen.size for seen in self._white_recordings]
         white = np.empty((len(points), sum(sizes)))
-        for i, part in enumerate(np.split(white, np.cumsum(sizes)[:-1], axis=1)):
-            self._whiten_into(part, points, i)
+        parts = np.split(white, np.cumsum(sizes)[:-1], axis=1)
+
+        def fill(recording: int) -> None:
+            self._whiten_into(parts[recording], points, recording)
+
+        in_threads(fill, range(len(parts)), self.workers)
         return white
 
     def by_recording(self, white: FloatArray) -> list[FloatArray]:

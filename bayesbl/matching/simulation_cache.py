@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from threading import Lock
 
 import numpy as np
 
@@ -16,11 +17,12 @@ MOST_BYTES = 32_000_000
 
 
 class RecentSimulations:
-    """Signals by their parameters; the oldest are forgotten."""
+    """Signals by their parameters; the oldest are forgotten. Safe between threads."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._most_bytes = most_bytes
         self._bytes = 0
+        self._lock = Lock()
         self._kept: OrderedDict[tuple[Hashable, bytes], FloatArray] = OrderedDict()
 
     def signals(
@@ -39,21 +41,23 @@ class RecentSimulations:
             Makes the signals of the rows that are not known.
         """
         keys = [(settings, row.tobytes()) for row in matrix]
-        found = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
+        with self._lock:
+            found = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
         missing = [i for i in range(len(keys)) if i not in found]
         if missing:
             # What is missing may be made with this cache, which forgets some meanwhile.
             found |= zip(missing, simulate(matrix[missing]), strict=True)
         ordered = [found[i] for i in range(len(keys))]
+        with self._lock:
+            self._keep(keys, ordered)
+        return np.stack(ordered)
+
+    def _keep(self, keys: list[tuple[Hashable, bytes]], ordered: list[FloatArray]) -> None:
         for key, signals in zip(keys, ordered, strict=True):
             if key not in self._kept:
                 self._kept[key] = signals.copy()
                 self._bytes += _size(key, signals)
             self._kept.move_to_end(key)
-        self._forget()
-        return np.stack(ordered)
-
-    def _forget(self) -> None:
         while self._bytes > self._most_bytes and len(self._kept) > 1:
             self._bytes -= _size(*self._kept.popitem(last=False))
 

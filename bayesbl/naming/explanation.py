@@ -284,11 +284,12 @@ def _phased(model: SimulatedSignals, candidate: Candidate, start: FloatArray) ->
 def _nudged(model: SimulatedSignals, start: FloatArray, own: int) -> FloatArray:
     """A little of the effect, so that its shape parameters have a derivative to follow."""
     unknown = model.unknowns[own]
-    amounts = [0.003, 0.03, 0.2]
+    least = max(unknown.low, 0.0)
+    amounts = [least + share * (unknown.high - least) for share in (0.003, 0.03, 0.2)]
     if unknown.low < 0.0:
         amounts += [-a for a in amounts]
     trials = np.repeat(start[None], len(amounts), axis=0)
-    trials[:, own] = [a * unknown.high for a in amounts]
+    trials[:, own] = amounts
     values = np.einsum("ij,ij->i", z := model.whitened(trials), z)
     return np.asarray(trials[int(np.nanargmin(np.where(np.isfinite(values), values, np.inf)))])
 

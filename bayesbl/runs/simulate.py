@@ -6,7 +6,6 @@ import hashlib
 import io
 import json
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from bayesbl.results.atomic import replacing, require_replaceable
 from bayesbl.results.identified import bench_from
 from bayesbl.results.inputs import require_apart, require_inside
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
+from bayesbl.threads import in_threads
 
 BYTES_PER_SAMPLE = 400.0
 """Of a simulated recording: its channels, and all of them as text."""
@@ -85,13 +85,11 @@ def run_simulate(
 
     # A generator of its own for each recording: neither order nor workers change the numbers.
     seeds = np.random.SeedSequence(seed).spawn(len(config.recordings))
-    numbers = range(len(config.recordings))
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        recordings = list(
-            pool.map(
-                lambda i: _simulated(bench, config.recordings[i], seeds[i], config_path, i), numbers
-            )
-        )
+    recordings = in_threads(
+        lambda i: _simulated(bench, config.recordings[i], seeds[i], config_path, i),
+        range(len(config.recordings)),
+        workers,
+    )
     contents = [recording_csv(recording) for recording in recordings]
     if config.truth_file is not None:
         contents.append(_truth(bench, seed, config.recordings, recordings, contents))

@@ -18,7 +18,8 @@ from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, within_turns, without_load_angle
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
-from experiments.positioning_axis import Axis, believed, drawn_axis, recorded
+from bayesbl.runs.study_file import seed_of_case
+from experiments.positioning_axis import Axis, Row, believed, drawn_axis, recorded, run_case
 
 pytestmark = pytest.mark.long
 
@@ -115,6 +116,16 @@ def test_the_three_laws_of_a_slow_axis_are_named_with_their_sizes(seed: int) -> 
     assert found["motor_torque_offset"] == pytest.approx(made.offset_nm, rel=0.05)
     assert "channel_time_skew" not in found
     assert "friction_asymmetry" not in found
+
+
+def test_what_the_motion_below_the_cut_off_denies_is_no_ripple() -> None:
+    """An axis that moves through a fifth of a turn: what its controller does to the noise above the
+    cut-off passed for an order of 64."""
+    name = "trapezoidal moves, 0.05 to 20 rad/s"  # a row of configs/positioning_axis.toml
+    found = run_case(Row(name=name, cases=100), 88, seed_of_case(41, name, 88))
+    assert found["others"] == 0.0
+    for size in ("coulomb", "viscous", "offset"):
+        assert found[size] == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_cut_off_is_where_the_position_no_longer_resolves_the_acceleration() -> None:
