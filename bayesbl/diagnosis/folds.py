@@ -22,21 +22,26 @@ class Folds:
     def predicts(self, old: EffectsFit, new: EffectsFit, candidate: TestedEffect) -> bool:
         """Whether they are predicted surely better with the new effects.
 
-        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise, each piece
-        in units of its own mean square: what a noisy one gains does not pay for what a quiet one
-        loses. Pieces that the answer does not show count only for what acts there.
+        ‖r_old‖² − ‖r_new‖² with r_old = r_new + d varies by 2√(dᵀΣd) under the noise. Pieces that
+        the answer does not show count only for what acts there, and both kinds in units of their
+        mean square: what the noisier ones gain does not pay for what the quieter ones lose.
         """
-        gain = spread = 0.0
+        bands: dict[bool, list[tuple[FloatArray, FloatArray]]] = {True: [], False: []}
         for fold, first, last in zip(
             self._folds, self._residuals(old), self._residuals(new), strict=True
         ):
             predicted = [piece for piece in fold.pieces if piece.use == "held_out"]
             for piece, a, b in zip(predicted, first, last, strict=True):
                 if piece.shown or candidate.acts_above:
-                    d = a - b
-                    unit = float(b @ b) / b.size or 1.0
-                    gain += float(a @ a - b @ b) / unit
-                    spread += float(d @ ResidualNoise.of(b).covariance_times(d)) / unit**2
+                    bands[piece.shown].append((a, b))
+        gain = spread = 0.0
+        for pairs in bands.values():
+            samples = sum(b.size for _, b in pairs)
+            unit = sum(float(b @ b) for _, b in pairs) / max(1, samples) or 1.0
+            for a, b in pairs:
+                d = a - b
+                gain += float(a @ a - b @ b) / unit
+                spread += float(d @ ResidualNoise.of(b).covariance_times(d)) / unit**2
         return spread > 0.0 and gain > BETTER * 2.0 * math.sqrt(spread)
 
     def _residuals(self, fit: EffectsFit) -> list[list[FloatArray]]:
