@@ -37,7 +37,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
 )
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
-from bayesbl.naming.criteria import ALIKE, CHANCE_LOSS, is_gross
+from bayesbl.naming.criteria import ALIKE, is_gross
 from bayesbl.naming.explanation import (
     Explanation,
     distance,
@@ -67,6 +67,10 @@ WIDER = 1.5
 
 AT_EDGE = 1e-6
 """Of a tolerance's width, between a match that an edge has stopped and the edge."""
+
+EDGE_GAIN = 2.7
+"""Fall of χ² beyond the edge of a tolerance that is no chance: where the true value lies at the
+very edge, a normal likelihood has its peak that far outside in 5 %."""
 
 POLISHED = 3
 """Parameters beyond their tolerance that are fitted to the end, the best of the rough fits."""
@@ -175,7 +179,7 @@ class WiderTolerances:
     @property
     def explain_more(self) -> bool:
         """Whether χ² falls by more than chance, were the true values within the tolerances."""
-        return self.gain > CHANCE_LOSS
+        return self.gain > EDGE_GAIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +253,12 @@ def identify(
     if missing:
         verdict = "missing_effect"
     wider = None if beyond is not None else _with_wider_tolerances(final.fit, problem)
+    if wider is not None and verdict == "agrees":
+        # The other parameters, pressed to their edges, may hide the one that is wrong.
+        wrong = _beyond_an_edge(final, wider, problem)
+        if wrong is not None:
+            final, beyond, wider = *wrong, None
+            check = tuple(disagreements(final.fit))
     posterior = sample_direct(final.fit, sampler, seed, progress)
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
 
@@ -355,6 +365,21 @@ def _with_steady_torque(problem: Problem) -> Explanation | None:
     bench = candidate.bench(problem.bench)
     fit = fit_aligned(bench, problem.used, unknowns, problem.workers)
     return Explanation((candidate,), fit)
+
+
+def _beyond_an_edge(
+    found: Explanation, wider: WiderTolerances, problem: Problem
+) -> tuple[Explanation, BeyondDataSheet] | None:
+    """One parameter beyond its tolerance, where that explains more than chance would."""
+    asked = gain_threshold(1, len(problem.parameters), FALSE_ALARM)
+    if wider.gain < asked:
+        return None
+    wrong = _beyond_data_sheet(found, problem)
+    if wrong is None:
+        return None
+    by_same_noise = with_noise(wrong[0], found.fit.model.noise)
+    gain = found.fit.chi_square - by_same_noise.fit.chi_square
+    return wrong if gain > asked else None
 
 
 def _beyond_data_sheet(

@@ -24,7 +24,7 @@ ROUGHLY_CONVERGED = 0.01
 is; those that are the best none the less are fitted to the end."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFit:
     """The most probable point, with the derivatives there.
 

@@ -37,7 +37,7 @@ PARAMETER_RANGE = 0.5
 _SCANNED_SHARES = (0.0, 0.03, 0.1, 0.3)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """One explanation: unknowns to free beside those of the nominal comparison.
 

@@ -30,7 +30,7 @@ BEHIND = 2.0
 """What is far from its optimum and leaves this multiple of what the best leaves is not pursued."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
     """The recordings fitted with some candidates added to the nominal comparison.
 

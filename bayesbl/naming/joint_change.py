@@ -8,6 +8,7 @@ is fitted together with every gap, so wear is never taken for a change of the jo
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -59,7 +60,10 @@ class ChangedParameter:
     recording
         The only one it has changed in; ``None`` where all recordings contradict the bench.
     believed, found
-        By the bench, and by the recordings, in ``unit``; ``sd`` is the uncertainty of ``found``.
+        By the bench, and by the recordings, in ``unit``; of a parameter within a tolerance that
+        has changed in one recording, in the others and in that one.
+    sd
+        Of ``found`` against ``believed``.
     """
 
     name: str
@@ -208,18 +212,46 @@ def _gaps(fit: SimulatedFit) -> FloatArray:
 
 
 def _parameters(nominal: SimulatedFit, final: Explanation) -> Iterator[ChangedParameter]:
-    """What each candidate in the explanation found, phases left out."""
+    """What each candidate in the explanation found, phases left out.
+
+    A parameter within a tolerance is compared with what the other recordings have. Of two, the
+    later one is what changed, whichever of them was freed.
+    """
+    fit, names = final.fit, [seen.name for seen in nominal.model.recordings]
+    tolerated = {u.name for u in nominal.model.unknowns if u.recording is None}
+    freed = Counter(u.name for c in final.candidates if c.recording for u in c.unknowns)
+    shared = {slot for slot in tolerated if freed[slot] < len(names)}
     for candidate in final.candidates:
-        for place in amplitude_places(candidate):
+        places = amplitude_places(candidate)
+        own = {candidate.unknowns[place].name for place in places}
+        turned = len(names) == 2 and candidate.recording == names[0] and own <= shared
+        for place in places:
             unknown = candidate.unknowns[place]
+            slot, where = unknown.name, unknown.recording
+            believed, found = float(candidate.neutral[place]), fit.value(slot, where)
+            sd = fit.sd(slot, where)
+            if where is not None and slot in shared:
+                believed, sd = fit.value(slot), _sd_of_difference(fit, slot, where)
+            if turned:
+                believed, found = found, believed
             yield ChangedParameter(
-                unknown.name.replace("__", "."),
-                candidate.recording,
-                float(candidate.neutral[place]),
-                final.fit.value(unknown.name, unknown.recording),
-                final.fit.sd(unknown.name, unknown.recording),
-                _unit(unknown.name),
+                slot.replace("__", "."),
+                names[1] if turned else candidate.recording,
+                believed,
+                found,
+                sd,
+                _unit(slot),
             )
+
+
+def _sd_of_difference(fit: SimulatedFit, name: str, recording: str) -> float:
+    """Between a parameter in one recording and in the others, by their values."""
+    slopes = np.zeros(fit.point.size)
+    for sign, where in ((1.0, recording), (-1.0, None)):
+        place = fit.model.index(name, where)
+        is_logarithm = fit.model.unknowns[place].logarithmic
+        slopes[place] = sign * (fit.value(name, where) if is_logarithm else 1.0)
+    return math.sqrt(float(slopes @ fit.covariance @ slopes))
 
 
 def _unit(name: str) -> str:

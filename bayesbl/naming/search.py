@@ -417,11 +417,10 @@ class _Search:
         if not found:
             return []
         best = found[0]
-        for rough in found[:CONTENDERS]:
+        for place, rough in enumerate(found[:CONTENDERS]):
             if contends(left(rough), left(best)):
-                fine = self._to_the_end(rough)
-                found[found.index(rough)] = fine
-                best = _better(best, fine)
+                found[place] = self._to_the_end(rough)
+                best = _better(best, found[place])
         return sorted(found, key=_evidence, reverse=True)
 
     def _to_the_end(self, rough: Explanation) -> Explanation:

@@ -98,6 +98,24 @@ def test_the_change_found_has_the_size_that_it_has(independent):
     assert changed.unit == "N m s/rad"
 
 
+def test_a_change_within_a_tolerance_is_told_against_the_other_recording(independent):
+    """Payload and bench file differ too: the bench's own value was in neither recording."""
+    value = BELIEVED["gravity_torque_nm"]
+    known = {**BENCH.parameters, "gravity_torque_nm": BenchParameter(1.03 * value, 0.15 * value)}
+    _, found = find_changes(
+        nominal_fit(
+            independent,
+            times(1.12, "gravity_torque_nm"),
+            seed=2,
+            bench=replace(BENCH, parameters=known),
+        )
+    )
+    (changed,) = found.changed
+    assert (changed.name, changed.recording) == ("gravity_torque_nm", "after")
+    assert changed.found / changed.believed == pytest.approx(1.12, abs=SURE * changed.sd / value)
+    assert changed.believed == pytest.approx(value, rel=0.01)
+
+
 def test_wear_is_not_taken_for_a_change_of_the_joint(independent):
     """False alarms are at most 1 % of runs, so one seed of four fails by chance in 4 %."""
     for seed in range(4):
