@@ -27,6 +27,7 @@ from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.identification.identify import (
+    FALSE_ALARM,
     Identification,
     Problem,
     identified_bench,
@@ -213,6 +214,17 @@ def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
     reason = reason_of(found, problem(sheet))
     assert reason is not None
     assert "outside its data sheet" in reason
+
+
+def test_a_wrong_value_is_named_although_others_make_up_for_it() -> None:
+    """With all values at the edges of their tolerances nothing repeats that is not noise."""
+    name = "shaft_damping_nm_s_per_rad"
+    sheet = data_sheet(**{name: 2.5})
+    found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
+    assert agrees(disagreements(found.nominal.fit), FALSE_ALARM)
+    assert found.beyond is not None
+    assert found.beyond.name == name
+    assert abs(gap_deviations(found)) < 3.5
 
 
 def test_a_gap_that_the_edge_of_a_tolerance_decides_is_withheld() -> None:
