@@ -233,7 +233,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     rigid = p[Slot.rigid] != 0.0
     held = math.isinf(p[Slot.load_inertia_kg_m2])
     sampled = p[Slot.sampled_control__period_s] > 0.0
-    plain = not (effects or rigid or held or sampled)
+    plain = not (effects or rigid or held)
     fastest_reference = abs(p[Slot.reference_speed_rpm] / RPM)
     friction_width = HELD_SIGN_WIDTH
     if fastest_reference > 0.0:
@@ -689,13 +689,16 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
-    error = reference_speed(t, c) - speed
-    if c.position_gain != 0.0:
-        error += c.position_gain * (reference_position(t, c) - y[MOTOR_ANGLE])
-    torque = c.speed_gain * error + c.integral_gain * y[INTEGRAL]
-    share = 1.0
-    if abs(torque) > c.torque_limit:
-        torque, share = limited(torque, error, c)
+    if c.sampled:
+        error, torque, share = 0.0, y[HELD_TORQUE], 0.0
+    else:
+        error = reference_speed(t, c) - speed
+        if c.position_gain != 0.0:
+            error += c.position_gain * (reference_position(t, c) - y[MOTOR_ANGLE])
+        torque = c.speed_gain * error + c.integral_gain * y[INTEGRAL]
+        share = 1.0
+        if abs(torque) > c.torque_limit:
+            torque, share = limited(torque, error, c)
     shaft = shaft_torque(twist, twist_speed, region, c)
     load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist + c.gravity_angle)
     acceleration = (torque - shaft * c.per_ratio) * c.per_motor_inertia
