@@ -85,8 +85,8 @@ IN_WORDS = {
     DECAY: "damping or the controller's gains",
 }
 
-SHOWN_BEST = (PROPORTIONAL, INTEGRAL, harmonic_name("current", 1), FREQUENCY, DECAY)
-"""Of which it is told how much may change unseen."""
+SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current", 1))
+"""Of which it is told how much may change unseen, those of the ringing itself first."""
 
 WITHOUT_CURRENT = (
     BlindSpot(
@@ -239,7 +239,8 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
         ]
         if shares:
             yield BlindSpot(
-                f"a change of the {name} by less than {100.0 * max(shares):.2g} %",
+                f"a change of the {name} by less than {100.0 * max(shares):.2g} % "
+                f"({IN_WORDS[name]})",
                 "too small for these recordings to show",
             )
 
