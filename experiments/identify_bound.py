@@ -40,7 +40,7 @@ from identify import (
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.identify import parameter_unknown
+from bayesbl.identification.problem import parameter_unknown
 from bayesbl.matching.least_squares import fit_at
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.planning import noise_of_bench

@@ -19,6 +19,7 @@ ROOMS = (
     "units",
     "declared",
     "processes",
+    "threads",
     "compiled",
     "recording",
     "noise",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bayesbl.diagnosis.comparison import Comparison, EffectsFit, TestedEffect, residuals
 from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.recording.types import FloatArray
@@ -35,10 +37,9 @@ class Folds:
                 if piece.shown or candidate.acts_above:
                     bands[piece.shown].append((a, b))
         gain = spread = 0.0
-        for pairs in bands.values():
-            samples = sum(b.size for _, b in pairs)
-            unit = sum(float(b @ b) for _, b in pairs) / max(1, samples) or 1.0
-            for a, b in pairs:
+        for pairs in filter(None, bands.values()):
+            unit = float(np.mean(np.concatenate([b for _, b in pairs]) ** 2))
+            for a, b in pairs if unit > 0.0 else ():
                 d = a - b
                 gain += float(a @ a - b @ b) / unit
                 spread += float(d @ ResidualNoise.of(b).covariance_times(d)) / unit**2

@@ -23,13 +23,9 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
 from bayesbl.diagnosis.groups import POSTERIOR, disagreement_group, of_rows, posterior_dataset
 from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
 from bayesbl.errors import BenchError
-from bayesbl.identification.identify import (
-    Identification,
-    Problem,
-    identified_bench,
-    parameter_draws,
-)
+from bayesbl.identification.identify import Identification, identified_bench, parameter_draws
 from bayesbl.identification.next_recording import NextRecording, next_recording
+from bayesbl.identification.problem import Problem
 from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of

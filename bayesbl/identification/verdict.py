@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
-from bayesbl.identification.identify import FALSE_ALARM, Identification, Problem
+from bayesbl.identification.identify import Identification
+from bayesbl.identification.problem import FALSE_ALARM, Problem
 from bayesbl.matching.predictive_check import IMPACTS_DIFFER, agrees, impacts_alike
 from bayesbl.matching.signals import GAP
 from bayesbl.units import in_words

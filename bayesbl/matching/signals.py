@@ -49,6 +49,9 @@ ACCURACY_SHARE = 0.003
 FINEST = 0.01
 """Of the usual accuracy: what noise that is hardly there may ask for."""
 
+FEW_POINTS = 16
+"""Below which recordings are simulated at once."""
+
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
 
@@ -199,7 +202,7 @@ class SimulatedSignals:
     noise
         Of each recording: makes residuals independent and standard normal.
     workers
-        Threads; the numbers do not depend on it.
+        Threads, of each recording where they are simulated at once; no number depends on it.
     settings
         What is known besides the bench, by name, such as ``gap_rad``.
     recent
@@ -339,7 +342,8 @@ class SimulatedSignals:
         def fill(recording: int) -> None:
             self._whiten_into(parts[recording], points, recording)
 
-        in_threads(fill, range(len(parts)), self.workers)
+        # A batch has rows enough for all threads, and several at once would take more memory.
+        in_threads(fill, range(len(parts)), self.workers if len(points) < FEW_POINTS else 1)
         return white
 
     def by_recording(self, white: FloatArray) -> list[FloatArray]:

@@ -198,7 +198,7 @@ def _item(changed: ChangedParameter) -> CheckItem:
 
 def _sentence(changed: ChangedParameter) -> str:
     return (
-        f"In {changed.recording} something other than the gap has changed: {_as_found(changed)}. "
+        f"In {changed.recording} something other than the gap is different: {_as_found(changed)}. "
         "The change of δ is given with this allowed for."
     )
 

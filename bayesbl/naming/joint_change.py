@@ -8,7 +8,6 @@ is fitted together with every gap, so wear is never taken for a change of the jo
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +17,7 @@ from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit
@@ -58,10 +58,10 @@ class ChangedParameter:
     name
         Of the bench parameter, or ``effect.parameter``.
     recording
-        The only one it has changed in; ``None`` where all recordings contradict the bench.
+        The only one that it differs in; ``None`` where all recordings contradict the bench.
     believed, found
-        By the bench, and by the recordings, in ``unit``; of a parameter within a tolerance that
-        has changed in one recording, in the others and in that one.
+        In another recording and in this one, in ``unit``; by the bench and by the recordings where
+        no other recording has a value that is not its own.
     sd
         Of ``found`` against ``believed``.
     """
@@ -183,7 +183,7 @@ def find_changes(
     findings = JointFindings(
         tuple(seen.name for seen in nominal.model.recordings),
         explained,
-        tuple(_parameters(nominal, final)) if explained else (),
+        tuple(_parameters(final)) if explained else (),
         tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),
         tuple(
             Rival(rival.candidates[-1].name, _gaps(rival.fit))
@@ -211,32 +211,34 @@ def _gaps(fit: SimulatedFit) -> FloatArray:
     return np.array([fit.value(GAP, seen.name) for seen in fit.model.recordings])
 
 
-def _parameters(nominal: SimulatedFit, final: Explanation) -> Iterator[ChangedParameter]:
+def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     """What each candidate in the explanation found, phases left out.
 
-    A parameter within a tolerance is compared with what the other recordings have. Of two, the
-    later one is what changed, whichever of them was freed.
+    A parameter that differs in one recording is compared with what another one has. Of two
+    recordings whose values both lie within the bench's tolerance, the later one is what changed.
     """
-    fit, names = final.fit, [seen.name for seen in nominal.model.recordings]
-    tolerated = {u.name for u in nominal.model.unknowns if u.recording is None}
-    freed = Counter(u.name for c in final.candidates if c.recording for u in c.unknowns)
-    shared = {slot for slot in tolerated if freed[slot] < len(names)}
+    fit = final.fit
+    names = [seen.name for seen in fit.model.recordings]
     for candidate in final.candidates:
-        places = amplitude_places(candidate)
-        own = {candidate.unknowns[place].name for place in places}
-        turned = len(names) == 2 and candidate.recording == names[0] and own <= shared
-        for place in places:
-            unknown = candidate.unknowns[place]
-            slot, where = unknown.name, unknown.recording
+        where, places = candidate.recording, amplitude_places(candidate)
+        slots = [candidate.unknowns[place].name for place in places]
+        others = [n for n in names if n != where and not _frees(final, slots, n)]
+        turned = (
+            len(names) == 2
+            and where == names[0]
+            and others == names[1:]
+            and all(_is_tolerated(fit, slot, fit.value(slot, where)) for slot in slots)
+        )
+        for place, slot in zip(places, slots, strict=True):
             believed, found = float(candidate.neutral[place]), fit.value(slot, where)
             sd = fit.sd(slot, where)
-            if where is not None and slot in shared:
-                believed, sd = fit.value(slot), _sd_of_difference(fit, slot, where)
+            if where is not None and others:
+                believed, sd = _in_another(fit, slot, where, others[0])
             if turned:
                 believed, found = found, believed
             yield ChangedParameter(
                 slot.replace("__", "."),
-                names[1] if turned else candidate.recording,
+                names[1] if turned else where,
                 believed,
                 found,
                 sd,
@@ -244,14 +246,41 @@ def _parameters(nominal: SimulatedFit, final: Explanation) -> Iterator[ChangedPa
             )
 
 
-def _sd_of_difference(fit: SimulatedFit, name: str, recording: str) -> float:
-    """Between a parameter in one recording and in the others, by their values."""
-    slopes = np.zeros(fit.point.size)
-    for sign, where in ((1.0, recording), (-1.0, None)):
-        place = fit.model.index(name, where)
-        is_logarithm = fit.model.unknowns[place].logarithmic
-        slopes[place] = sign * (fit.value(name, where) if is_logarithm else 1.0)
-    return math.sqrt(float(slopes @ fit.covariance @ slopes))
+def _frees(final: Explanation, slots: Sequence[str], recording: str) -> bool:
+    """Whether any of these parameters has a value of its own in a recording."""
+    return any(
+        u.name in slots for c in final.candidates if c.recording == recording for u in c.unknowns
+    )
+
+
+def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
+    """Whether the bench's tolerance of a parameter holds a value."""
+    ends = [
+        (float(u.value(np.array(u.low))), float(u.value(np.array(u.high))))
+        for u in fit.model.unknowns
+        if u.name == name and u.recording is None
+    ]
+    return any(low <= value <= high for low, high in ends)
+
+
+def _in_another(fit: SimulatedFit, name: str, one: str, other: str) -> tuple[float, float]:
+    """A parameter in another recording, and the standard deviation of what it differs by in this.
+
+    What is known of the other one, or what all share, with its drift.
+    """
+    own_sd = np.sqrt(np.diag(fit.covariance))
+    steps = np.diag(own_sd)
+    points = np.concatenate([fit.point[None], fit.point + steps, fit.point - steps])
+    by_bench = fit.model.bench.vector()[0, Slot[name]]
+    values = [
+        np.broadcast_to(fit.model.settings_of(points, seen).get(name, by_bench), len(points))
+        for recording in (one, other)
+        for seen in fit.model.recordings
+        if seen.name == recording
+    ]
+    up, down = np.split((values[0] - values[1])[1:], 2)
+    slopes = np.divide(up - down, 2.0 * own_sd, out=np.zeros(own_sd.size), where=own_sd > 0.0)
+    return float(values[1][0]), math.sqrt(float(slopes @ fit.covariance @ slopes))
 
 
 def _unit(name: str) -> str:
@@ -291,10 +320,17 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[OrderPeak]) -> list[Candidate
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
     values = np.array([bench.value(parameter) for parameter in parameters])
     unknowns = tuple(
-        Unknown(parameter, value / FURTHEST_CHANGE, value * FURTHEST_CHANGE)
+        Unknown(parameter, *_furthest(value, bench.tolerances.get(parameter, 0.0)))
         for parameter, value in zip(parameters, values, strict=True)
     )
     return Candidate(name, "parameter", unknowns, values)
+
+
+def _furthest(value: float, tolerance: float) -> tuple[float, float]:
+    """Range of a changed parameter: also of one that was anywhere within a wide tolerance."""
+    ends = [value / FURTHEST_CHANGE, value * FURTHEST_CHANGE, value - tolerance, value + tolerance]
+    kept = [end for end in ends if end * value > 0.0]
+    return min(kept), max(kept)
 
 
 def _own_effects(bench: Bench) -> list[Candidate]:

@@ -14,7 +14,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.identify import IdentifyConfig
 from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
-from bayesbl.identification.identify import Identification, Problem, identify
+from bayesbl.identification.identify import Identification, identify
+from bayesbl.identification.problem import Problem
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.measurement.task import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive

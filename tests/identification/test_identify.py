@@ -26,15 +26,15 @@ from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
+from bayesbl.identification.beyond_data_sheet import chance_at_edges
 from bayesbl.identification.identify import (
-    FALSE_ALARM,
     Identification,
-    Problem,
     identified_bench,
     identify,
     parameter_draws,
 )
 from bayesbl.identification.next_recording import next_recording
+from bayesbl.identification.problem import FALSE_ALARM, Problem
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.alignment import fit_aligned
@@ -237,6 +237,17 @@ def test_a_gap_that_the_edge_of_a_tolerance_decides_is_withheld() -> None:
     sd_rad = GAP_RAD * np.log(found.posterior.values(GAP)).std()
     assert abs(found.wider.gaps_rad[0, 1] - GAP_RAD) < 3.5 * sd_rad
     assert "half as wide again" in (reason_of(found, problem(sheet)) or "")
+
+
+@pytest.mark.parametrize("edges", [1, 2, 4])
+def test_what_is_gained_beyond_edges_by_chance(edges: int) -> None:
+    """Of normal values at their edges, those outside gain their squares; four standard errors."""
+    drawn = np.random.default_rng(5).standard_normal((100_000, edges))
+    gains = np.sum(np.maximum(drawn, 0.0) ** 2, axis=1)
+    for gain in (2.7, 6.6):
+        share = float(np.mean(gains > gain))
+        expected = chance_at_edges(gain, edges)
+        assert abs(share - expected) < 4.0 * math.sqrt(expected / len(gains))
 
 
 def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None:

@@ -1,12 +1,17 @@
-"""What could be missing, as it is handed to the search."""
+"""What could be missing, as it is handed to the search, and explanations by it."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from bayesbl.config.bench import reference_bench
+from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
+from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 from bayesbl.naming.candidates import candidates
+from bayesbl.naming.explanation import nominal_explanation
 from bayesbl.naming.motor_orders import OrderPeak
 
 
@@ -19,3 +24,12 @@ def test_candidates_of_one_name_are_told_apart() -> None:
     ripples = [c for c in found if c.name == "motor_torque_ripple"]
     assert len({c.key for c in ripples}) == 3
     assert [found.index(c) for c in ripples] == [i for i, c in enumerate(found) if c in ripples]
+
+
+def test_explanations_by_the_same_names_are_told_apart() -> None:
+    bench = reference_bench()
+    seen = observed(bench.simulate(8e-4, rotations=2.0, seed=np.random.default_rng(1)), bench)
+    unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name)]
+    fit = fit_aligned(bench, [seen], unknowns)
+    first, second = nominal_explanation(fit), nominal_explanation(replace(fit))
+    assert [first, second].index(second) == 1

@@ -38,6 +38,7 @@ def nominal_fit(
     speed_alone=False,
     first=None,
     bench=BENCH,
+    known=None,
 ):
     """Both recordings fitted together with the bench as believed."""
     rng = np.random.default_rng(seed)
@@ -53,6 +54,7 @@ def nominal_fit(
             motor_start_angle_rad=motor,
         )
         made = observed(independent.simulate(truth, rng, name=name).recording, bench)
+        made = replace(made, known=(known or {}).get(name, {}))
         seen.append(replace(made, signals=made.signals[:1]) if speed_alone else made)
     return fit_aligned(bench, seen, direct_unknowns(bench, ["before", "after"], GAP_RANGE_RAD))
 
@@ -98,22 +100,50 @@ def test_the_change_found_has_the_size_that_it_has(independent):
     assert changed.unit == "N m s/rad"
 
 
+def tolerant(name, value, tolerance):
+    """The bench with one parameter known to a tolerance."""
+    return replace(BENCH, parameters={**BENCH.parameters, name: BenchParameter(value, tolerance)})
+
+
 def test_a_change_within_a_tolerance_is_told_against_the_other_recording(independent):
     """Payload and bench file differ too: the bench's own value was in neither recording."""
-    value = BELIEVED["gravity_torque_nm"]
-    known = {**BENCH.parameters, "gravity_torque_nm": BenchParameter(1.03 * value, 0.15 * value)}
-    _, found = find_changes(
-        nominal_fit(
-            independent,
-            times(1.12, "gravity_torque_nm"),
-            seed=2,
-            bench=replace(BENCH, parameters=known),
-        )
-    )
+    name = "gravity_torque_nm"
+    value = BELIEVED[name]
+    bench = tolerant(name, 1.03 * value, 0.15 * value)
+    _, found = find_changes(nominal_fit(independent, times(1.12, name), seed=2, bench=bench))
     (changed,) = found.changed
-    assert (changed.name, changed.recording) == ("gravity_torque_nm", "after")
+    assert (changed.name, changed.recording) == (name, "after")
     assert changed.found / changed.believed == pytest.approx(1.12, abs=SURE * changed.sd / value)
     assert changed.believed == pytest.approx(value, rel=0.01)
+
+
+def test_a_recording_beyond_the_tolerance_is_the_one_that_differs(independent):
+    name = "gravity_torque_nm"
+    value = BELIEVED[name]
+    bench = tolerant(name, value, 0.02 * value)
+    wrong = times(1.3, name)
+    _, found = find_changes(nominal_fit(independent, {}, seed=2, first=wrong, bench=bench))
+    (changed,) = found.changed
+    assert (changed.name, changed.recording) == (name, "before")
+    assert abs(changed.found - changed.believed - 0.3 * value) < SURE * changed.sd
+
+
+def test_what_is_known_of_a_recording_is_what_another_is_compared_with(independent):
+    name = "gravity_torque_nm"
+    value = BELIEVED[name]
+    fit = nominal_fit(
+        independent,
+        times(1.1, name),
+        seed=2,
+        first=times(1.2, name),
+        bench=tolerant(name, value, 0.02 * value),
+        known={"after": times(1.1, name)},
+    )
+    _, found = find_changes(fit)
+    (changed,) = found.changed
+    assert changed.recording == "before"
+    assert changed.believed == 1.1 * value
+    assert abs(changed.found - 1.2 * value) < SURE * changed.sd
 
 
 def test_wear_is_not_taken_for_a_change_of_the_joint(independent):
