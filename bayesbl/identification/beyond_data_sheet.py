@@ -11,10 +11,7 @@ from scipy.stats import chi2
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
-from bayesbl.matching.signals import (
-    GAP,
-    Unknown,
-)
+from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.naming.explanation import (
