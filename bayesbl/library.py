@@ -17,7 +17,6 @@ from bayesbl.errors import ResultError
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.measurement.task import StageProgress
     from bayesbl.presentation.result_object import (
         ComparisonResult,
         DiagnosisResult,
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
         Result,
         SweepResult,
     )
+    from bayesbl.progress import StageProgress
     from bayesbl.runs.summary import Summary
 
 File = str | Path

@@ -20,6 +20,7 @@ ROOMS = (
     "declared",
     "processes",
     "threads",
+    "progress",
     "compiled",
     "recording",
     "noise",

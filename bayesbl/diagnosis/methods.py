@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from bayesbl.diagnosis.diagnosis import Diagnosis
     from bayesbl.diagnosis.task import Task
-    from bayesbl.measurement.task import StageProgress
+    from bayesbl.progress import StageProgress
 
 
 class Method(Protocol):

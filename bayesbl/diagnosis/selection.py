@@ -54,8 +54,8 @@ from bayesbl.diagnosis.folds import Folds
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.task import Task
-from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
+from bayesbl.progress import StageProgress
 from bayesbl.recording.types import FloatArray
 
 MOST_EFFECTS = 6
@@ -204,7 +204,7 @@ def _select(
         for done, candidate in enumerate(open_ones):
             trials.append(_trial(comparison, current, candidate))
             if progress is not None:
-                progress(f"effect {len(current.effects) + 1}", done + 1, len(open_ones))
+                progress(f"Seeking effect {len(current.effects) + 1}", done + 1, len(open_ones))
         good = [t for t in trials if _stands_out(comparison, t.fit, t.candidate, threshold)]
         good = [trial for trial in good if folds.predicts(trial.base, trial.fit, trial.candidate)]
         if not good:

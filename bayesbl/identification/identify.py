@@ -50,8 +50,9 @@ from bayesbl.naming.explanation import (
 )
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import WORTH_FITTING, name_missing
+from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import Progress, SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 
 Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
@@ -102,7 +103,7 @@ def identify(
     problem: Problem,
     sampler: SamplerSettings,
     seed: np.random.SeedSequence,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Identification:
     """Match, complete where nothing else explains the recordings, and sample.
 
@@ -111,6 +112,7 @@ def identify(
     UserError
         If the bench cannot be simulated or a recording is too short.
     """
+    naming = of_stage(progress, "Naming what is missing")
     nominal = _nominal(problem)
     final = nominal
     beyond: BeyondDataSheet | None = None
@@ -121,13 +123,13 @@ def identify(
         steady = _with_steady_torque(problem)
         rubs = steady is not None and is_explained(steady)
         if rubs:
-            final, missing = _named(nominal, steady, problem)
+            final, missing = _named(nominal, steady, problem, naming)
         if not missing:
             wrong = beyond_data_sheet(nominal, problem)
             if wrong is not None:
                 final, beyond = wrong
             elif not rubs:
-                final, missing = _named(nominal, steady, problem)
+                final, missing = _named(nominal, steady, problem, naming)
     check = tuple(disagreements(final.fit))
     explained = agrees(list(check), FALSE_ALARM)
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
@@ -141,7 +143,7 @@ def identify(
         if wrong is not None:
             final, beyond, wider = *wrong, None
             check = tuple(disagreements(final.fit))
-    posterior = sample_direct(final.fit, sampler, seed, progress)
+    posterior = sample_direct(final.fit, sampler, seed, of_stage(progress, "Sampling"))
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
 
 
@@ -221,7 +223,10 @@ def _with_steady_torque(problem: Problem) -> Explanation | None:
 
 
 def _named(
-    nominal: Explanation, steady: Explanation | None, problem: Problem
+    nominal: Explanation,
+    steady: Explanation | None,
+    problem: Problem,
+    progress: Progress | None,
 ) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
     """With the effects that the recordings name; in the bench only if that was asked for."""
     naming: Naming = name_missing(
@@ -234,6 +239,7 @@ def _named(
             declared=problem.parameters,
         ),
         false_alarm=FALSE_ALARM,
+        progress=progress,
     )
     missing = tuple(effect.members for effect in naming.effects)
     if not missing or problem.effects != "catalogue":

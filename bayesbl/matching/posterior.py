@@ -17,13 +17,15 @@ import numpy as np
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import Progress, SamplerSettings, Walk, thinned, walk
+from bayesbl.sampling.chains import SamplerSettings, Walk, thinned, walk
 from bayesbl.sampling.convergence import (
     Diagnostics,
     judge,
     rank_r_hat_and_ess,
 )
+from bayesbl.sampling.edges import chance_at_edge
 from bayesbl.sampling.ensemble import Ensemble, walkers_needed
 from bayesbl.sampling.importance import effective_size, resampled
 from bayesbl.sampling.truncated_normal import truncated_normal
@@ -41,13 +43,8 @@ The share of the posterior between two quantiles of n draws has the standard dev
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
-PRESSED = 1.15
-"""Mean distance of draws from an edge over their standard deviation.
-
-1.15 where a normal likelihood has its peak 1.28 standard deviations beyond the edge, as it has in
-10 % where the true value lies at the very edge; 1.10 two standard deviations beyond, 1.32 at the
-edge, 1.73 where it is flat.
-"""
+EDGE_FALSE_ALARM = 0.01
+"""Share of true values within a tolerance that leave the draws so pressed at one of its edges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,7 +306,7 @@ def _at_edges(
     """Index, side and a sentence for each bench parameter that is pressed against its tolerance.
 
     A true value near an edge is no fault: tolerances are uniform. One beyond it shows in how the
-    draws crowd there: by their mean distance from the edge over their standard deviation.
+    draws crowd there.
     """
     for i, unknown in enumerate(model.unknowns):
         if unknown.name == GAP or not math.isfinite(unknown.high - unknown.low):
@@ -320,7 +317,8 @@ def _at_edges(
             ("upper", unknown.high),
         )
         for side, edge in edges:
-            if abs(float(own.mean()) - edge) < PRESSED * float(own.std()):
+            chance = chance_at_edge(np.abs(own - edge), unknown.high - unknown.low)
+            if chance < EDGE_FALSE_ALARM:
                 low, high = unknown.value(np.array([unknown.low, unknown.high]))
                 yield (
                     i,

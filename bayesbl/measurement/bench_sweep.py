@@ -71,7 +71,7 @@ class SweepProblem:
         for row in _mapped(_drawn_row, [(self, nominal, b) for b in benches], workers):
             rows.append(departures(row, nominal, self.model))
             if progress is not None:
-                progress("bench draws", len(rows), count)
+                progress("Simulating bench draws", len(rows), count)
         return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
 
     def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:

@@ -30,7 +30,8 @@ from bayesbl.measurement.compatibility import (
     require_same_estimator,
 )
 from bayesbl.measurement.stored_curve import read_curve
-from bayesbl.measurement.task import StageProgress, Task, estimator_of
+from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
@@ -280,7 +281,7 @@ class BenchCurves:
         problem = SweepProblem(bench, model, settings, SEED, task.swept)
         nominal_seed, draw_seed, curve_seed = np.random.SeedSequence(SEED).spawn(3)
         workers = self.config.run.workers
-        progress, label = task.progress, f"curve for {need}"
+        progress, label = task.progress, f"Making the curve for {need}"
         _report(progress, label, 0, 1)
         nominal = problem.nominal(nominal_seed, workers)
         parameters = len(bench.tolerances)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -55,9 +54,10 @@ from bayesbl.measurement.model_check import (
     undecided_gap,
 )
 from bayesbl.measurement.motion_verdict import motion_notes, unseen_gap
-from bayesbl.measurement.task import StageProgress, Task, estimator_of, recording_of
+from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
+from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
@@ -261,9 +261,10 @@ def fit_directly(
     """
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
-    fit, joint = find_changes(_believed(fit_aligned(bench, recordings, unknowns, workers)))
     name = " and ".join(r.name for r in recordings)
-    report = None if progress is None else partial(progress, name)
+    begun = _believed(fit_aligned(bench, recordings, unknowns, workers))
+    fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
+    report = of_stage(progress, f"Sampling {name}")
     posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 

@@ -12,14 +12,14 @@ import numpy as np
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.change import Gap, MeasuredRinging, gaps
-from bayesbl.measurement.task import StageProgress, Task
+from bayesbl.measurement.task import Task
 from bayesbl.processes import processes
+from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.ringing.warm_start import EarlierOptimum
-from bayesbl.sampling.chains import Progress
 
 FEWEST_PER_PROCESS = 2
 """Fits for which a process is started: it takes as long to start as one fit takes."""
@@ -40,7 +40,7 @@ class FitJob:
 
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or restore the fit that an unfinished run had finished."""
-        step = None if progress is None else partial(progress, self.recording.name)
+        step = of_stage(progress, f"Sampling {self.recording.name}")
         finished = self.work.get("fit", self, partial(self._finished, step), FinishedFit)
         return self.estimator.restored(finished, self.recording, self.gear_ratio)
 
@@ -77,7 +77,7 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
             done[place] = future.result()
             if progress is not None:
                 steps = done[place].posterior.diagnostics.steps
-                progress(jobs[place].recording.name, steps, steps)
+                progress(f"Sampling {jobs[place].recording.name}", steps, steps)
     return [done[n] for n in range(len(jobs))]
 
 

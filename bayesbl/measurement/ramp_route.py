@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from bayesbl.measurement.ramp_summary import summarise_ramps
 from bayesbl.measurement.ramp_words import against, notes_on
 from bayesbl.measurement.task import Task
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, of_cycles
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.torque_cycles import Ramps, find_ramps
@@ -126,9 +126,7 @@ class RampMeasurer:
             self.config.posterior.max_steps,
             self.config.interval.level,
         )
-        report = None
-        if task.progress is not None:
-            report = partial(task.progress, " and ".join(task.names))
+        report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, *seeds = task.seeds.direct.spawn(1 + len(files))
         elsewhere = _elsewhere(flanks)
         play = sample_play(widths, settings, play_seed, report, round_the_turn=elsewhere)

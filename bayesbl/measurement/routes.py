@@ -18,8 +18,9 @@ from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
 from bayesbl.measurement.stored_curve import CURVE
-from bayesbl.measurement.task import Seeds, StageProgress, Task
+from bayesbl.measurement.task import Seeds, Task
 from bayesbl.measurement.tree import measurement_tree
+from bayesbl.progress import StageProgress
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.warm_start import EarlierOptimum

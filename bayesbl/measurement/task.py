@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
+from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
@@ -17,9 +18,6 @@ from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.symbols import DisturbanceModel
 from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.sampling.chains import SamplerSettings
-
-StageProgress = Callable[[str, int, int], None]
-"""Called with (recording, steps made, steps allowed)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_noise
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.search import name_missing
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
 CHANGED_TOGETHER = {
@@ -152,7 +153,7 @@ class JointFindings:
 
 
 def find_changes(
-    nominal: SimulatedFit, false_alarm: float = FALSE_ALARM
+    nominal: SimulatedFit, false_alarm: float = FALSE_ALARM, *, progress: Progress | None = None
 ) -> tuple[SimulatedFit, JointFindings]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
@@ -162,6 +163,8 @@ def find_changes(
         All recordings of a joint fitted together with the bench as believed.
     false_alarm
         Of the predictive check and of the search, each over all that it tests.
+    progress
+        Called with (fits made, fits expected).
 
     Returns
     -------
@@ -173,6 +176,7 @@ def find_changes(
         max_effects=MOST_CHANGES,
         false_alarm=false_alarm,
         screened=True,
+        progress=progress,
     )
     final = naming.final
     if final.candidates:

@@ -36,8 +36,8 @@ from bayesbl.naming.explanation import (
 )
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.naming import NamedCandidate, Naming
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import Progress
 
 WORTH_FITTING = 0.5
 """Promised gain from which on a candidate is fitted, as a share of what naming asks for, or of the

@@ -88,8 +88,9 @@ def headline(summary: MeasuredSummary) -> str:
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
-            unless = joint_check.UNLESS if joint_check.could_be_unseen(summary, change) else ""
-            return f"{by}{change_in_words(change)}; {grew(growth)}{unless}."
+            if (cause := joint_check.unseen_cause(summary)) is not None:
+                return f"{by}{if_nothing_else(change, growth, cause)}"
+            return f"{by}{change_in_words(change)}; {grew(growth)}."
     elif summary["delta_rad"] is not None:
         if (preloaded := torque_ramps.no_play(summary)) is not None:
             return preloaded
@@ -105,6 +106,15 @@ def change_in_words(change: Interval) -> str:
     if change["high"] < 0.0:
         return f"The gap shrank by {words.in_mrad(change, -1.0)}"
     return f"The gap may not have changed: the change is {words.in_mrad(change)}"
+
+
+def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
+    """A change of the gap that another one, unseen, could make: never told as shown."""
+    told = change_in_words(change).replace("The gap", "it", 1)
+    return (
+        f"It is not shown that the gap changed: {told} if nothing else in the joint changed "
+        f"({grew(growth)}), but {cause}, which these recordings would not show, could do as much."
+    )
 
 
 def grew(value: float) -> str:

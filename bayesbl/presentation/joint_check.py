@@ -10,20 +10,23 @@ from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import ComparisonSummary, MeasuredSummary
-    from bayesbl.results.intervals import Interval
 
 MOST_TOLD = 3
 """Blind spots that are told; all are stored."""
 
-UNLESS = " if nothing else in the joint changed; a change too small to show could do as much"
-"""Behind the probability of a change that a blind spot could make."""
 
+def unseen_cause(summary: ComparisonSummary) -> str | None:
+    """A change of the joint that its check may have missed and that could be all there is.
 
-def could_be_unseen(summary: ComparisonSummary, change: Interval) -> bool:
-    """Whether the interval leaves zero, but by no more than a blind spot may move it."""
-    errors = [spot["delta_error_rad"] or 0.0 for spot in summary["same_joint"]["blind_spots"]]
+    ``None`` where the change of δ is withheld or holds zero, or is larger than any such change
+    would make it.
+    """
+    change, spots = summary["change_rad"], summary["same_joint"]["blind_spots"]
+    if change is None or not spots:
+        return None
+    worst = max(spots, key=lambda spot: spot["delta_error_rad"] or 0.0)
     nearest = max(change["low"], -change["high"])
-    return 0.0 < nearest <= max(errors, default=0.0)
+    return worst["change"] if 0.0 < nearest <= (worst["delta_error_rad"] or 0.0) else None
 
 
 def blocks(summary: MeasuredSummary) -> Iterator[Block]:

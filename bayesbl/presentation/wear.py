@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from datetime import date
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import words
+from bayesbl.presentation import joint_check, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -72,9 +72,15 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
         )
     rate = wear["rate"]
     places = words.decimals(rate, 1e3)
+    unless = ""
+    if (cause := joint_check.unseen_cause(summary)) is not None:
+        unless = (
+            f" if nothing else in the joint changed; {cause}, which the recordings would not show, "
+            "could do as much"
+        )
     return (
         f"The gap {now}has grown by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
-        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})."
+        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)}){unless}."
     )
 
 

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import Progress, SamplerSettings, thinned, walk
+from bayesbl.sampling.chains import SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import Diagnostics, judge, rank_r_hat_and_ess
 from bayesbl.sampling.ensemble import Ensemble
 

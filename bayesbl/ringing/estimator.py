@@ -17,6 +17,7 @@ import numpy as np
 from bayesbl.errors import ConfigError, RecordingError, ResultError
 from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
+from bayesbl.progress import Progress
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.cleaning import FINDERS
@@ -28,7 +29,7 @@ from bayesbl.ringing.posterior import Posterior, sample_posterior
 from bayesbl.ringing.second_sampler import SamplerCheck, check_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
-from bayesbl.sampling.chains import Progress, SamplerSettings
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
 
 AGREEMENT = 1e-9

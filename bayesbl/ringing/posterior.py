@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.covariance import Covariance, signal_to_noise
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
-from bayesbl.sampling.chains import Progress, SamplerSettings, thinned, walk
+from bayesbl.sampling.chains import SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import (
     Contender,
     Diagnostics,

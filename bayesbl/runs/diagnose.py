@@ -14,7 +14,7 @@ from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import method_named
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import RecordingError
-from bayesbl.measurement.task import StageProgress
+from bayesbl.progress import StageProgress
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording

@@ -272,7 +272,7 @@ def _finish(
         store.keep("joint", job.problem(), KeptJoint(wear, rows, tuple(addresses)))
         done += 1
         if options.progress is not None:
-            options.progress("joints", done, len(jobs))
+            options.progress("Joints", done, len(jobs))
 
 
 def _with_known(job: JointJob, store: WorkStore) -> JointJob:

@@ -17,7 +17,7 @@ from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
 from bayesbl.matching.observed import Observed, observed
-from bayesbl.measurement.task import StageProgress
+from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.moving import moves
 from bayesbl.recording.readers import read_recording
@@ -55,11 +55,10 @@ def run_identify(
     """
     problem, notes = problem_of(config)
     level, seed = config.interval.level, np.random.SeedSequence(config.run.seed)
-    report = None if progress is None else partial(progress, "identify")
     found = work.get(
         "identification",
         (settings_of(config), problem),
-        lambda: identify(problem, SamplerSettings(level=level), seed, report),
+        lambda: identify(problem, SamplerSettings(level=level), seed, progress),
         Identification,
     )
     tree = identification_tree(found, problem, level, config.interval.kind)

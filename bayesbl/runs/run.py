@@ -20,7 +20,7 @@ from bayesbl.results.inputs import require_apart
 from bayesbl.runs.workflow import Draw, Options, Plan, Workflow
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.task import StageProgress
+    from bayesbl.progress import StageProgress
     from bayesbl.runs.summary import Summary
 
 WORKFLOWS: Mapping[str, str] = MappingProxyType(

@@ -39,7 +39,7 @@ from bayesbl.runs.workflow import (
 )
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.task import StageProgress
+    from bayesbl.progress import StageProgress
     from bayesbl.runs.summary import Summary
 
 CACHE = ".sweep-cache"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.config.sections import RunConfig
-    from bayesbl.measurement.task import StageProgress
+    from bayesbl.progress import StageProgress
     from bayesbl.runs.summary import Summary
 
 Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_time
 from bayesbl.sampling.ensemble import Ensemble
@@ -19,8 +20,6 @@ BURN_IN_AUTOCORRELATIONS = 5.0
 DRAWS_KEPT = 1000
 BOUND_TOLERANCE_SD = 0.05
 """Interval bounds count as stable when they move less than this many standard deviations."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,8 +41,8 @@ from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, reduced, with_noise
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import Progress
 
 MOST_EFFECTS = 3
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.measurement.task import StageProgress
+from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import (
@@ -94,7 +93,7 @@ class ClosedLoop:
             config.comparison.motor_angle_known,
             config.run.workers,
         )
-        fits = None if progress is None else partial(progress, "candidates")
+        fits = of_stage(progress, "Fitting candidates")
         problem = (task.bench, used, held_out, unknowns, settings)
         found = task.work.get("naming", problem, lambda: search(*problem, fits), Findings)
         if found.learned is not None:

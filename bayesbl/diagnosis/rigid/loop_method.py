@@ -43,8 +43,8 @@ from bayesbl.diagnosis.rigid.order_lines import OrderLine, Turning, find_orders,
 from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS, torque_of_angle
 from bayesbl.diagnosis.selection import MOST_EFFECTS, SURE_PARAMETER
 from bayesbl.diagnosis.task import Task
-from bayesbl.measurement.task import StageProgress
 from bayesbl.naming.criteria import ALIKE
+from bayesbl.progress import StageProgress
 from bayesbl.recording.moving import VARIES
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -78,7 +78,7 @@ class RigidLoop:
         setting, asked = loop_setting(task), task.config.candidates
         found = find_orders(setting.used, MOST_LINES, asked.false_alarm)
         if progress is not None:
-            progress("orders", 1, 2)
+            progress("Seeking orders", 1, 2)
         return _Answer(task, setting, found).diagnosis()
 
 
