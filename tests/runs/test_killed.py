@@ -157,8 +157,8 @@ def test_a_run_that_is_killed_ends_with_the_same_numbers(whole, tmp_path):
 def interrupted(config: Path, **options) -> None:
     """Run a comparison until the second recording is begun, and stop it by Ctrl-C."""
 
-    def progress(recording: str, done: int, allowed: int) -> None:
-        if recording == "after":
+    def progress(stage: str, done: int, allowed: int) -> None:
+        if stage == "Sampling after":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
