@@ -13,7 +13,7 @@ It can also simulate what the catalogue lacks: a torque periodic in time, a belt
 the encoder's disc of several orders, a transmission error of two orders, lost speed samples, a
 second gap behind a third mass, and laws that differ from the catalogue's: load friction with
 another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
-harmonics, flanks of different stiffness, hysteresis by Bouc and Wen.
+harmonics, contact damping by Hunt and Crossley, hysteresis by Bouc and Wen.
 """
 
 from __future__ import annotations
@@ -105,6 +105,7 @@ class Plant(NamedTuple):
     encoder_eccentricity__angle_rad: float = 0.0
     encoder_eccentricity__phase_rad: float = 0.0
     stiffness_hardening__stiffness_nm_per_rad3: float = 0.0
+    flank_asymmetry__share: float = 0.0
     shaft_hysteresis__torque_nm: float = 0.0
     shaft_hysteresis__angle_rad: float = 1e-3
     current_loop_lag__time_s: float = 0.0
@@ -134,7 +135,7 @@ class Plant(NamedTuple):
     outside__ripple_order: float = 4.0
     outside__position_friction_nm: float = 0.0  # of the load, over its angle
     outside__position_friction_phase_rad: float = 0.0
-    outside__flank_asymmetry: float = 0.0  # by which the lower flank is stiffer
+    outside__contact_damping_nm_s_per_rad2: float = 0.0  # times the compression
     outside__bouc_wen_nm: float = 0.0
     outside__bouc_wen_rad: float = 5e-4
     outside__encoder_1_rad: float = 0.0  # errors of the disc: orders 1, 2 and 4 of the motor
@@ -164,8 +165,6 @@ _jit = numba.njit(cache=True, nogil=True, error_model="numpy")
 @_jit
 def _shaft(twist, slip, gap, stiffness, damping, p):
     """Torque of one shaft with its gap, load side."""
-    if twist < 0.0:
-        stiffness *= 1.0 + p.outside__flank_asymmetry
     if p.hard_dead_zone != 0.0:
         if abs(twist) < gap:
             return 0.0
@@ -277,6 +276,8 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
     if abs(twist) > gap:
         compression = twist - math.copysign(gap, twist)
         shaft += p.stiffness_hardening__stiffness_nm_per_rad3 * compression**3
+        shaft += p.flank_asymmetry__share * stiffness * abs(compression)
+        shaft += p.outside__contact_damping_nm_s_per_rad2 * abs(compression) * slip
     shaft += p.shaft_hysteresis__torque_nm * y[7]
     dy[10] = 0.0
     if p.outside__bouc_wen_nm != 0.0:

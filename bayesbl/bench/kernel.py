@@ -87,6 +87,7 @@ class Slot(IntEnum):
     encoder_eccentricity__angle_rad = auto()
     encoder_eccentricity__phase_rad = auto()
     stiffness_hardening__stiffness_nm_per_rad3 = auto()
+    flank_asymmetry__share = auto()
     shaft_hysteresis__torque_nm = auto()
     shaft_hysteresis__angle_rad = auto()
     current_loop_lag__time_s = auto()
@@ -641,6 +642,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             shaft = shaft_torque(seen, seen_speed, region, c)
             compression = math.copysign(max(0.0, abs(seen) - c.gap), seen)
             shaft += p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3
+            shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
             shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]
     if c.effects:
         lag = p[Slot.current_loop_lag__time_s]
@@ -941,8 +943,9 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     inertia = c.motor_inertia
     if c.rigid:
         inertia += c.load_inertia * c.per_ratio * c.per_ratio
-    motor_rate = math.sqrt(c.stiffness * c.per_ratio * c.per_ratio * c.per_motor_inertia)
-    load_rate = math.sqrt(c.stiffness * c.per_load_inertia)
+    stiffness = c.stiffness * (1.0 + abs(p[Slot.flank_asymmetry__share]))
+    motor_rate = math.sqrt(stiffness * c.per_ratio * c.per_ratio * c.per_motor_inertia)
+    load_rate = math.sqrt(stiffness * c.per_load_inertia)
     loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
     fastest = math.sqrt(motor_rate**2 + load_rate**2)
     if c.rigid:

@@ -23,6 +23,9 @@ MOVES = 0.5
 BEYOND_ONE_ROUNDING = 1.5
 """Variance of one rounding, times this: half-way to that of the difference of two."""
 
+COARSEST_PRINT = 0.1
+"""Of a step: of digits coarser than that any speed would seem to be on steps."""
+
 _WHOLE = 0.01
 """Largest distance from a whole number of steps."""
 
@@ -69,12 +72,16 @@ def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
         return None
     gaps = np.diff(levels)
     # The same level computed in two ways differs by rounding.
-    size = float(gaps[gaps > 1e-9 * np.abs(levels).max()].min(initial=np.inf))
-    if not math.isfinite(size):
+    gaps = gaps[gaps > 1e-9 * np.abs(levels).max()]
+    if not gaps.size:
         return None
-    size = float(levels[-1] - levels[0]) / round(float(levels[-1] - levels[0]) / size)
-    steps = (speed_rpm - levels[0]) / size
-    if np.mean(np.abs(steps - np.round(steps)) < _WHOLE) < ON_STEPS:
+    # Printed digits may make neighbouring steps differ in size; over all of them that cancels.
+    single = float(gaps[gaps < 1.5 * gaps.min()].mean())
+    size = float(gaps.sum()) / float(np.round(gaps / single).sum())
+    printed = _printed_resolution(speed_rpm)
+    away = np.abs(speed_rpm - levels[0] - size * np.round((speed_rpm - levels[0]) / size))
+    off_by = _WHOLE * size + (printed if printed < COARSEST_PRINT * size else 0.0)
+    if np.mean(away < off_by) < ON_STEPS:
         return None
     # Lag-1 autocorrelation of the change from sample to sample: −1/2 of a white rounding,
     # −2/3 of the difference of one.
@@ -82,6 +89,14 @@ def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
     change = change - change.mean()
     correlation = float(change[1:] @ change[:-1] / (change @ change))
     return SpeedSteps(size, correlation < -0.58, float(levels[0]))
+
+
+def _printed_resolution(values: FloatArray) -> float:
+    """The decimal that all values are whole numbers of: 0.01 of 1495.06; 0 where there is none."""
+    for digits in range(7):
+        if np.all(np.abs(values - np.round(values, digits)) < 1e-9 * np.maximum(1.0, abs(values))):
+            return float(10.0**-digits)
+    return 0.0
 
 
 @dataclass(frozen=True, slots=True)

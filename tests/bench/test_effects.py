@@ -218,6 +218,21 @@ def test_hardening_shaft_winds_up_less() -> None:
     assert 1.2e5 * twist + cubic * twist**3 == pytest.approx(torque, rel=1e-3)
 
 
+@pytest.mark.parametrize("torque", [425.0, -425.0])
+def test_flanks_of_different_stiffness_wind_up_differently(torque: float) -> None:
+    share = 0.2
+    p = BENCH.vector(gap_rad=0.0, flank_asymmetry__share=share)[0]
+    for slot in (Slot.speed_gain_nm_s_per_rad, Slot.integral_gain_nm_per_rad):
+        p[slot] = 0.0
+    p[Slot.gravity_torque_nm] = 0.0
+    p[Slot.shaft_damping_nm_s_per_rad] = 3e3
+    p[Slot.load_torque_offset__torque_nm] = torque
+    p[Slot.motor_torque_offset__torque_nm] = -torque / 120.0
+    twist = simulate_states(p, np.zeros(STATES), 1000, 500.0)[kernel.TWIST, -1]
+    stiffness = 1.2e5 * (1.0 + math.copysign(share, torque))
+    assert stiffness * twist == pytest.approx(torque, rel=1e-3)
+
+
 def test_hysteresis_stays_bounded_and_takes_energy() -> None:
     p = BENCH.vector(
         gap_rad=0.0, shaft_hysteresis__torque_nm=40.0, shaft_hysteresis__angle_rad=1e-3
