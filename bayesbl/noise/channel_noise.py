@@ -170,6 +170,7 @@ def _noise_of(
     unseen = None if rounding is None else _unseen(variance, rounding)
     if unseen is not None:
         seen = noise if kept is None else np.where(kept, noise, 0.0)
+        unseen = unseen + _passed_on(seen, unseen)
         seen = seen * math.sqrt(share * noise.shape[1] / (count if kept is None else kept.sum()))
         coefficients, covariance = _yule_walker(seen, rotations * unseen)
         total = np.sqrt(variance + unseen[:, 0])
@@ -193,6 +194,20 @@ def _unseen(variance: FloatArray, rounding: FloatArray) -> FloatArray | None:
     if np.all(lacks <= NEGLIGIBLE * variance):
         return None
     return np.asarray(rounding * (lacks / np.maximum(rounding[:, 0], 1e-300))[:, None])
+
+
+def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
+    """What the controller makes of the first channel's unseen rounding in the others.
+
+    As it does of that channel's noise (c, n), by regression. That the two go together is not
+    counted on: where the recorder rounds and not the encoder, they do not.
+    """
+    power = float(noise[0] @ noise[0])
+    if power == 0.0:
+        return np.zeros_like(unseen)
+    gains = noise @ noise[0] / power
+    gains[0] = 0.0
+    return np.asarray(gains[:, None] ** 2 * unseen[0])
 
 
 def _yule_walker(d: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -26,6 +26,9 @@ BEYOND_ONE_ROUNDING = 1.5
 COARSEST_PRINT = 0.1
 """Of a step: of digits coarser than that any speed would seem to be on steps."""
 
+SHARED_COUNT = -0.25
+"""Correlation of neighbouring samples: half-way to that of differences that share a count."""
+
 _WHOLE = 0.01
 """Largest distance from a whole number of steps."""
 
@@ -131,6 +134,10 @@ class Rounding:
             return found
         steps = self.steps
         if float(np.mean(left**2)) > BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0:
+            if left[1:] @ left[:-1] > SHARED_COUNT * (left @ left):
+                # Differences over less than a sample: no two of them share a count.
+                found[0] += steps.size_rpm**2 / 6.0
+                return found
             steps = replace(steps, differentiated=True)
         variance = steps.sd_rpm**2
         found[0] += variance

@@ -41,7 +41,16 @@ def counted(speed_rpm: FloatArray) -> FloatArray:
     return np.diff(counts, prepend=counts[0] - (counts[1] - counts[0])) / COUNTS * 60.0 * HZ
 
 
-@pytest.mark.parametrize("shown", [exact, in_steps, counted])
+def counted_apart(speed_rpm: FloatArray) -> FloatArray:
+    """The same over the first half of each sample: no two share a count."""
+    turns = np.cumsum(speed_rpm) / 60.0 / HZ
+    before, after = np.floor(
+        COUNTS * np.stack([turns, turns + 0.5 * speed_rpm / 60.0 / HZ]) + 0.3
+    )
+    return np.asarray((after - before) / COUNTS * 60.0 * 2.0 * HZ)
+
+
+@pytest.mark.parametrize("shown", [exact, in_steps, counted, counted_apart])
 def test_a_joint_of_another_simulator_that_shows_no_noise_is_measured(
     independent: ModuleType, shown: Callable[[FloatArray], FloatArray]
 ) -> None:
@@ -62,7 +71,7 @@ def test_a_joint_of_another_simulator_that_shows_no_noise_is_measured(
     assert impacts_alike(fit, 0.01) == [True]
 
 
-@pytest.mark.parametrize("shown", [in_steps, counted])
+@pytest.mark.parametrize("shown", [in_steps, counted, counted_apart])
 def test_rounding_has_the_autocovariance_that_is_counted_for_it(
     shown: Callable[[FloatArray], FloatArray],
 ) -> None:

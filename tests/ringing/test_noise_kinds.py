@@ -174,6 +174,9 @@ def encoder_speed(recording: Recording, counts: int, begin_rad: float) -> np.nda
 
 def test_steps_of_a_speed_are_found_and_told_apart(quiet: PointEstimate) -> None:
     smooth = quiet.recording.motor_speed_rpm
+    printed = speed_steps(np.round(np.round(smooth / 0.4578) * 0.4578, 2))
+    assert printed is not None
+    assert printed.size_rpm == pytest.approx(0.4578, rel=1e-3)
     assert speed_steps(smooth + NOISE.draw(smooth.size, seeded(5))) is None
     rounded = speed_steps(np.round(smooth / 0.5) * 0.5)
     assert rounded is not None
