@@ -375,7 +375,7 @@ def _shown(progress: bool) -> Iterator[StageProgress | None]:
     if not progress:
         yield None
         return
-    from bayesbl.presentation.progress import progress as bars
+    from bayesbl.presentation.shown_progress import progress as bars
     from bayesbl.presentation.terminal import make_console
 
     with bars(make_console(stderr=True)) as tell:

@@ -21,6 +21,7 @@ ROOMS = (
     "processes",
     "threads",
     "progress",
+    "probabilities",
     "compiled",
     "recording",
     "noise",

@@ -45,7 +45,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.library import draw
     from bayesbl.presentation.console import print_details, print_headline, print_result
-    from bayesbl.presentation.progress import progress
+    from bayesbl.presentation.shown_progress import progress
     from bayesbl.presentation.terminal import make_console, say
     from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.run import run

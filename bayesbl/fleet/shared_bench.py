@@ -20,10 +20,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import chi2
 
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.matching.signals import Unknown
+from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray
 
 FALSE_ALARM = 0.01
@@ -169,7 +169,7 @@ def _probability(one: MatchedAlone, others: tuple[FloatArray, FloatArray]) -> fl
         return 1.0
     difference, covariance = _difference(one, others)
     along, spread = learnt.T @ difference, learnt.T @ covariance @ learnt
-    return float(chi2.sf(along @ np.linalg.solve(spread, along), learnt.shape[1]))
+    return float(chi2_sf(along @ np.linalg.solve(spread, along), learnt.shape[1]))
 
 
 def _differing(

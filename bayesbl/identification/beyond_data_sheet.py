@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
 from bayesbl.matching.alignment import remaining_noise
@@ -22,6 +21,7 @@ from bayesbl.naming.explanation import (
     polished,
     with_noise,
 )
+from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray
 
 FURTHEST_WRONG = 3.0
@@ -95,7 +95,7 @@ def chance_at_edges(gain: float, edges: int) -> float:
     to all degrees of freedom (Self and Liang 1987).
     """
     ways = [math.comb(edges, freedom) for freedom in range(1, edges + 1)]
-    tails = chi2.sf(gain, np.arange(1, edges + 1))
+    tails = chi2_sf(gain, np.arange(1, edges + 1))
     return float(np.dot(ways, tails)) / 2.0**edges
 
 

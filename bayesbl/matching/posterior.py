@@ -26,7 +26,7 @@ from bayesbl.sampling.convergence import (
     rank_r_hat_and_ess,
 )
 from bayesbl.sampling.edges import chance_at_edge
-from bayesbl.sampling.ensemble import Ensemble, walkers_needed
+from bayesbl.sampling.ensemble import Ensembles, walkers_needed
 from bayesbl.sampling.importance import effective_size, resampled
 from bayesbl.sampling.truncated_normal import truncated_normal
 
@@ -244,15 +244,13 @@ def _walk(
     """emcee until its chains are long enough and the gap's interval stands still."""
     target = _LogDensity(model, surrogate)
     walkers = walkers_needed(len(model.unknowns))
-    ensembles = []
-    for own_seed in seed.spawn(settings.ensembles):
-        start_seed, walk_seed = own_seed.spawn(2)
-        start = local.drawn(walkers, (model.low, model.high), start_seed)
-        ensembles.append(Ensemble(target, start, walk_seed))
+    start_seed, walk_seed = seed.spawn(2)
+    starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)
+    ensembles = Ensembles(target, starts.reshape(settings.ensembles, walkers, -1), walk_seed)
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
     tail = 0.5 - 0.5 * settings.level
 
-    def bounds(chains: Sequence[FloatArray]) -> FloatArray:
+    def bounds(chains: FloatArray) -> FloatArray:
         pooled = np.concatenate([thinned(chain)[:, gaps] for chain in chains])
         return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
 

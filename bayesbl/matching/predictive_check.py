@@ -11,12 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import begin_of
 from bayesbl.matching.signals import START_ANGLE
+from bayesbl.probabilities import chi2_sf, f_sf
 from bayesbl.recording.types import FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
@@ -104,7 +103,7 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
         moved = np.sum([turn @ slope for turn, slope in zip(turns, fast, strict=True)], axis=0)
         power = float(np.sum((moved - moved.mean()) ** 2)) / weight if weight > 0.0 else 0.0
         # Of one rotation nothing is compared.
-        probability = float(chi2.sf(power, moved.size - 1)) if moved.size > 1 else 1.0
+        probability = float(chi2_sf(power, moved.size - 1)) if moved.size > 1 else 1.0
         alike.append(probability * len(residuals) > false_alarm)
     return alike
 
@@ -150,9 +149,9 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
         scatter = float(np.sum(np.abs(band - mean) ** 2))
         if scatters:
             ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
-            probability = float(f_distribution.sf(ratio, degrees, degrees * (rotations - 1)))
+            probability = f_sf(ratio, degrees, degrees * (rotations - 1))
         else:
-            ratio, probability = repeats / degrees, float(chi2.sf(repeats, degrees))
+            ratio, probability = repeats / degrees, float(chi2_sf(repeats, degrees))
         entries.append((highest, ratio, probability))
     return entries
 
@@ -173,9 +172,9 @@ def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> list[tuple[int, f
         degrees = 1 if highest == 0 else 2 * band.size
         if scatters:
             ratio = float(band.mean() / fast.mean())
-            probability = float(f_distribution.sf(ratio, degrees, 2 * fast.size))
+            probability = f_sf(ratio, degrees, 2 * fast.size)
         else:
             ratio = float(band.mean())
-            probability = float(chi2.sf(degrees * ratio, degrees))
+            probability = float(chi2_sf(degrees * ratio, degrees))
         entries.append((highest, ratio, probability))
     return entries

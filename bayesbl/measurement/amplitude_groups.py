@@ -29,6 +29,7 @@ from bayesbl.measurement.shared_groups import (
     observed_group,
     sampling_values,
 )
+from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
 from bayesbl.ringing.estimator import Fit, PointEstimate
@@ -247,7 +248,6 @@ def _predictive(fit: Fit, level: float) -> xr.Dataset:
 
     What repeats every rotation and the model lacks repeats there too: the band is around both.
     """
-    from scipy.stats import norm
 
     point = fit.point
     time_s = point.objective.time_s
@@ -255,7 +255,7 @@ def _predictive(fit: Fit, level: float) -> xr.Dataset:
     repeating, error = point.misfit.at(time_s - time_s[0], point.optimum.symbols[ROTATION])
     expected = model + repeating
     spread = np.sqrt(_prediction_variance(fit) + error**2 + point.noise.sd_rpm**2)
-    half = float(norm.ppf(0.5 + 0.5 * level)) * spread
+    half = normal_isf(0.5 - 0.5 * level) * spread
     return dataset(
         PREDICTIVE,
         {

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
@@ -25,6 +24,7 @@ from bayesbl.measurement.measurement import Measurement, Snapshot
 from bayesbl.measurement.other_route import OTHER, other_route
 from bayesbl.measurement.task import Task, recording_of
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.probabilities import normal_isf
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 
@@ -217,7 +217,7 @@ def _disagreement(direct: Measurement, amplitude: Measurement) -> str | None:
     ]
     if not pairs:
         return None
-    bound = float(norm.isf(0.5 * FALSE_ALARM / len(pairs)))
+    bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
     apart = [name for name, *logs in pairs if abs(_standard_difference(*logs)) > bound]
     if not apart:
         return None

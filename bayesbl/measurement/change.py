@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve, interpolate_rows
+from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
 
@@ -122,7 +122,7 @@ def gaps(
     against: list[str | None] = [None] * len(snapshots)
     if rings:
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
-        least = float(chi2.isf(FALSE_ALARM / len(snapshots), 2))
+        least = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
         against = [
             CONTRADICTED if -2.0 * match.max() > least and _is_inside(curve, amplitude) else None
             for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)

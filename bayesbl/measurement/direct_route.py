@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
@@ -57,6 +56,7 @@ from bayesbl.measurement.motion_verdict import motion_notes, unseen_gap
 from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
+from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
@@ -352,7 +352,7 @@ def _disagreement_in_words(entries: Sequence[RepeatingPower], moving: bool) -> s
 
 def _item(entry: RepeatingPower) -> CheckItem:
     band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
-    z = float(norm.isf(entry.probability))
+    z = normal_isf(entry.probability)
     return CheckItem(
         f"power that repeats every rotation over that of noise, {entry.channel} {band}",
         entry.ratio,

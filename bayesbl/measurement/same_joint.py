@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import (
@@ -30,6 +29,7 @@ from bayesbl.measurement.noise_colour import (
     filter_change,
     noise_spectrum,
 )
+from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
 from bayesbl.units import number
@@ -129,7 +129,7 @@ def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> Joi
     compared = sum(len(_compared(*pair)) + (not _gains_seen(*pair)) for pair in pairs)
     if not compared:
         return NOTHING_COMPARED
-    bound = float(norm.isf(0.5 * FALSE_ALARM / compared))
+    bound = normal_isf(0.5 * FALSE_ALARM / compared)
     several = len(pairs) > 1
     filters = [None if _gains_seen(*pair) else _filter_change(*pair, bound) for pair in pairs]
     found = [

@@ -27,9 +27,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gdtrib, ndtr, ndtri
-from scipy.stats import norm, qmc
 
 from bayesbl.measurement.wear_laws import SHAPES, grown, prior, shapes, time_of
+from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 
 FEWEST_FOR_SCATTER = 4
@@ -126,7 +126,7 @@ def fall(delta_rad: FloatArray) -> Fall:
     deviations = middle / np.maximum(spread, 1e-12 * np.abs(delta_rad).max())
     surest = int(np.argmax(deviations))
     found = float(deviations[surest])
-    probability = min(1.0, len(falls) * float(norm.sf(found)))
+    probability = min(1.0, len(falls) * normal_sf(found))
     return Fall(surest + 1, float(middle[surest]), found, probability)
 
 
@@ -298,6 +298,8 @@ def _tempered(
     problem: _Problem, generator: np.random.Generator
 ) -> tuple[NDArray[np.int_], FloatArray]:
     """Laws and standard normal numbers of equally likely particles, by tempering the likelihood."""
+    from scipy.stats import qmc
+
     uniform = qmc.Sobol(SHAPES + 2, rng=generator).random(PARTICLES)
     law = np.searchsorted(np.cumsum(prior())[:-1], uniform[:, 0], side="right")
     normal = ndtri(np.clip(uniform[:, 1:].T, 1e-9, 1.0 - 1e-9))

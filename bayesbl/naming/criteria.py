@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import begin_of
@@ -17,6 +16,7 @@ from bayesbl.matching.predictive_check import (
     whole_rotations,
 )
 from bayesbl.naming.explanation import BEHIND, Explanation
+from bayesbl.probabilities import f_isf
 from bayesbl.recording.types import FloatArray
 
 ALIKE = 5.0
@@ -80,7 +80,7 @@ def least_ratio(fit: SimulatedFit, added: int, trials: int, false_alarm: float) 
     _, degrees = _misfit(fit, false_alarm)
     if math.isinf(degrees):
         return 0.0
-    return added / degrees * float(f_distribution.isf(false_alarm / max(trials, 1), added, degrees))
+    return added / degrees * f_isf(false_alarm / max(trials, 1), added, degrees)
 
 
 def stands_out_of_misfit(

@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts
@@ -23,6 +22,7 @@ from bayesbl.naming.candidates import (
     wrapped,
 )
 from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
@@ -90,7 +90,7 @@ def distance(a: Explanation, b: Explanation) -> float:
 
 def gain_threshold(parameters: int, trials: int, false_alarm: float) -> float:
     """χ² that adding so many parameters must gain, at a false-alarm rate over all trials."""
-    return float(chi2.isf(false_alarm / max(trials, 1), max(parameters, 1)))
+    return float(chi2_isf(false_alarm / max(trials, 1), max(parameters, 1)))
 
 
 def explain(base: Explanation, candidate: Candidate) -> Explanation | None:

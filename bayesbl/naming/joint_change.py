@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
@@ -27,6 +26,7 @@ from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_noise
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.search import name_missing
+from bayesbl.probabilities import normal_isf
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
@@ -367,7 +367,7 @@ def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[Bli
     toward[model.index(GAP, last)] = fit.value(GAP, last)
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
-    least += float(norm.isf(MISSED))
+    least += normal_isf(MISSED)
     derivatives = fit.derivatives()
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)]):

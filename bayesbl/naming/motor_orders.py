@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 
 LOWEST_ORDER = 0.45
@@ -42,10 +43,9 @@ def order_peaks(fit: SimulatedFit, count: int = 3, false_alarm: float = 1e-3) ->
         within = grid <= order[-1]
         power[within] += np.interp(grid[within], order, values)
         degrees[within] += 2.0 * channels
-    from scipy.stats import chi2
 
     # Under noise alone twice the summed power is χ² with two degrees per recording and channel.
-    limit = 0.5 * chi2.isf(false_alarm / grid.size, np.maximum(degrees, 1.0))
+    limit = 0.5 * chi2_isf(false_alarm / grid.size, np.maximum(degrees, 1.0))
     found: list[OrderPeak] = []
     excess = np.where(power > limit, power, 0.0)
     while len(found) < count and excess.max() > 0.0:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import signal
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 
 Fits = list[tuple[float, FloatArray]]
@@ -115,7 +115,24 @@ def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:
                     matrix[k - 1, abs(k - j) - 1] -= phi
         rho[1 : p + 1] = np.linalg.solve(matrix, right)
     if 0 < p < rho.size - 1:
-        polynomial = np.r_[1.0, -coefficients]
-        state = signal.lfiltic([1.0], polynomial, rho[p:0:-1])
-        rho[p + 1 :] = signal.lfilter([1.0], polynomial, np.zeros(rho.size - p - 1), zi=state)[0]
+        rho[p + 1 :] = recursion(coefficients, np.zeros(rho.size - p - 1), rho[p:0:-1])
     return rho[:lags]
+
+
+@compiled(nogil=True)
+def recursion(coefficients, drive, past):  # type: ignore[no-untyped-def]
+    """x_t = Σ φ_k x_{t−k} + drive_t, shape (n,).
+
+    ``past``: x of the p samples before the first, the last one first. ``scipy.signal`` has this
+    too, at half a second for its import.
+    """
+    p = coefficients.size
+    x = np.empty(p + drive.size)
+    for k in range(p):
+        x[p - 1 - k] = past[k]
+    for t in range(p, x.size):
+        value = drive[t - p]
+        for k in range(p):
+            value += coefficients[k] * x[t - 1 - k]
+        x[t] = value
+    return x[p:]

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 from bayesbl.errors import BenchError
-from bayesbl.noise.autoregression import autocorrelation
+from bayesbl.noise.autoregression import autocorrelation, recursion
 from bayesbl.recording.types import FloatArray
 
 
@@ -78,11 +78,9 @@ class NoiseModel:
         start = linalg.cholesky(linalg.toeplitz(rho[:order]), lower=True) @ rng.standard_normal(
             order
         )
-        denominator = np.concatenate(([1.0], -np.asarray(self.coefficients)))
-        state = signal.lfiltic([1.0], denominator, start)
-        noise, _ = signal.lfilter([1.0], denominator, innovation * white, zi=state)
-        drawn: FloatArray = self.standard_deviation * noise
-        return drawn
+        coefficients = np.asarray(self.coefficients, dtype=np.float64)
+        noise = recursion(coefficients, innovation * white, start)
+        return np.asarray(self.standard_deviation * noise)
 
     def _draw_with_outliers(
         self, size: int, rng: np.random.Generator, freedom: float, innovation: float
@@ -92,9 +90,9 @@ class NoiseModel:
         slowest = float(np.max(np.abs(roots), initial=0.0))
         run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0
         white = rng.standard_t(freedom, run_in + size) * math.sqrt((freedom - 2.0) / freedom)
-        denominator = np.concatenate(([1.0], -np.asarray(self.coefficients)))
-        drawn = signal.lfilter([self.standard_deviation * innovation], denominator, white)
-        return np.asarray(drawn[run_in:])
+        coefficients = np.asarray(self.coefficients, dtype=np.float64)
+        drive = self.standard_deviation * innovation * white
+        return np.asarray(recursion(coefficients, drive, np.zeros(coefficients.size))[run_in:])
 
 
 NO_NOISE = NoiseModel(0.0)

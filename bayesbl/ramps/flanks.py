@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtr
 
 from bayesbl.ramps.torque_cycles import Cycle, Ramps, crossing
 from bayesbl.recording.types import FloatArray
@@ -246,7 +246,7 @@ def _probability_positive(values: FloatArray) -> float:
     error = float(values.std(ddof=1)) / np.sqrt(values.size) if values.size > 1 else 0.0
     if error == 0.0:
         return float(mean > 0.0)
-    return float(student_t.cdf(mean / error, values.size - 1))
+    return float(stdtr(values.size - 1, mean / error))
 
 
 def lost_motion(files: Sequence[Ramps], level: Level, torque_nm: float) -> list[FloatArray]:

@@ -26,7 +26,7 @@ from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import Diagnostics, judge, rank_r_hat_and_ess
-from bayesbl.sampling.ensemble import Ensemble
+from bayesbl.sampling.ensemble import Ensembles
 
 SCATTER = (0.01, 1.0 / np.sqrt(2.0))
 """σ over the mean width. A width that goes once round the turn like a sine and is nowhere negative
@@ -172,17 +172,16 @@ def sample_play(
         scatter round the turn but its prior.
     """
     target = _Scatter(snapshots, round_the_turn=round_the_turn)
-    widths_seed, *ensemble_seeds = seed.spawn(1 + settings.ensembles)
+    widths_seed, walk_seed = seed.spawn(2)
     low, high = target.box
     covariance = np.diag((0.1 * (high - low)) ** 2)
-    ensembles = [
-        Ensemble.around(target, target.centre, covariance, target.box, own)
-        for own in ensemble_seeds
-    ]
+    ensembles = Ensembles.around(
+        target, target.centre, covariance, target.box, settings.ensembles, walk_seed
+    )
     tail = 0.5 * (1.0 - settings.level)
 
-    def bounds(chains: Sequence[FloatArray]) -> FloatArray:
-        whole = np.concatenate([chain.reshape(-1, chain.shape[-1]) for chain in chains])
+    def bounds(chains: FloatArray) -> FloatArray:
+        whole = chains.reshape(-1, chains.shape[-1])
         return np.asarray(np.quantile(whole, (tail, 1.0 - tail), axis=0))
 
     found = walk(ensembles, settings, bounds, 0.3 * (high - low), progress)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import matmul_toeplitz
-from scipy.stats import chi2, poisson
 
 from bayesbl.noise.autoregression import innovations
 from bayesbl.noise.rotation_noise import (
@@ -23,6 +22,7 @@ from bayesbl.noise.rotation_noise import (
     estimate_noise,
     rotation_difference,
 )
+from bayesbl.probabilities import chi2_isf, poisson_isf
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.jacobian import jacobian, jacobian_columns
 from bayesbl.ringing.optimum import Optimum
@@ -87,7 +87,7 @@ def without_bursts(
     # stretches, doubled, which more than makes up for leaving those out.
     stretches = np.sort(outlier[: e.size // width * width].reshape(-1, width).sum(axis=1))
     rate = 2.0 * float(stretches[: int(0.9 * len(stretches))].mean()) + 0.01
-    many = max(3.0, float(poisson.isf(FALSE_ALARM / e.size, rate)))
+    many = max(3.0, float(poisson_isf(FALSE_ALARM / e.size, rate)))
     at = np.flatnonzero((count > many) & outlier)
     if not at.size:
         return None
@@ -137,7 +137,7 @@ def without_drift(
     steady = estimate_noise(residual_rpm - drift, optimum.symbols[ROTATION], period_s)
     spread = on_residual.T @ _noisy(steady, on_residual)
     size = float(coefficients @ np.linalg.solve(spread, coefficients))
-    if size < chi2.isf(FALSE_ALARM, _DRIFT_DEGREE) or np.ptp(drift) < SMALLEST_SHARE * abs(mean):
+    if size < chi2_isf(FALSE_ALARM, _DRIFT_DEGREE) or np.ptp(drift) < SMALLEST_SHARE * abs(mean):
         return None
     ahead_s = np.r_[0.0, np.cumsum(0.5 * (drift[1:] + drift[:-1]))] * period_s / mean
     ahead_s -= np.linspace(0.0, ahead_s[-1], n)
@@ -184,7 +184,7 @@ def without_jitter(
     left = np.linalg.svd(steady)[0][:, steady.shape[1] :]
     delay_s = left @ (left.T @ delay_s)
     excess = float(delay_s @ delay_s - np.trace(left.T @ spread @ left)) / freedom
-    if uneven < chi2.isf(FALSE_ALARM, freedom - 1) or excess <= 0.0:
+    if uneven < chi2_isf(FALSE_ALARM, freedom - 1) or excess <= 0.0:
         return None
     order = np.argsort(starts)
     middle = starts[order] + 0.5 * window

@@ -27,7 +27,7 @@ from bayesbl.sampling.convergence import (
     judge,
     rank_r_hat_and_ess,
 )
-from bayesbl.sampling.ensemble import Ensemble
+from bayesbl.sampling.ensemble import Ensembles
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,21 +83,21 @@ def sample_posterior(
     Parameters
     ----------
     seed
-        One child is spawned per ensemble and one for the linear symbols, so the draws do not
-        depend on how the work is spread.
+        One child is spawned for the ensembles and one for the linear symbols.
     progress
         Called with (steps made, steps allowed) at every check.
     contenders
         Other optima to weigh against this one; if ``None``, the optimum's rivals by their
         likelihood.
     """
-    *ensemble_seeds, linear_seed = seed.spawn(settings.ensembles + 1)
+    walk_seed, linear_seed = seed.spawn(2)
     target = LogPosterior(objective, optimum, spread.scale)
     searched = np.array([spread.names.index(n) for n in objective.searched])
     local = spread.scale * spread.inverse_curvature[np.ix_(searched, searched)]
     box = (target.low, target.high)
-    ensembles = [Ensemble.around(target, optimum.searched, local, box, s) for s in ensemble_seeds]
-
+    ensembles = Ensembles.around(
+        target, optimum.searched, local, box, settings.ensembles, walk_seed
+    )
     walked = walk(
         ensembles,
         settings,
@@ -149,7 +149,7 @@ def _other_answer(
     return max(others, key=lambda c: c.log_odds, default=None)
 
 
-def _interval_edges(objective: Objective, chains: Sequence[FloatArray], level: float) -> FloatArray:
+def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> FloatArray:
     """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
     points = np.concatenate([thinned(chain) for chain in chains])
     amplitude = objective.solve(points).coefficients[:, -1]

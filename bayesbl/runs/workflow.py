@@ -253,7 +253,8 @@ def write_result(
             if text:
                 write_text(text, folder / name)
         try:
-            options.draw(tree, folder / FIGURES, options.formats)
+            if options.formats:
+                options.draw(tree, folder / FIGURES, options.formats)
         except Exception as error:
             failure = error
     work.clear()

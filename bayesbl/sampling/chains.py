@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_time
-from bayesbl.sampling.ensemble import Ensemble
+from bayesbl.sampling.ensemble import Ensembles
 
 STEPS_BETWEEN_CHECKS = 250
 GROWTH_BETWEEN_CHECKS = 0.2
@@ -67,9 +67,9 @@ class Walk:
 
 
 def walk(
-    ensembles: Sequence[Ensemble],
+    ensembles: Ensembles,
     settings: SamplerSettings,
-    bounds: Callable[[Sequence[FloatArray]], FloatArray],
+    bounds: Callable[[FloatArray], FloatArray],
     sd: FloatArray | float,
     progress: Progress | None = None,
 ) -> Walk:
@@ -78,18 +78,20 @@ def walk(
     Parameters
     ----------
     bounds
-        Of the intervals, from the last three quarters of each chain; checked against ``sd``, the
+        Of the intervals, from the last three quarters of all chains, shape (ensemble, step,
+        walker, d); checked against ``sd``, the
         standard deviations of what they bound.
     """
     steps, tau, stable = 0, math.inf, False
     last: FloatArray | None = None
     while steps < settings.max_steps:
-        stretch = max(STEPS_BETWEEN_CHECKS, int(GROWTH_BETWEEN_CHECKS * steps))
-        count = min(stretch, settings.max_steps - steps)
-        for ensemble in ensembles:
-            ensemble.run(count)
+        # Short chains tell their autocorrelation time too short: what they lack is not too much.
+        lacking = needed(tau) - steps if math.isfinite(tau) else 0.0
+        stretch = max(STEPS_BETWEEN_CHECKS, GROWTH_BETWEEN_CHECKS * steps, lacking)
+        count = min(math.ceil(stretch), settings.max_steps - steps)
+        ensembles.run(count)
         steps += count
-        chains = [ensemble.chain[steps // 4 :] for ensemble in ensembles]
+        chains = ensembles.chains[:, steps // 4 :]
         tau = max(integrated_time(chain) for chain in chains)
         edges = bounds(chains)
         stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
@@ -99,9 +101,13 @@ def walk(
         if stable and steps - burn_in(tau, steps) > STEPS_PER_AUTOCORRELATION * tau:
             break
     burn = burn_in(tau, steps)
-    kept = tuple(ensemble.chain[burn:] for ensemble in ensembles)
-    acceptance = np.array([ensemble.acceptance for ensemble in ensembles])
-    return Walk(kept, tau, steps - burn, acceptance, stable)
+    kept = tuple(ensembles.chains[:, burn:])
+    return Walk(kept, tau, steps - burn, ensembles.acceptance, stable)
+
+
+def needed(tau: float) -> float:
+    """Steps with the burn-in, for chains of this autocorrelation time."""
+    return (BURN_IN_AUTOCORRELATIONS + STEPS_PER_AUTOCORRELATION) * tau
 
 
 def burn_in(tau: float, steps: int) -> int:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
+from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 
 FURTHEST = 30.0
@@ -38,12 +41,17 @@ def chance_at_edge(distances: FloatArray, width: float) -> float:
     if mean > sd * _shape(FURTHEST)[0]:
         beyond = float(brentq(lambda t: _shape(t)[0] - mean / sd, 0.0, FURTHEST))
     own = sd / _shape(beyond)[1]
-    tail = float(norm.pdf(beyond) - beyond * norm.sf(beyond))
+    tail = _density(beyond) - beyond * normal_sf(beyond)
     return min(1.0, own / width * tail)
+
+
+def _density(z: float) -> float:
+    """Of the standard normal distribution."""
+    return math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
 
 
 def _shape(beyond: float) -> tuple[float, float]:
     """Mean over standard deviation of the draws, and the latter over that of the likelihood."""
-    hazard = float(np.exp(norm.logpdf(beyond) - norm.logsf(beyond)))
+    hazard = _density(beyond) * math.exp(-log_ndtr(-beyond))
     sd = float(np.sqrt(1.0 + beyond * hazard - hazard**2))
     return (hazard - beyond) / sd, sd

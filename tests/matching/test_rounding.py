@@ -44,9 +44,7 @@ def counted(speed_rpm: FloatArray) -> FloatArray:
 def counted_apart(speed_rpm: FloatArray) -> FloatArray:
     """The same over the first half of each sample: no two share a count."""
     turns = np.cumsum(speed_rpm) / 60.0 / HZ
-    before, after = np.floor(
-        COUNTS * np.stack([turns, turns + 0.5 * speed_rpm / 60.0 / HZ]) + 0.3
-    )
+    before, after = np.floor(COUNTS * np.stack([turns, turns + 0.5 * speed_rpm / 60.0 / HZ]) + 0.3)
     return np.asarray((after - before) / COUNTS * 60.0 * 2.0 * HZ)
 
 

@@ -26,7 +26,7 @@ from bayesbl.measurement.routes import measure
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
-from bayesbl.presentation.progress import progress
+from bayesbl.presentation.shown_progress import progress
 from bayesbl.presentation.study import study_table
 from bayesbl.presentation.terminal import error, filled, print_table, wrapped
 from bayesbl.ringing.symbols import SYMBOLS

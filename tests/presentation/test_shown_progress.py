@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from bayesbl.presentation import progress as shown
+from bayesbl.presentation import shown_progress as shown
 
 
 @pytest.mark.parametrize(("every_s", "lines"), [(3600.0, 0), (0.0, 3)])
