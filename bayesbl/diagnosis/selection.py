@@ -24,7 +24,7 @@ ln(trials), n the effective samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -53,6 +53,7 @@ from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.folds import Folds
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
 from bayesbl.diagnosis.task import Task
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.progress import StageProgress
@@ -83,12 +84,15 @@ class Problem:
         Sentences about what these recordings cannot show.
     learn
         Learns what a fit leaves, at a false-alarm rate, where the comparison can.
+    scale_sd
+        Relative standard deviation of a factor that all torques and inertias have in common.
     """
 
     comparison: Comparison
     remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
     notes: tuple[str, ...] = ()
     learn: Callable[[EffectsFit, float], LearnedFit | None] = lambda fit, false_alarm: None
+    scale_sd: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +140,13 @@ def diagnose(
     learned = problem.learn(after, settings.false_alarm)
     if learned is not None:
         comparison, after = learned.comparison, learned.fit
-    effects = tuple(_named(comparison, name, after) for name in _by_weight(comparison, after))
-    estimates = _bench_estimates(comparison, after)
+    effects = tuple(
+        with_shared_scale(_named(comparison, name, after), problem.scale_sd)
+        for name in _by_weight(comparison, after)
+    )
+    spread = _deviations(comparison, after)
+    found = {name: Estimate(v, spread.get(name, math.nan)) for name, v in after.bench.items()}
+    estimates = scaled_parameters(found, problem.scale_sd)
     errors = _parameter_errors(bench, estimates)
     remaining = problem.remaining(after)
     pieces = residuals_of_pieces(comparison, before, after)
@@ -474,12 +483,9 @@ def _deviations(comparison: Comparison, fit: EffectsFit) -> dict[str, float]:
     return dict(zip(fit.names, np.sqrt(np.maximum(variances, 0.0)).tolist(), strict=True))
 
 
-def _bench_estimates(comparison: Comparison, fit: EffectsFit) -> dict[str, Estimate]:
-    spread = _deviations(comparison, fit)
-    return {name: Estimate(value, spread.get(name, math.nan)) for name, value in fit.bench.items()}
-
-
-def _parameter_errors(bench: Bench, estimates: dict[str, Estimate]) -> tuple[ParameterError, ...]:
+def _parameter_errors(
+    bench: Bench, estimates: Mapping[str, Estimate]
+) -> tuple[ParameterError, ...]:
     found = []
     for name, fitted in estimates.items():
         believed = bench.parameters[name]

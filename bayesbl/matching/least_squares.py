@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,8 @@ IDLE = 1e-100
 
 STEP_CHANGE = 4.0
 """Change of the whitened signals, in standard deviations, that derivatives are taken over."""
+LONGEST_STEP = 0.25 * math.sqrt(12.0)
+"""Of derivatives, in standard deviations of a prior: a quarter of the range of a flat one."""
 MOST_ROUNDS = 30
 CONVERGED = 0.01
 CONVERGED_SHARE = 1e-4
@@ -282,8 +285,7 @@ def _jacobian(
             columns[:, i] = change / distance
             size = float(np.linalg.norm(change)) / sides
             better = steps[i] * float(np.clip(STEP_CHANGE / max(size, 1e-12), 1e-3, 1e3))
-            width = model.high[i] - model.low[i]
-            better = min(better, 0.25 * width) if np.isfinite(width) else better
+            better = min(better, LONGEST_STEP * model.unknowns[int(i)].prior_sd)
             if not 0.2 < size / STEP_CHANGE < 5.0 and not np.isclose(better, steps[i]):
                 again.append(i)
             steps[i] = better

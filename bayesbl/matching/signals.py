@@ -49,6 +49,9 @@ ACCURACY_SHARE = 0.003
 FINEST = 0.01
 """Of the usual accuracy: what noise that is hardly there may ask for."""
 
+TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
+"""Standard deviation of an angle that may be any."""
+
 FEW_POINTS = 16
 """Below which recordings are simulated at once."""
 
@@ -107,7 +110,7 @@ class Unknown:
         """
         flat = (self.high - self.low) / math.sqrt(12.0)
         known = min(flat, self.sd)
-        return known if math.isfinite(known) else 2.0 * math.pi / math.sqrt(12.0)
+        return known if math.isfinite(known) else TURN_SD_RAD
 
 
 def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
@@ -116,8 +119,8 @@ def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
 
 
 def start_angle_unknown(recording: str) -> Unknown:
-    """Start angle of one recording, flat."""
-    return Unknown(START_ANGLE, recording=recording)
+    """Start angle of one recording: as wide as a turn, for where gravity does not show it."""
+    return Unknown(START_ANGLE, sd=TURN_SD_RAD, recording=recording)
 
 
 def reference_delay_unknown(recording: str) -> Unknown:

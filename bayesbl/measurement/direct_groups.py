@@ -330,7 +330,8 @@ def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
     free = np.array([i for i, u in enumerate(fit.model.unknowns) if u.recording is not None])
     if free.size == len(fit.model.unknowns):
         return {"noise": 1.0}
-    alone = np.linalg.inv(fit.curvature[np.ix_(free, free)])
+    known = fit.curvature + fit.model.prior_precision()
+    alone = np.linalg.inv(known[np.ix_(free, free)])
     noise = float(alone[list(free).index(place), list(free).index(place)])
     share = min(1.0, noise / float(posterior.draws[..., place].var()))
     return {"noise": share, "bench": 1.0 - share}

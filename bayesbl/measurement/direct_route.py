@@ -182,7 +182,12 @@ class DirectMeasurer:
             ],
             attributes={"bench": self.bench.fingerprint()},
             same_joint=check_of_comparison(found.joint, found.change_rad, level),
-            change_reason=undecided_change(found.joint, found.change_rad, level),
+            change_reason=undecided_change(
+                found.joint,
+                found.change_rad,
+                level,
+                with_current=all(MOTOR_CURRENT in r.channels for r in task.recordings),
+            ),
         )
 
     def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:
@@ -313,7 +318,7 @@ def direct_verdict(
         _disagreement_in_words(repeating, recording.motion is not None) if repeating else None,
         None if repeating or found.joint.explained else UNEXPLAINED,
         against_the_bench(found.joint),
-        undecided_gap(found.joint, index, gap, level),
+        undecided_gap(found.joint, index, gap, level, with_current=len(recording.signals) > 1),
     ]
     alike = impacts_alike(found.posterior.fit, FALSE_ALARM)[index]
     unseen = unseen_gap(found.posterior, index) if alike else IMPACTS_DIFFER

@@ -141,42 +141,52 @@ UNEXPLAINED = (
 
 
 def undecided_gap(
-    found: JointFindings, index: int, gap_rad: FloatArray, level: float
+    found: JointFindings,
+    index: int,
+    gap_rad: FloatArray,
+    level: float,
+    *,
+    with_current: bool = True,
 ) -> str | None:
     """Why δ of a recording depends on which of several changes is the true one.
 
-    ``index``: of the recording; ``gap_rad``: draws of its δ.
+    ``index``: of the recording; ``gap_rad``: draws of its δ; ``with_current``: it was recorded.
     """
-    middle = float(np.median(gap_rad))
     apart = [(r.name, float(r.gaps_rad[index])) for r in found.rivals]
-    return _undecided(found, apart, middle, _width(gap_rad, level), "δ")
+    return _undecided(found, apart, gap_rad, level, "δ", with_current=with_current)
 
 
-def undecided_change(found: JointFindings, change_rad: FloatArray, level: float) -> str | None:
+def undecided_change(
+    found: JointFindings, change_rad: FloatArray, level: float, *, with_current: bool = True
+) -> str | None:
     """The same of the change of δ from the first recording to the last."""
-    middle = float(np.median(change_rad))
     apart = [(r.name, float(r.gaps_rad[-1] - r.gaps_rad[0])) for r in found.rivals]
-    return _undecided(found, apart, middle, _width(change_rad, level), "the change of δ")
+    what = "the change of δ"
+    return _undecided(found, apart, change_rad, level, what, with_current=with_current)
 
 
 def _undecided(
     found: JointFindings,
     rivals: Sequence[tuple[str, float]],
-    chosen_rad: float,
-    width_rad: float,
+    draws_rad: FloatArray,
+    level: float,
     what: str,
+    *,
+    with_current: bool,
 ) -> str | None:
+    chosen_rad, width_rad = float(np.median(draws_rad)), _width(draws_rad, level)
     apart = [(n, value) for n, value in rivals if abs(value - chosen_rad) > MATTERS * width_rad]
     if not apart:
         return None
     name, value = max(apart, key=lambda rival: abs(rival[1] - chosen_rad))
     chosen = _listed([spoken(c.name) for c in found.changed], "and")
+    differs = "is not as its bench says" if found.against_bench else "changed in the joint"
+    record = "Record a second" if with_current else "Record the motor current too, record a second"
     return (
-        f"Something other than the gap changed in the joint, and the recordings do not tell what: "
+        f"Something other than the gap {differs}, and the recordings do not tell what: "
         f"if it is {chosen}, {what} is {1e3 * chosen_rad:.3g} mrad; if it is "
-        f"{spoken(name)}, {1e3 * value:.3g} mrad. Record the motor current too, record a "
-        "second speed or direction, or give what is known of the recording in "
-        "[[recordings]] bench."
+        f"{spoken(name)}, {1e3 * value:.3g} mrad. {record} speed, direction or motion, or give "
+        "what is known of the recording in [[recordings]] bench."
     )
 
 

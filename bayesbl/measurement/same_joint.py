@@ -60,29 +60,35 @@ START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
 """Scatter of ln quantity with the start angle on the reference bench (same command)."""
 
 COULD_BE = {
-    PROPORTIONAL: ("speed_gain_nm_s_per_rad", "torque_constant_nm_per_a"),
+    PROPORTIONAL: ("speed_gain_nm_s_per_rad", "torque_constant_nm_per_a", "speed_averaging"),
     INTEGRAL: ("integral_gain_nm_per_rad", "torque_constant_nm_per_a"),
     MEAN_CURRENT: ("motor_coulomb_friction", "motor_viscous_friction", "load_coulomb_friction"),
     harmonic_name("current", 1): ("gravity_torque_nm", "torque_constant_nm_per_a"),
     harmonic_name("current", 2): ("gear_mesh_friction", "load_torque_offset"),
     harmonic_name("speed", 1): ("gravity_torque_nm", "integral_gain_nm_per_rad"),
-    harmonic_name("speed", 2): ("integral_gain_nm_per_rad",),
-    FREQUENCY: ("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad"),
-    DECAY: ("shaft_damping_nm_s_per_rad", "speed_gain_nm_s_per_rad"),
+    harmonic_name("speed", 2): ("integral_gain_nm_per_rad", "gear_mesh_friction"),
+    FREQUENCY: (
+        "load_inertia_kg_m2",
+        "shaft_stiffness_nm_per_rad",
+        "speed_gain_nm_s_per_rad",
+        "integral_gain_nm_per_rad",
+        "speed_sensor_lag",
+    ),
+    DECAY: ("shaft_damping_nm_s_per_rad", "speed_gain_nm_s_per_rad", "speed_sensor_lag"),
     FILTER: ("speed_averaging", "speed_sensor_lag"),
 }
 """What of the joint would move each quantity."""
 
 IN_WORDS = {
-    PROPORTIONAL: "the speed controller's gains or the torque constant",
+    PROPORTIONAL: "the speed controller's gains, the torque constant or a filter of the speed",
     INTEGRAL: "the speed controller's gains or the torque constant",
     MEAN_CURRENT: "friction, or a constant torque",
     harmonic_name("current", 1): "the payload or the torque constant",
     harmonic_name("current", 2): "friction that depends on the load",
     harmonic_name("speed", 1): "the payload or the controller's integral gain",
-    harmonic_name("speed", 2): "the controller's integral gain",
-    FREQUENCY: "payload or stiffness",
-    DECAY: "damping or the controller's gains",
+    harmonic_name("speed", 2): "the integral gain, or friction that depends on the load",
+    FREQUENCY: "payload, stiffness, gains or a filter of the drive",
+    DECAY: "damping, gains or a filter of the drive",
 }
 
 SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current", 1))

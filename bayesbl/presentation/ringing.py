@@ -29,7 +29,10 @@ def headline(summary: MeasuredSummary) -> str:
         change, grew = summary["ringing_change"], summary["probability_ringing_grew"]
         if change is None or grew is None:
             return "The change of the ringing is withheld."
-        return f"{_change_in_words(change)}; probability that it grew: {words.probability(grew)}."
+        told = f"{_change_in_words(change)}; probability that it grew: {words.probability(grew)}"
+        if not summary["same_joint"]["agrees"]:
+            told += ". Something other than the gap changed, so this says nothing of wear"
+        return f"{told}."
     found = summary["amplitude_rpm"]
     if found is None:
         return "The ringing is withheld."

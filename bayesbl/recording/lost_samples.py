@@ -20,6 +20,7 @@ LONGEST_LOSS_S = 0.1
 """Half the ringing of an impact: a longer loss could hide one but for its ends."""
 
 MOST_LOST = 0.05
+MOST_CUT = 0.5
 """Largest share of lost samples. With more, the logger is at fault."""
 
 GRID_TOLERANCE = 0.45
@@ -96,7 +97,7 @@ def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Plac
 def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
     """Bridge short runs of lost samples by straight lines.
 
-    Samples lost at either end are cut off, however many: a sensor may wake up late.
+    Samples lost at either end are cut off, up to half of all: a sensor may wake up late.
 
     Parameters
     ----------
@@ -108,8 +109,8 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     Raises
     ------
     RecordingError
-        If a run is longer than :data:`LONGEST_LOSS_S`, or more than :data:`MOST_LOST` of all
-        samples are lost. The message says where.
+        If a run is longer than :data:`LONGEST_LOSS_S`, more than :data:`MOST_LOST` of all samples
+        are lost, or more than :data:`MOST_CUT` at the ends. The message says where.
     """
     whole = ~np.isnan(values).any(axis=1)
     kept = np.flatnonzero(whole)
@@ -121,7 +122,16 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
             expected="columns that were recorded at the same times",
         )
     first, last = int(kept[0]), int(kept[-1]) + 1
-    notes = _cut_note(whole.size - (last - first))
+    cut = whole.size - (last - first)
+    if cut > MOST_CUT * whole.size:
+        raise RecordingError(
+            "Most of the recording has no numbers at one of its ends.",
+            file=file,
+            found=f"{whole.size - cut} of {whole.size} samples between the first and the last "
+            "that have a number in every column",
+            expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",
+        )
+    notes = _cut_note(cut)
     time, values = time_s[first:last], values[first:last]
     number = sample_numbers(time)
     if number is None:

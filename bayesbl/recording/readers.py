@@ -29,6 +29,10 @@ LATEST_START_S = 1e6
 """Time that begins later, as seconds since 1970 do, is counted from its first stamp."""
 
 
+NO_MEASUREMENT = 1e15
+"""In whatever unit: what diverged, or marks a missing value."""
+
+
 def read_recording(
     path: str | Path,
     *,
@@ -115,7 +119,7 @@ def _values(
 ) -> tuple[FloatArray, FloatArray]:
     """Time in the file's own unit, shape (n,), and channels in theirs, shape (n, c).
 
-    What is missing or not finite is NaN.
+    What is missing, not finite or larger than anything measured is NaN.
     """
     indices = [column.index for column in others]
     stamps = table.timestamps(time_column.index)
@@ -139,7 +143,7 @@ def _values(
         values = values * np.array([column.factor for column in others])
     return (
         np.where(np.isfinite(stamps), stamps, np.nan),
-        np.where(np.isfinite(values), values, np.nan),
+        np.where(np.abs(values) < NO_MEASUREMENT, values, np.nan),
     )
 
 

@@ -277,7 +277,7 @@ EFFECT_RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "backlash": {"gap_rad": (1e-4, 1e-3)},
     "motor_coulomb_friction": {"torque_nm": (0.05, 1.0)},
     "motor_viscous_friction": {"coefficient_nm_s_per_rad": (1e-4, 5e-3)},
-    "motor_stribeck_friction": {"torque_nm": (-1.0, 1.0), "speed_rad_per_s": (50.0, 400.0)},
+    "motor_stribeck_friction": {"torque_nm": (0.1, 1.0), "speed_rad_per_s": (50.0, 400.0)},
     "friction_asymmetry": {"coefficient_nm_s_per_rad": (-2e-3, 2e-3)},
     "motor_torque_offset": {"torque_nm": (-1.0, 1.0)},
     "load_coulomb_friction": {"torque_nm": (5.0, 60.0)},

@@ -188,7 +188,8 @@ def test_by_the_published_curve_the_first_line_says_whose_it_is_and_no_limit_is_
 
 def test_what_changed_besides_the_gap_is_told_once():
     sentence = (
-        "The ringing frequency fell from 11.18 to 8.72 Hz: payload or stiffness, not the gap."
+        "The ringing frequency fell from 11.18 to 8.72 Hz: payload, stiffness, gains or a filter "
+        "of the drive, not the gap."
     )
     reason = f"Something other than the gap changed. {sentence}"
     found = comparison() | {"change_rad": None, "probability_increase": None, "reason": reason}

@@ -39,10 +39,11 @@ EFFECT = Effect(
             "torque_nm",
             "N m",
             "extra torque at standstill T_s",
-            low=-2.0,
+            low=0.0,
             high=2.0,
             typical=0.3,
             repeats="always",
+            not_negative=True,
         ),
         Shape(
             "speed_rad_per_s",
@@ -65,7 +66,6 @@ EFFECT = Effect(
         scanned="speed_rad_per_s",
         grid=tuple(np.geomspace(0.01, 2.0, 21)),
         grid_unit="speed",
-        not_negative=True,
     ),
     free_motion=True,
 )

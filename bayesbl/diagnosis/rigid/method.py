@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -61,6 +62,8 @@ MOTION_ALONE = (
     "(free_motion)."
 )
 
+TORQUE_CONSTANT = "torque_constant_nm_per_a"
+
 USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
     {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
 )
@@ -87,7 +90,7 @@ def inverse_problem(task: Task) -> Problem:
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
     _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
-    if channel == MOTOR_CURRENT and "torque_constant_nm_per_a" in bench.assumed:
+    if channel == MOTOR_CURRENT and TORQUE_CONSTANT in bench.assumed:
         raise ConfigError(
             "Current can be compared only through the torque constant.",
             file=config.bench,
@@ -95,7 +98,7 @@ def inverse_problem(task: Task) -> Problem:
             found="no torque_constant_nm_per_a",
             expected="torque_constant_nm_per_a = {value = …}",
         )
-    unit = bench.value("torque_constant_nm_per_a") if channel == MOTOR_CURRENT else 1.0
+    unit = bench.value(TORQUE_CONSTANT) if channel == MOTOR_CURRENT else 1.0
     every = POSITION_TERMS if load else TORQUE_TERMS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
@@ -151,6 +154,16 @@ def inverse_problem(task: Task) -> Problem:
     if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
+    scale_sd = 0.0
+    if channel == MOTOR_CURRENT:
+        tolerance = bench.tolerances.get(TORQUE_CONSTANT, 0.0) / unit
+        scale_sd = tolerance / math.sqrt(3.0)
+        if tolerance:
+            notes.append(
+                f"The current is compared by the torque constant, which the bench knows to ± "
+                f"{100.0 * tolerance:.2g} %: all torques and inertias found are as uncertain, "
+                "together."
+            )
     alarm = config.candidates.false_alarm
     used = tuple(dict.fromkeys(piece.name for piece in pieces if piece.use == "used"))
     return Problem(
@@ -158,6 +171,7 @@ def inverse_problem(task: Task) -> Problem:
         lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
         tuple(notes),
         lambda fit, false_alarm: learned_fit(comparison, fit, false_alarm),
+        scale_sd,
     )
 
 
