@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -20,8 +21,10 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import binom
 
-from bayesbl.ramps.flanks import find_flanks
+from bayesbl.measurement.ramp_route import described
+from bayesbl.ramps.flanks import Flanks, find_flanks
 from bayesbl.ramps.play import Widths, sample_play
+from bayesbl.ramps.torque_cycles import Ramps as Found
 from bayesbl.ramps.torque_cycles import find_ramps
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -41,6 +44,7 @@ COLUMNS = {
     "dead_zone_covered": ("1", "1 where the interval holds the simulator's dead zone"),
     "relative_error": ("1", "median over the truth, less 1"),
     "relative_width": ("1", "width of the interval over the truth"),
+    "held_ratio": ("1", "what ramps leave beyond the dead zone over the compliance told as held"),
 }
 
 
@@ -133,7 +137,14 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         "dead_zone_covered": float(low <= box.play_rad <= high),
         "relative_error": middle / truth - 1.0,
         "relative_width": (high - low) / truth,
+        "held_ratio": (truth - box.play_rad) / _held(files, flanks),
     }
+
+
+def _held(files: Sequence[Found], flanks: Flanks) -> float:
+    """``held_windup_rad`` of a snapshot."""
+    draws = described(files, flanks, 0.0, (1,), np.random.default_rng(1))
+    return float(draws["held_windup_rad"].item())
 
 
 def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
@@ -146,7 +157,8 @@ def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
     }
     covered = cases["covered"].values[answered]
     if not np.isfinite(covered).any():
-        empty = ("coverage", "band_low", "band_high", "dead_zone_coverage", "error", "width")
+        measures = "coverage band_low band_high dead_zone_coverage error width"
+        empty = f"{measures} held_ratio held_ratio_3_of_4".split()
         return {**result, **dict.fromkeys(empty, math.nan)}
     low, high = binom.ppf((0.005, 0.995), covered.size, LEVEL) / covered.size
     assert number >= covered.size
@@ -158,4 +170,6 @@ def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
         "dead_zone_coverage": float(cases["dead_zone_covered"].values[answered].mean()),
         "error": float(np.median(cases["relative_error"].values[answered])),
         "width": float(np.median(cases["relative_width"].values[answered])),
+        "held_ratio": float(np.median(cases["held_ratio"].values[answered])),
+        "held_ratio_3_of_4": float(np.quantile(cases["held_ratio"].values[answered], 0.75)),
     }

@@ -14,6 +14,7 @@ import numpy as np
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
+from bayesbl.measurement.held_compliance import held_alike
 from bayesbl.measurement.measurement import Measurement, Route, Snapshot
 from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
 from bayesbl.measurement.ramp_summary import summarise_ramps
@@ -130,26 +131,28 @@ class RampMeasurer:
         play_seed, *seeds = task.seeds.direct.spawn(1 + len(files))
         elsewhere = _elsewhere(flanks)
         play = sample_play(widths, settings, play_seed, report, round_the_turn=elsewhere)
+        answers = [
+            self._answer(*each, play) for each in zip(task.names, files, flanks, seeds, strict=True)
+        ]
         return Measurement(
             "torque_ramp",
             [
-                self._snapshot(*each, play, elsewhere=elsewhere)
-                for each in zip(task.recordings, files, flanks, seeds, strict=True)
+                self._snapshot(recording, answer, elsewhere=elsewhere)
+                for recording, answer in zip(task.recordings, answers, strict=True)
             ],
+            same_joint=held_alike(answers[0].draws, answers[-1].draws),
         )
 
-    def _snapshot(
+    def _answer(
         self,
-        recording: Recording,
+        name: str,
         files: tuple[Ramps, ...],
         flanks: Flanks,
         seed: np.random.SeedSequence,
         play: PlayPosterior,
-        *,
-        elsewhere: bool,
-    ) -> Snapshot:
+    ) -> RampAnswer:
         generator = np.random.default_rng(seed)
-        width, scatter = play.width_rad[recording.name], play.scatter_rad[recording.name]
+        width, scatter = play.width_rad[name], play.scatter_rad[name]
         delta = 0.5 * width
         # Without play, what is left between the flanks is compliance held by friction: a gap is a
         # part of it that nothing shows.
@@ -160,16 +163,11 @@ class RampMeasurer:
             "delta_rad": delta,
             "width_rad": width,
             "scatter_rad": scatter,
-            **_described(files, flanks, stated_nm, width.shape, generator),
+            **described(files, flanks, stated_nm, width.shape, generator),
         }
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
-        why = against(flanks)
-        outcome = "withheld" if why is not None else play.diagnostics.outcome
-        reasons = [*filter(None, [why]), *play.diagnostics.reasons]
-        given = self.config.joint.gear_ratio is not None
-        notes = notes_on(files, flanks, width, ratio_given=given, elsewhere=elsewhere)
-        answer = RampAnswer(
+        return RampAnswer(
             files,
             flanks,
             draws,
@@ -178,9 +176,22 @@ class RampMeasurer:
             _budget(flanks, width, scatter, delta),
             stated_nm,
         )
+
+    def _snapshot(self, recording: Recording, answer: RampAnswer, *, elsewhere: bool) -> Snapshot:
+        why = against(answer.flanks)
+        outcome = "withheld" if why is not None else answer.diagnostics.outcome
+        reasons = [*filter(None, [why]), *answer.diagnostics.reasons]
+        given = self.config.joint.gear_ratio is not None
+        notes = notes_on(
+            answer.files,
+            answer.flanks,
+            answer.draws["width_rad"],
+            ratio_given=given,
+            elsewhere=elsewhere,
+        )
         return Snapshot(
             recording.name,
-            delta,
+            answer.draws["delta_rad"],
             Verdict(
                 outcome,
                 (*reasons, *notes, *recording.notes),
@@ -257,14 +268,18 @@ def _joined(name: str, parts: Sequence[Recording]) -> Recording:
     )
 
 
-def _described(
+def described(
     files: Sequence[Ramps],
     flanks: Flanks,
     stated_nm: float,
     shape: tuple[int, ...],
     generator: np.random.Generator,
 ) -> dict[str, FloatArray]:
-    """Draws of everything but the play: means over the files, with their scatter."""
+    """Draws of everything but the play: means over the files, with their scatter.
+
+    By name, each of ``shape``: lost motion at ±``stated_nm`` N m, compliance, friction, windup that
+    friction holds, and preload; rad and N m.
+    """
     level, largest = flanks.level, flanks.largest
     assert level is not None
     assert largest is not None

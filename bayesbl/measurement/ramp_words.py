@@ -10,6 +10,9 @@ from bayesbl.ramps.flanks import Flanks
 from bayesbl.ramps.torque_cycles import Ramps
 from bayesbl.recording.types import FloatArray
 
+HARDENING = 2.0
+"""By which flanks without play may be softer at small torque, as they stiffen under load."""
+
 UNSURE = 0.05
 """Probability of play, and of none, from which both are told."""
 
@@ -65,6 +68,12 @@ def notes_on(
             f"{100.0 * flanks.probability_of_play:.0f} %): around zero torque the joint is "
             f"{flanks.relative_compliance:.2g} times as soft as beyond, but not alike at all "
             "positions. δ includes that there may be none."
+        )
+    if flanks.finding == "play" and flanks.relative_compliance < HARDENING:
+        yield (
+            f"Around zero torque the joint is no more than {flanks.relative_compliance:.2g} times "
+            "as soft as beyond. Flanks that are soft at small torque, as those of a strain wave "
+            "gear, look the same without any play: then δ is lost motion."
         )
     if flanks.skipped_nm and flanks.answered:
         held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)

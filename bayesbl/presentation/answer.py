@@ -88,7 +88,7 @@ def headline(summary: MeasuredSummary) -> str:
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
-            if (cause := joint_check.unseen_cause(summary)) is not None:
+            if (cause := joint_check.other_cause(summary)) is not None:
                 return f"{by}{if_nothing_else(change, growth, cause)}"
             return f"{by}{change_in_words(change)}; {grew(growth)}."
     elif summary["delta_rad"] is not None:
@@ -113,7 +113,7 @@ def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
     told = change_in_words(change).replace("The gap", "it", 1)
     return (
         f"It is not shown that the gap changed: {told} if nothing else in the joint changed "
-        f"({grew(growth)}), but {cause}, which these recordings would not show, could do as much."
+        f"({grew(growth)}), but {cause} could do as much."
     )
 
 

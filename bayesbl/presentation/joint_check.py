@@ -15,8 +15,8 @@ MOST_TOLD = 3
 """Blind spots that are told; all are stored."""
 
 
-def unseen_cause(summary: ComparisonSummary) -> str | None:
-    """A change of the joint that its check may have missed and that could be all there is.
+def other_cause(summary: ComparisonSummary) -> str | None:
+    """A change of the joint that could be all there is, and why it is not told from wear.
 
     ``None`` where the change of δ is withheld or holds zero, or is larger than any such change
     would make it.
@@ -26,7 +26,9 @@ def unseen_cause(summary: ComparisonSummary) -> str | None:
         return None
     worst = max(spots, key=lambda spot: spot["delta_error_rad"] or 0.0)
     nearest = max(change["low"], -change["high"])
-    return worst["change"] if 0.0 < nearest <= (worst["delta_error_rad"] or 0.0) else None
+    if not 0.0 < nearest <= (worst["delta_error_rad"] or 0.0):
+        return None
+    return f"{worst['change']} ({worst['reason']})"
 
 
 def blocks(summary: MeasuredSummary) -> Iterator[Block]:
@@ -43,14 +45,9 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
     known = [spot for spot in spots if spot["delta_error_rad"] is not None]
     if known:
-        largest = max(spot["delta_error_rad"] or 0.0 for spot in known)
-        told = _listed([f"{s['change']} ({_mrad(s['delta_error_rad'])})" for s in known])
-        yield Sentence(
-            "A change too small for these recordings to show would move the change of δ by up to "
-            f"{_mrad(largest)}: {told}.",
-            "aside",
-            "If nothing else changed",
-        )
+        told = _listed([f"{s['change']}, up to {_mrad(s['delta_error_rad'])}" for s in known])
+        why = " or ".join(dict.fromkeys(spot["reason"] for spot in known))
+        yield Sentence(f"{told} ({why}).", "aside", "Could pass for wear")
     others = [spot for spot in spots if spot["delta_error_rad"] is None]
     for reason in dict.fromkeys(spot["reason"] for spot in others):
         told = _listed([spot["change"] for spot in others if spot["reason"] == reason])

@@ -73,11 +73,8 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     rate = wear["rate"]
     places = words.decimals(rate, 1e3)
     unless = ""
-    if (cause := joint_check.unseen_cause(summary)) is not None:
-        unless = (
-            f" if nothing else in the joint changed; {cause}, which the recordings would not show, "
-            "could do as much"
-        )
+    if (cause := joint_check.other_cause(summary)) is not None:
+        unless = f" if nothing else in the joint changed; {cause} could do as much"
     return (
         f"The gap {now}has grown by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
         f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)}){unless}."

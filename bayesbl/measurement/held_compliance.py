@@ -1,0 +1,71 @@
+"""Whether friction holds as much compliance in the last of some torque ramps as in the first.
+
+What ramps leave between the flanks is the dead zone and the compliance that friction holds. Where
+that changed, the width changes without wear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
+from bayesbl.measurement.model_check import MATTERS
+from bayesbl.recording.types import FloatArray
+
+HELD = 3.0
+"""Times ``held_windup_rad`` that ramps leave beyond the dead zone.
+
+Flanks are softer at small torque than where their compliance is read: by 2.4 times in the middle
+of the gearboxes of ``configs/torque_ramps_study.toml``, by 3 or less in three of four
+(``held_ratio``).
+"""
+
+DIFFERS = 2.6
+"""Standard deviations from which friction or compliance counts as changed: 1 % by chance."""
+
+TOLD = {
+    "compliance_rad_per_nm": ("compliance", "rad/N m"),
+    "friction_torque_nm": ("friction", "N m"),
+}
+
+
+def held_alike(first: Mapping[str, FloatArray], last: Mapping[str, FloatArray]) -> JointCheck:
+    """What changed in friction and compliance, and how far it may have moved the change of δ.
+
+    Parameters
+    ----------
+    first, last
+        Draws of ``delta_rad``, ``held_windup_rad``, ``compliance_rad_per_nm`` and
+        ``friction_torque_nm`` of two snapshots, rad and N m.
+    """
+    if first is last:
+        return NOTHING_COMPARED
+    items = [
+        CheckItem(
+            quantity,
+            float(np.median(last[name])),
+            float(np.median(first[name])),
+            unit,
+            _deviations(last[name], first[name]),
+        )
+        for name, (quantity, unit) in TOLD.items()
+    ]
+    held = float(np.median(last["held_windup_rad"]) - np.median(first["held_windup_rad"]))
+    low, middle, high = np.quantile(last["delta_rad"] - first["delta_rad"], (0.05, 0.5, 0.95))
+    # Less compliance held cannot pass for growth; a gap that seems to shrink never did by wear.
+    error = HELD * (max(held, 0.0) if middle > 0.0 else abs(held))
+    if error <= MATTERS * (high - low):
+        return JointCheck(True, items)
+    changed = [i for i in items if abs(i.z) > DIFFERS] or items
+    told = " and ".join(
+        f"{i.quantity} of {i.measured:.3g} instead of {i.expected:.3g} {i.unit}" for i in changed
+    )
+    cause = f"what friction holds of the compliance, with {told}"
+    return JointCheck(True, items, blind_spots=(BlindSpot(cause, "ramps do not tell it", error),))
+
+
+def _deviations(last: FloatArray, first: FloatArray) -> float:
+    sd = float(np.hypot(last.std(), first.std()))
+    return float(np.median(last) - np.median(first)) / sd if sd > 0.0 else 0.0

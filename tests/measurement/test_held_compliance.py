@@ -1,0 +1,45 @@
+"""A width that friction and compliance explain is not told as wear."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesbl.measurement.held_compliance import HELD, held_alike
+
+RNG = np.random.default_rng(1)
+
+
+def snapshot(delta_mrad: float, held_mrad: float, friction_nm: float = 2.0):
+    """Draws of a joint, each known to 2 %."""
+    values = {
+        "delta_rad": 1e-3 * delta_mrad,
+        "held_windup_rad": 1e-3 * held_mrad,
+        "compliance_rad_per_nm": 1e-3,
+        "friction_torque_nm": friction_nm,
+    }
+    return {name: v * (1.0 + 0.02 * RNG.standard_normal(4000)) for name, v in values.items()}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "error_mrad"),
+    [
+        ((5.0, 1.0), (6.0, 1.4), HELD * 0.4),  # wider, as friction holds more
+        ((5.0, 1.4), (6.0, 1.0), None),  # it holds less, so the width would have fallen
+        ((6.0, 1.4), (5.0, 1.0), HELD * 0.4),  # narrower, as it holds less
+        ((5.0, 1.0), (6.0, 1.0), None),  # nothing changed but the width
+    ],
+)
+def test_what_is_held_explains_a_width_of_its_own_sign_alone(before, after, error_mrad):
+    check = held_alike(snapshot(*before), snapshot(*after, friction_nm=3.0))
+    errors = [spot.delta_error_rad for spot in check.blind_spots]
+    assert len(errors) == (error_mrad is not None)
+    if error_mrad is not None:
+        assert errors[0] == pytest.approx(1e-3 * error_mrad, rel=0.02)
+        assert "friction of 3 instead of 2 N m" in check.blind_spots[0].change
+        assert "compliance of" not in check.blind_spots[0].change
+
+
+def test_one_snapshot_is_compared_with_nothing():
+    only = snapshot(5.0, 1.0)
+    assert not held_alike(only, only).items
