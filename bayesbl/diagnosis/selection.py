@@ -221,8 +221,7 @@ def _select(
         best = _simplest(comparison, good)
         current = best.fit
         for name in [e for e in current.effects if e != best.candidate.name]:
-            candidate = _by_name(comparison, name)
-            if _wald(comparison, current, candidate)[1] > math.log(threshold):
+            if not _stands_out(comparison, current, _by_name(comparison, name), threshold):
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
         current = _with_set(comparison, folds, current, settings.most, threshold)

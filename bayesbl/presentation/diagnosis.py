@@ -79,10 +79,10 @@ def headline(summary: DiagnosisSummary) -> str:
                 parameter_errors(summary)
             )
         case "unexplained" if (found := learned_of(summary)) is not None:
-            return f"No effect of the catalogue explains it: {dependence(found)}."
+            return f"No effect that was tried explains it: {dependence(found)}."
         case "unexplained":
             what = next(remaining(summary), ": .").partition(": ")[2]
-            return f"Something repeats that no effect of the catalogue explains: {what}"
+            return f"Something repeats that no effect that was tried explains: {what}"
         case _:
             left = summary["disagreement"]["over_all"].get("used")
             if left is not None and left["closed_fraction"] is not None:
@@ -167,7 +167,7 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         size = f"{words.significant(1e3 * found['amplitude_rad'])} mrad"
     else:
         size = f"{words.significant(found['amplitude_nm'])} N m"
-    text = f"Learned, as no effect of the catalogue explains it: {dependence(found)}, {size}."
+    text = f"Learned, as no effect that was tried explains it: {dependence(found)}, {size}."
     if found["alike"]:
         others = "; ".join(dependence(other) for other in found["alike"])
         text += f" It cannot be told apart from {others}."

@@ -41,6 +41,8 @@ class ComparedColumns:
         N m or rad in one unit of the channel: K_t where current is compared.
     load
         The load's position is compared; its zero is fitted for each recording.
+    gravity_free
+        Gravity's size and direction are fitted in each recording.
     load_angle_known, phases_shared
         The motor position tells the load's angle, so gravity's direction; it is absolute, so one
         phase holds for all recordings. Without either, sine and cosine are free per recording.
@@ -57,6 +59,7 @@ class ComparedColumns:
     unknown: tuple[str, ...] = ()
     unit: float = 1.0
     load: bool = False
+    gravity_free: bool = False
     load_angle_known: bool = False
     phases_shared: bool = False
     seen: tuple[dict[Hashable, FloatArray], ...] = field(default=(), repr=False, compare=False)
@@ -186,7 +189,7 @@ class ComparedColumns:
                 found[name] = of(name, lambda motion: motion.acceleration / ratio**2)
             elif self.load_angle_known:
                 found[name] = of(name, lambda motion: np.sin(motion.angle / ratio) / ratio)
-        if not self.load_angle_known and self.bench.value("gravity_torque_nm") > 0.0:
+        if self.gravity_free:
             sine = of("gravity sine", lambda motion: np.sin(motion.angle / ratio) / ratio)
             cosine = of("gravity cosine", lambda motion: np.cos(motion.angle / ratio) / ratio)
             found |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}

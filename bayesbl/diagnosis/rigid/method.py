@@ -69,6 +69,9 @@ USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
 )
 """How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
 
+MOST = 0.5
+"""Share of the squares that gravity must not leave, to be taken for there where none is given."""
+
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
 
@@ -125,6 +128,7 @@ def inverse_problem(task: Task) -> Problem:
             unknown,
             unit,
             load,
+            not load and not asked.load_angle_known and bench.value(GRAVITY) > 0.0,
             asked.load_angle_known,
             asked.motor_angle_known,
         )
@@ -137,6 +141,9 @@ def inverse_problem(task: Task) -> Problem:
         resolved = min(resolved, WIDEST / period)
         cutoff = coherent_hz(comparison_below(resolved)) or resolved
     comparison = comparison_below(cutoff)
+    unsaid = not (load or asked.load_angle_known or comparison.gravity_free)
+    if unsaid and gravity_shows(comparison):
+        comparison = replace(comparison, gravity_free=True)
     pieces, motions = comparison.pieces, comparison.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += [
@@ -150,6 +157,12 @@ def inverse_problem(task: Task) -> Problem:
             "Without position the motor angle is the integral of the speed: where it starts is "
             "unknown, so a ripple has its own phase in every recording, and gravity's direction "
             "is fitted."
+        )
+    if unsaid and comparison.gravity_free:
+        notes.append(
+            "Most of what friction and inertia leave goes with the load's angle as gravity does, "
+            "though the bench has gravity_torque_nm = 0: it was fitted, with its direction. Give "
+            "it in the bench file."
         )
     if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
@@ -173,6 +186,29 @@ def inverse_problem(task: Task) -> Problem:
         lambda fit, false_alarm: learned_fit(comparison, fit, false_alarm),
         scale_sd,
     )
+
+
+def gravity_shows(comparison: InverseComparison) -> bool:
+    """Whether gravity, fitted in size and direction, takes most of what all else leaves.
+
+    All else: what acts in proportion to a size, with the inertia free, since the acceleration of a
+    small swing goes with its angle too.
+    """
+    inertia = comparison.unknown
+    if not set(inertia) & set(INERTIAS):
+        inertia = (*inertia, INERTIAS[0])
+    plain = tuple(c.name for c in comparison.candidates if c.is_plain)
+
+    def left(gravity_free: bool) -> float:
+        tried = replace(comparison, unknown=inertia, gravity_free=gravity_free)
+        fit = tried.fit(plain, None)
+        return sum(
+            float(np.sum(piece.kept(piece.measured - prediction) ** 2))
+            for piece, prediction in zip(tried.pieces, fit.predictions, strict=True)
+            if piece.use == "used"
+        )
+
+    return left(True) < MOST * left(False)
 
 
 @dataclass(frozen=True, slots=True)
