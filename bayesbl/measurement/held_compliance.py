@@ -18,8 +18,8 @@ HELD = 3.0
 """Times ``held_windup_rad`` that ramps leave beyond the dead zone.
 
 Flanks are softer at small torque than where their compliance is read: by 2.4 times in the middle
-of the gearboxes of ``configs/torque_ramps_study.toml``, by 3 or less in three of four
-(``held_ratio``).
+of the gearboxes of ``configs/torque_ramps_study.toml``, by about 3 or less in three of four
+(``held_ratio_3_of_4`` of its table).
 """
 
 DIFFERS = 2.6
