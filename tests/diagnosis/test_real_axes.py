@@ -14,7 +14,7 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.method import compared
+from bayesbl.diagnosis.rigid.method import compared, gravity_shows
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, within_turns, without_load_angle
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
@@ -126,6 +126,32 @@ def test_what_the_motion_below_the_cut_off_denies_is_no_ripple() -> None:
     assert found["others"] == 0.0
     for size in ("coulomb", "viscous", "offset"):
         assert found[size] == pytest.approx(1.0, rel=0.05)
+
+
+def swinging(reach_rad: float, gravity_nm: float) -> list[Recording]:
+    """A sine of one frequency with Coulomb and viscous friction, and gravity where there is any."""
+    rng = np.random.default_rng(8)
+    time = np.arange(0.0, 12.0, 2e-3)
+    rate = 2.0 * math.pi * 0.4
+    angle = reach_rad * np.sin(rate * time)
+    speed, acceleration = np.gradient(angle, time), -(rate**2) * angle
+    torque = 0.02 * acceleration + 0.5 * np.tanh(speed / 1e-3) + 0.02 * speed
+    torque = torque + gravity_nm * np.sin(angle + 0.3)
+    found = []
+    for name in "ab":
+        noise = 0.01 * rng.standard_normal(time.size)
+        found.append(Recording(name, time, {MOTOR_POSITION: angle, MOTOR_TORQUE: torque + noise}))
+    return found
+
+
+@pytest.mark.parametrize(("reach_rad", "gravity_nm"), [(1.5, 1.2), (1.5, 0.0), (0.1, 0.0)])
+def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
+    reach_rad: float, gravity_nm: float
+) -> None:
+    """The bench has no gravity, and an inertia half as large again: it goes with the angle too."""
+    bench = believed(replace(drawn_axis(np.random.default_rng(1)), inertia_kg_m2=0.03 / 0.8))
+    made = comparison(swinging(reach_rad, gravity_nm), bench, 20.0, WHOLE)
+    assert gravity_shows(replace(made, unknown=())) is (gravity_nm > 0.0)
 
 
 def test_the_cut_off_is_where_the_position_no_longer_resolves_the_acceleration() -> None:

@@ -205,7 +205,7 @@ def gravity_shows(comparison: InverseComparison) -> bool:
         return sum(
             float(np.sum(piece.kept(piece.measured - prediction) ** 2))
             for piece, prediction in zip(tried.pieces, fit.predictions, strict=True)
-            if piece.use == "used"
+            if piece.use == "used" and piece.shown
         )
 
     return left(True) < MOST * left(False)
