@@ -119,8 +119,8 @@ def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
 
 
 def start_angle_unknown(recording: str) -> Unknown:
-    """Start angle of one recording: as wide as a turn, for where gravity does not show it."""
-    return Unknown(START_ANGLE, sd=TURN_SD_RAD, recording=recording)
+    """Start angle of one recording: somewhere in a turn, for where gravity does not show it."""
+    return Unknown(START_ANGLE, centre=math.pi, sd=TURN_SD_RAD, recording=recording)
 
 
 def reference_delay_unknown(recording: str) -> Unknown:
