@@ -1,6 +1,7 @@
 """Tails of the usual distributions and their inverses.
 
-As ``scipy.stats`` has them, whose import takes a quarter of a second of every command.
+For values that are not negative and probabilities between 0 and 1. ``scipy.stats`` has them too;
+its import takes a quarter of a second of every command.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def f_isf(probability: float, above: float, below: float) -> float:
 
 def poisson_isf(probability: float, mean: float) -> int:
     """The smallest count that is exceeded with at most this probability."""
-    count = max(0, int(special.pdtrik(1.0 - probability, mean)) - 1)
+    count = int(mean)
     while special.pdtrc(count, mean) > probability:
         count += 1
     return count

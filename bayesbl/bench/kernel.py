@@ -127,6 +127,7 @@ FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
 STATES = 12
+NEWTON_STEPS = 8
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
 HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(8, 12)
 
@@ -1195,6 +1196,25 @@ def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def static_twist(load, p, c):  # type: ignore[no-untyped-def]
+    """Twist beyond the gap that bears a torque at rest, by all laws of the flanks."""
+    twist = load / c.stiffness
+    if not c.effects:
+        return twist
+    torque = abs(load)
+    side = math.copysign(1.0, load)
+    linear = c.stiffness * (1.0 + side * p[Slot.flank_asymmetry__share])
+    cubic = p[Slot.stiffness_hardening__stiffness_nm_per_rad3]
+    compression = torque / linear
+    for _ in range(NEWTON_STEPS):
+        slope = linear + 3.0 * cubic * compression * compression
+        if slope <= 0.0:
+            break
+        compression -= (linear * compression + cubic * compression**3 - torque) / slope
+    return side * compression
+
+
+@_jit
 def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     """Start of the settling: torques balanced at the reference speed, no acceleration.
 
@@ -1205,7 +1225,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     load, losses = balanced_torques(load_angle, speed, p, c)
     side = math.copysign(1.0, load if load != 0.0 else speed)
     y[:] = 0.0
-    y[TWIST] = 0.0 if c.rigid else load / c.stiffness + side * c.gap
+    y[TWIST] = 0.0 if c.rigid else static_twist(load, p, c) + side * c.gap
     y[MOTOR_ANGLE] = c.ratio * (load_angle + y[TWIST])
     y[MOTOR_SPEED] = speed
     torque = load * c.per_ratio
@@ -1319,7 +1339,7 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
     y[:] = 0.0
     if not c.rigid:
-        y[TWIST] = load / c.stiffness + side * c.gap
+        y[TWIST] = static_twist(load, p, c) + side * c.gap
     y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
     y[MOTOR_SPEED] = speed
     torque = load * c.per_ratio + c.motor_inertia * acceleration

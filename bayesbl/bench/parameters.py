@@ -230,7 +230,7 @@ def _check_effects(matrix: FloatArray) -> None:
     for slot in _NOT_NEGATIVE:
         _refuse_where(matrix[:, slot] < 0.0, matrix, slot, "zero or a number above it")
     for slot, bound, unit in _BOUNDED:
-        expected = f"between -{bound:g} and {bound:g} {unit}"
+        expected = f"between -{bound:g} and {bound:g} {unit}".rstrip()
         _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
     for slot in _SHARES:
         values = matrix[:, slot]

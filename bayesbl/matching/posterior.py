@@ -43,8 +43,8 @@ The share of the posterior between two quantiles of n draws has the standard dev
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
-EDGE_FALSE_ALARM = 0.01
-"""Share of true values within a tolerance that leave the draws so pressed at one of its edges."""
+PRESSED_BY_CHANCE = 0.01
+"""Share of true values within a tolerance that leave the draws so pressed at a given edge of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,7 +316,7 @@ def _at_edges(
         )
         for side, edge in edges:
             chance = chance_at_edge(np.abs(own - edge), unknown.high - unknown.low)
-            if chance < EDGE_FALSE_ALARM:
+            if chance < PRESSED_BY_CHANCE:
                 low, high = unknown.value(np.array([unknown.low, unknown.high]))
                 yield (
                     i,

@@ -180,7 +180,7 @@ def _undecided(
         return None
     name, value = max(apart, key=lambda rival: abs(rival[1] - chosen_rad))
     chosen = _listed([spoken(c.name) for c in found.changed], "and")
-    differs = "is not as its bench says" if found.against_bench else "changed in the joint"
+    differs = "is not as the bench file says" if found.against_bench else "changed in the joint"
     record = "Record a second" if with_current else "Record the motor current too, record a second"
     return (
         f"Something other than the gap {differs}, and the recordings do not tell what: "

@@ -21,6 +21,7 @@ from bayesbl.measurement.ramp_summary import summarise_ramps
 from bayesbl.measurement.ramp_words import against, notes_on
 from bayesbl.measurement.task import Task
 from bayesbl.measurement.verdict import Verdict
+from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, of_cycles
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
@@ -134,13 +135,14 @@ class RampMeasurer:
         answers = [
             self._answer(*each, play) for each in zip(task.names, files, flanks, seeds, strict=True)
         ]
+        since = since_repair([entry.repaired for entry in self.config.recordings]).start
         return Measurement(
             "torque_ramp",
             [
                 self._snapshot(recording, answer, elsewhere=elsewhere)
                 for recording, answer in zip(task.recordings, answers, strict=True)
             ],
-            same_joint=held_alike(answers[0].draws, answers[-1].draws),
+            same_joint=held_alike(answers[since].draws, answers[-1].draws),
         )
 
     def _answer(

@@ -205,9 +205,11 @@ def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
     power = float(noise[0] @ noise[0])
     if power == 0.0:
         return np.zeros_like(unseen)
-    gains = noise @ noise[0] / power
-    gains[0] = 0.0
-    return np.asarray(gains[:, None] ** 2 * unseen[0])
+    gain_square = (noise @ noise[0] / power) ** 2
+    # By chance channels that have nothing to do with each other have a gain too.
+    gain_square -= np.mean(noise**2, axis=1) / power
+    gain_square[0] = 0.0
+    return np.asarray(np.clip(gain_square, 0.0, None)[:, None] * unseen[0])
 
 
 def _yule_walker(d: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArray]:

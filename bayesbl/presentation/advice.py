@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, torque_ramps, wear
+from bayesbl.presentation import answer, diagnosis, joint_check, torque_ramps, wear
 from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 CLOSE = 0.05
 """Relative distance from the limit that a guess in two digits does not resolve."""
+
+NOT_SHOWN = "No wear is shown: something other than the gap may have changed."
 
 Tone = Literal["fine", "watch", "act", "withheld", "note"]
 
@@ -93,7 +95,8 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
         )
     compared = summary if summary["kind"] == "compare" else None
     rated = wear.with_rate(compared) if compared else None
-    head = (_by_forecast(rated, last) if rated else None) or _by_limit(summary, last)
+    unless = joint_check.unless(compared) if compared else ""
+    head = (_by_forecast(rated, last, unless) if rated else None) or _by_limit(summary, last)
     if answer.is_by_other_machine(summary):
         head = Advice("note", "Do not act on these gaps: they are of another machine's curve.", ())
     elif head is None:
@@ -154,13 +157,16 @@ def _of_ringing(summary: MeasuredSummary) -> Advice:
     return Advice("watch" if grew else "note", title, (summary["reason"] or "",))
 
 
-def _by_forecast(found: WearSummary, last: SnapshotSummary) -> Advice | None:
-    """Until when no repair is due, where the limit is ahead."""
+def _by_forecast(found: WearSummary, last: SnapshotSummary, unless: str) -> Advice | None:
+    """Until when no repair is due, where the limit is ahead.
+
+    ``unless``: on what condition, if the growth could be something else.
+    """
     above = last.get("probability_above_limit")
     if above is None or above > 1.0 - SURE:
         return None
-    sentences = tuple(wear.sentences(found))
-    if found["probability_wear"] < SURE:
+    sentences = tuple(wear.sentences(found, unless=unless))
+    if found["probability_wear"] < SURE or unless:
         return Advice("fine", "No repair is due, and no wear is shown.", sentences)
     earliest = wear.not_before(found)
     if earliest is None:
@@ -186,10 +192,14 @@ def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
 def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None) -> Advice:
     ask = "To see whether a repair is due, give the gap at which it is (--limit-rad)."
     if rated is not None:
+        if summary is not None and joint_check.other_cause(summary) is not None:
+            return Advice("watch", NOT_SHOWN, (wear.headline(summary, rated), ask))
         if rated["probability_wear"] >= SURE:
             sentences = tuple(wear.sentences(rated))
             return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
         return Advice("fine", "No wear is shown: measure again later.", (ask,))
+    if summary is not None and joint_check.other_cause(summary) is not None:
+        return Advice("watch", NOT_SHOWN, (answer.headline(summary), ask))
     change = None if summary is None else summary["change_rad"]
     if change is None:
         return Advice("note", "Compare this gap with what the joint may have.", (ask,))
@@ -215,7 +225,8 @@ def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
 def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Iterator[str]:
     change, found = summary["change_rad"], summary["wear"]
     if found is None:
-        if change is not None and change["low"] > 0.0:
+        shown = joint_check.other_cause(summary) is None
+        if shown and change is not None and change["low"] > 0.0:
             yield from _growth_again(last, change["median"])
         return
     if found["reason"] is not None:

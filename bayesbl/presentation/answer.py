@@ -126,17 +126,21 @@ def has_shrunk(summary: MeasuredSummary) -> bool:
     """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
     if summary["kind"] != "compare" or summary["wear"] is not None:
         return False
+    if joint_check.other_cause(summary) is not None:
+        return False
     return summary["change_rad"] is not None and summary["change_rad"]["high"] < 0.0
 
 
 def steps(summary: MeasuredSummary) -> Iterator[str]:
     """Each step between neighbours, where there are more than two snapshots."""
-    changes = summary["changes"] if summary["kind"] == "compare" else []
+    if summary["kind"] != "compare":
+        return
+    changes, unless = summary["changes"], joint_check.unless(summary)
     for step in changes if len(changes) > 1 else []:
         change, growth = step["change_rad"], step["probability_increase"]
         found = "withheld"
         if change is not None and growth is not None:
-            found = f"{words.in_mrad(change)}; {grew(growth)}"
+            found = f"{words.in_mrad(change)}; {grew(growth)}{unless}"
         yield f"From {step['from']} to {step['to']}: {found}."
 
 

@@ -21,14 +21,34 @@ def other_cause(summary: ComparisonSummary) -> str | None:
     ``None`` where the change of δ is withheld or holds zero, or is larger than any such change
     would make it.
     """
-    change, spots = summary["change_rad"], summary["same_joint"]["blind_spots"]
-    if change is None or not spots:
+    ends, spots = _change_ends_rad(summary), summary["same_joint"]["blind_spots"]
+    if ends is None or not spots:
         return None
     worst = max(spots, key=lambda spot: spot["delta_error_rad"] or 0.0)
-    nearest = max(change["low"], -change["high"])
+    nearest = max(ends[0], -ends[1])
     if not 0.0 < nearest <= (worst["delta_error_rad"] or 0.0):
         return None
     return f"{worst['change']} ({worst['reason']})"
+
+
+def unless(summary: ComparisonSummary) -> str:
+    """The condition behind a probability of growth, where it could be something else."""
+    return "" if other_cause(summary) is None else ", if nothing else in the joint changed"
+
+
+def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
+    """Of the change of δ; of its medians since the repair, where there was one."""
+    found, parts = summary["wear"], summary["snapshots"]
+    if found is not None and len(found["snapshots"]) < len(parts):
+        first, last = (
+            next(part for part in parts if part["name"] == name)["delta_rad"]
+            for name in (found["snapshots"][0], found["snapshots"][-1])
+        )
+        if first is None or last is None:
+            return None
+        return (last["median"] - first["median"],) * 2
+    change = summary["change_rad"]
+    return None if change is None else (change["low"], change["high"])
 
 
 def blocks(summary: MeasuredSummary) -> Iterator[Block]:
@@ -44,10 +64,11 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
     known = [spot for spot in spots if spot["delta_error_rad"] is not None]
-    if known:
-        told = _listed([f"{s['change']}, up to {_mrad(s['delta_error_rad'])}" for s in known])
-        why = " or ".join(dict.fromkeys(spot["reason"] for spot in known))
-        yield Sentence(f"{told} ({why}).", "aside", "Could pass for wear")
+    for reason in dict.fromkeys(spot["reason"] for spot in known):
+        own = [spot for spot in known if spot["reason"] == reason]
+        told = _listed([f"{s['change']}, up to {_mrad(s['delta_error_rad'])}" for s in own])
+        text = f"{told} ({reason})."
+        yield Sentence(text[0].upper() + text[1:], "aside", "Could pass for wear")
     others = [spot for spot in spots if spot["delta_error_rad"] is None]
     for reason in dict.fromkeys(spot["reason"] for spot in others):
         told = _listed([spot["change"] for spot in others if spot["reason"] == reason])

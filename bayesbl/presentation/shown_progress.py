@@ -52,7 +52,7 @@ class _Lines:
         if now_s - self._last_s < EVERY_S:
             return
         self._last_s = now_s
-        line = f"{stage}: {done} of {count}, {now_s - self._begin_s:.0f} s since the begin"
+        line = f"{stage}: {done} of {count}, after {now_s - self._begin_s:.0f} s"
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 

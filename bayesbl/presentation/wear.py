@@ -43,7 +43,7 @@ def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) 
     if wear["reason"] is not None:
         yield Sentence(wear["reason"], "warning", "No rate of wear")
         return
-    for sentence in sentences(wear):
+    for sentence in sentences(wear, unless=joint_check.unless(summary)):
         yield Sentence(sentence)
     yield _table(wear)
     for sentence in notes(wear):
@@ -72,13 +72,16 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
         )
     rate = wear["rate"]
     places = words.decimals(rate, 1e3)
-    unless = ""
-    if (cause := joint_check.other_cause(summary)) is not None:
-        unless = f" if nothing else in the joint changed; {cause} could do as much"
-    return (
-        f"The gap {now}has grown by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
-        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)}){unless}."
+    by = (
+        f"by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
+        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})"
     )
+    if (cause := joint_check.other_cause(summary)) is not None:
+        return (
+            f"The gap {now}is not shown to have grown: {by} if nothing else in the joint changed, "
+            f"but {cause} could do as much."
+        )
+    return f"The gap {now}has grown {by}."
 
 
 def median_in_mrad(interval: Interval) -> str:
@@ -99,16 +102,19 @@ def repaired(wear: WearSummary | WithheldWearSummary) -> str:
     )
 
 
-def sentences(wear: WearSummary) -> Iterator[str]:
-    """The answer to how fast, until when, and whether before the date asked for."""
+def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
+    """The answer to how fast, until when, and whether before the date asked for.
+
+    ``unless``: on what condition, if the growth could be something else.
+    """
     from bayesbl.measurement.wear import LONGEST_YEARS
 
     share = words.probability(wear["level"])
     rate = 1e3 * wear["rate_at_most_rad_per_year"]
     yield (
         f"Probability that the gap has grown since {wear['first_date']}: "
-        f"{words.probability(wear['probability_wear'])}. With {share} probability it grew by at "
-        f"most {words.significant(rate)} mrad a year."
+        f"{words.probability(wear['probability_wear'])}{unless}. With {share} probability it grew "
+        f"by at most {words.significant(rate)} mrad a year."
     )
     yield law(wear)
     years = wear["years_to_limit"]

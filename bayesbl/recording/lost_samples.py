@@ -20,8 +20,10 @@ LONGEST_LOSS_S = 0.1
 """Half the ringing of an impact: a longer loss could hide one but for its ends."""
 
 MOST_LOST = 0.05
-MOST_CUT = 0.5
 """Largest share of lost samples. With more, the logger is at fault."""
+
+MOST_CUT = 0.5
+"""Of all samples, at the ends: with more, little of what was meant to be recorded is there."""
 
 GRID_TOLERANCE = 0.45
 """Largest distance of a time stamp from its point of an even grid, in sampling periods."""
@@ -125,7 +127,7 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     cut = whole.size - (last - first)
     if cut > MOST_CUT * whole.size:
         raise RecordingError(
-            "Most of the recording has no numbers at one of its ends.",
+            "Most of the recording has no numbers, at its ends.",
             file=file,
             found=f"{whole.size - cut} of {whole.size} samples between the first and the last "
             "that have a number in every column",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -89,9 +90,12 @@ def minimise(
 
 
 def _cma() -> ModuleType:
-    """cma without what it imports where it can and never needs here: half of a second."""
-    if "cma" in sys.modules:
-        return sys.modules["cma"]
+    """cma without what it imports where it can and never needs here: half of a second.
+
+    Only as long as no other thread may import the same.
+    """
+    if "cma" in sys.modules or threading.active_count() > 1:
+        return import_module("cma")
     absent: Any = None
     spared = [n for n in ("matplotlib.pyplot", "scipy.stats") if n not in sys.modules]
     sys.modules.update(dict.fromkeys(spared, absent))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
@@ -117,6 +118,16 @@ def burn_in(tau: float, steps: int) -> int:
 
 
 def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
-    """``count`` evenly spaced draws of a chain (step, walker, d), shape (draw, d)."""
-    flat = chain.reshape(-1, chain.shape[-1])
-    return np.asarray(flat[np.linspace(0, len(flat) - 1, count).round().astype(int)])
+    """``count`` draws of a chain (step, walker, d), shape (draw, d): all walkers, few steps.
+
+    Steps as far apart as they can be. Evenly spaced over steps and walkers alike, draws would be of
+    one walker alone wherever the spacing comes to a multiple of their number.
+    """
+    steps, walkers, d = chain.shape
+    kept = _evenly(min(steps, math.ceil(count / walkers)), steps)
+    flat = chain[kept].reshape(-1, d)
+    return np.asarray(flat[_evenly(count, len(flat))])
+
+
+def _evenly(count: int, size: int) -> NDArray[np.int_]:
+    return np.linspace(0, size - 1, count).round().astype(int)

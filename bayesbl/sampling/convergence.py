@@ -117,7 +117,8 @@ def integrated_time(chain: FloatArray) -> float:
     sums = 2.0 * np.cumsum((covariance / covariance[0]).mean(axis=1), axis=0) - 1.0
     beyond = np.arange(steps)[:, None] >= WINDOW * sums
     ends = np.where(beyond.any(axis=0), beyond.argmax(axis=0), steps - 1)
-    return float(sums[ends, np.arange(ends.size)].max())
+    longest = float(sums[ends, np.arange(ends.size)].max())
+    return max(1.0, longest) if math.isfinite(longest) else math.inf
 
 
 def judge(

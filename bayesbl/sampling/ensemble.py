@@ -127,6 +127,8 @@ class _DifferentialEvolution:
             length = gamma * (1.0 + GAMMA_SCATTER * random.randn(places.size, 1))
             tried = state.coords[places] + length * (state.coords[pair[0]] - state.coords[pair[1]])
             found = model.log_prob_fn(tried)
+            if np.isnan(found).any():
+                raise ValueError("The log density is not a number somewhere.")
             with np.errstate(invalid="ignore"):  # from a point of no density to another
                 gain = found - state.log_prob[places]
             moves = np.log(random.rand(places.size)) < gain

@@ -11,7 +11,13 @@ from bayesbl.bench import kernel
 from bayesbl.bench.bench import BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import effect_named, repeat_each_rotation
 from bayesbl.bench.kernel import CURRENT, POSITION, RPM, SPEED, STATES, Slot
-from bayesbl.bench.simulation import simulate_channels, simulate_states, start_states
+from bayesbl.bench.motion import recorded_motion
+from bayesbl.bench.simulation import (
+    simulate_channels,
+    simulate_motions,
+    simulate_states,
+    start_states,
+)
 from bayesbl.bench.steady import contact_rates, noise_through_loop
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError
@@ -231,6 +237,23 @@ def test_flanks_of_different_stiffness_wind_up_differently(torque: float) -> Non
     twist = simulate_states(p, np.zeros(STATES), 1000, 500.0)[kernel.TWIST, -1]
     stiffness = 1.2e5 * (1.0 + math.copysign(share, torque))
     assert stiffness * twist == pytest.approx(torque, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"flank_asymmetry__share": 0.3},
+        {"flank_asymmetry__share": -0.5},
+        {"stiffness_hardening__stiffness_nm_per_rad3": 5e9},
+    ],
+)
+def test_a_motion_begins_at_rest_on_flanks_of_any_law(effect: dict[str, float]) -> None:
+    """The load hangs to one side, then to the other; a false start would ring by 4 rpm or more."""
+    waiting = recorded_motion(np.arange(1000) / 1000.0, np.zeros(1000))
+    for start_angle in (1.3, -1.3):
+        p = BENCH.vector(gap_rad=GAP, start_angle_rad=start_angle, **effect)
+        speed = simulate_motions(p, waiting, 300, 1000.0)[0, SPEED]
+        assert np.abs(speed).max() < 0.05
 
 
 def test_hysteresis_stays_bounded_and_takes_energy() -> None:

@@ -24,6 +24,7 @@ from bayesbl.measurement.wear import trend
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
+from bayesbl.presentation.advice import NOT_SHOWN
 from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
 from bayesbl.presentation.page.build import page
 from bayesbl.presentation.page.templates import prose
@@ -292,13 +293,14 @@ def test_no_all_clear_is_given_by_the_curve_of_another_machine():
     assert advice(own | beside).tone == "fine"
 
 
-def compared_undated(change, above, limit=1.2e-3):
+def compared_undated(change, above, limit=1.2e-3, spots=()):
     low, high = change
     middle = 0.5 * (low + high)
     part = fitted(above=above, limit=limit) | {"name": "new"}
     found = {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
     return {"kind": "compare", "outcome": "converged", "snapshots": [part], "change_rad": found,
-            "curve": "sweep",
+            "curve": "sweep", "probability_increase": 0.99,
+            "same_joint": {"blind_spots": list(spots)},
             "wear": None}  # fmt: skip
 
 
@@ -315,6 +317,17 @@ def compared_undated(change, above, limit=1.2e-3):
 def test_growth_again_is_held_against_the_limit_while_that_is_ahead(change, above, told):
     sentences = [s for s in advice(compared_undated(change, above)).sentences if "again would" in s]
     assert [told in s and "--date" in s for s in sentences] == ([] if told is None else [True])
+
+
+@pytest.mark.parametrize("change", [(1e-4, 3e-4), (-3e-4, -1e-4)])
+def test_what_something_else_could_have_done_is_no_wear_and_no_repair(change):
+    spot = {"change": "payload by 3 %", "reason": "too small to show", "delta_error_rad": 2e-4}
+    given = advice(compared_undated(change, None, None, [spot]))
+    assert given.title == NOT_SHOWN
+    told = " ".join(given.sentences)
+    assert "not shown that the gap changed" in told
+    assert "again would" not in told
+    assert answer.SHRANK not in told
 
 
 @pytest.mark.parametrize("limit", [1.2e-3, None])

@@ -7,6 +7,7 @@ import pytest
 from emcee.autocorr import integrated_time as emcee_integrated_time
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.chains import thinned
 from bayesbl.sampling.convergence import integrated_time
 from bayesbl.sampling.ensemble import Ensembles
 
@@ -70,6 +71,16 @@ def test_the_autocorrelation_time_is_that_of_theory_and_of_emcee(memory):
     found = integrated_time(chain)
     assert found == pytest.approx((1.0 + memory) / (1.0 - memory), rel=0.05)
     assert found == pytest.approx(float(emcee_integrated_time(chain).max()))
+
+
+@pytest.mark.parametrize("steps", [500, 1000, 1013, 2000])
+def test_what_is_kept_is_of_all_walkers_whatever_the_number_of_steps(steps):
+    """1000 draws of 32 walkers: each has about 31, its steps as far apart as they can be."""
+    walker, step = np.meshgrid(np.arange(32.0), np.arange(float(steps)))
+    kept = thinned(np.stack([step, walker], axis=-1), 1000)
+    assert np.bincount(kept[:, 1].astype(int), minlength=32).min() >= 20
+    own = np.unique(kept[kept[:, 1] == 5.0, 0])
+    assert np.diff(own).min() >= steps // 32 - 1
 
 
 def test_a_walker_that_never_moves_has_no_autocorrelation_time():
