@@ -21,8 +21,9 @@ def other_cause(summary: ComparisonSummary) -> str | None:
     ``None`` where the change of δ is withheld or holds zero, or is larger than any such change
     would make it.
     """
-    ends, spots = _change_ends_rad(summary), summary["same_joint"]["blind_spots"]
-    if ends is None or not spots:
+    spots = summary["same_joint"]["blind_spots"]
+    ends = _change_ends_rad(summary) if spots else None
+    if ends is None:
         return None
     worst = max(spots, key=lambda spot: spot["delta_error_rad"] or 0.0)
     nearest = max(ends[0], -ends[1])
