@@ -113,7 +113,7 @@ def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
     told = change_in_words(change).replace("The gap", "it", 1)
     return (
         f"It is not shown that the gap changed: {told} if nothing else in the joint changed "
-        f"({grew(growth)}), but {cause} could do as much."
+        f"({grew(growth)}), but a change of {cause} could do as much."
     )
 
 

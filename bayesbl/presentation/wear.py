@@ -79,7 +79,7 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     if (cause := joint_check.other_cause(summary)) is not None:
         return (
             f"The gap {now}is not shown to have grown: {by} if nothing else in the joint changed, "
-            f"but {cause} could do as much."
+            f"but a change of {cause} could do as much."
         )
     return f"The gap {now}has grown {by}."
 

@@ -204,7 +204,7 @@ def test_growth_that_an_unseen_change_could_make_is_not_told_as_shown(error, tol
     spot = {"change": "K_t by 2 %", "reason": "too small to show", "delta_error_rad": error}
     text = flat(printed(comparison() | {"same_joint": check(blind_spots=[spot])}))
     assert text.startswith("It is not shown that the gap changed") is told
-    assert ("but K_t by 2 % (too small to show) could do as much" in text) is told
+    assert ("but a change of K_t by 2 % (too small to show) could do as much" in text) is told
 
 
 def test_a_fit_answers_with_the_gap():
