@@ -18,6 +18,8 @@ from bayesbl.recording.types import FloatArray
 POINTS_PER_TERM = 3
 REACH = 2.0
 """Times the distance of the furthest point: of a normal posterior nothing lies beyond."""
+LEAST_REACH = 10.0
+"""Standard deviations: an edge of a range may leave an exponential, whose tail is long."""
 AT_ONCE = 64
 """Simulated recordings held in memory together."""
 
@@ -102,7 +104,7 @@ def regress(
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         gram = inverse @ (right @ right.T) @ inverse
-        reach = REACH * float(np.linalg.norm(u, axis=1).max())
+        reach = max(REACH * float(np.linalg.norm(u, axis=1).max()), LEAST_REACH)
         parts.append(_Part(index, centre[index], inverse_root, gram, reach))
     return chi_square, Surrogate(tuple(parts))
 
