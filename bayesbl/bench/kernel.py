@@ -127,7 +127,7 @@ FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
 STATES = 12
-NEWTON_STEPS = 8
+NEWTON_STEPS = 8  # to rounding, for any hardening within its range
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
 HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(8, 12)
 
@@ -1197,7 +1197,10 @@ def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def static_twist(load, p, c):  # type: ignore[no-untyped-def]
-    """Twist beyond the gap that bears a torque at rest, by all laws of the flanks."""
+    """Twist beyond the gap, rad, that bears a load torque at rest, N m, by all laws of the flanks.
+
+    K_s (1 ± a) e + k₃ e³ = |load|, by Newton's method from the linear law.
+    """
     twist = load / c.stiffness
     if not c.effects:
         return twist

@@ -121,10 +121,11 @@ def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:
 
 @compiled(nogil=True)
 def recursion(coefficients, drive, past):  # type: ignore[no-untyped-def]
-    """x_t = Σ φ_k x_{t−k} + drive_t, shape (n,).
+    """x_t = Σ φ_k x_{t−k} + drive_t, shape (n,), in the unit of ``drive``.
 
-    ``past``: x of the p samples before the first, the last one first. ``scipy.signal`` has this
-    too, at half a second for its import.
+    ``coefficients``: φ, shape (p,); ``drive``: shape (n,); ``past``: x of the p samples before the
+    first, the last one first, shape (p,). ``scipy.signal`` has this too, at half a second for its
+    import.
     """
     p = coefficients.size
     x = np.empty(p + drive.size)

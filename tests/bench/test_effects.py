@@ -210,33 +210,31 @@ def test_encoder_eccentricity_shows_in_the_position() -> None:
     assert np.ptp(speed) > 2.0 * 0.005 * 1900.0
 
 
-def test_hardening_shaft_winds_up_less() -> None:
-    torque, cubic = 425.0, 5e9
-    p = BENCH.vector(gap_rad=0.0, stiffness_hardening__stiffness_nm_per_rad3=cubic)[0]
+def twist_under(torque: float, **effect: float) -> float:
+    """Twist, rad, of a shaft that stands between a torque at the load and one at the motor, N m."""
+    p = BENCH.vector(gap_rad=0.0, **effect)[0]
     for slot in (Slot.speed_gain_nm_s_per_rad, Slot.integral_gain_nm_per_rad):
         p[slot] = 0.0
     p[Slot.gravity_torque_nm] = 0.0
     p[Slot.shaft_damping_nm_s_per_rad] = 3e3
     p[Slot.load_torque_offset__torque_nm] = torque
     p[Slot.motor_torque_offset__torque_nm] = -torque / 120.0
-    states = simulate_states(p, np.zeros(STATES), 1000, 500.0)
-    twist = states[kernel.TWIST, -1]
+    return float(simulate_states(p, np.zeros(STATES), 1000, 500.0)[kernel.TWIST, -1])
+
+
+def test_hardening_shaft_winds_up_less() -> None:
+    torque, cubic = 425.0, 5e9
+    twist = twist_under(torque, stiffness_hardening__stiffness_nm_per_rad3=cubic)
     assert 1.2e5 * twist + cubic * twist**3 == pytest.approx(torque, rel=1e-3)
 
 
 @pytest.mark.parametrize("torque", [425.0, -425.0])
 def test_flanks_of_different_stiffness_wind_up_differently(torque: float) -> None:
     share = 0.2
-    p = BENCH.vector(gap_rad=0.0, flank_asymmetry__share=share)[0]
-    for slot in (Slot.speed_gain_nm_s_per_rad, Slot.integral_gain_nm_per_rad):
-        p[slot] = 0.0
-    p[Slot.gravity_torque_nm] = 0.0
-    p[Slot.shaft_damping_nm_s_per_rad] = 3e3
-    p[Slot.load_torque_offset__torque_nm] = torque
-    p[Slot.motor_torque_offset__torque_nm] = -torque / 120.0
-    twist = simulate_states(p, np.zeros(STATES), 1000, 500.0)[kernel.TWIST, -1]
     stiffness = 1.2e5 * (1.0 + math.copysign(share, torque))
-    assert stiffness * twist == pytest.approx(torque, rel=1e-3)
+    assert stiffness * twist_under(torque, flank_asymmetry__share=share) == pytest.approx(
+        torque, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(

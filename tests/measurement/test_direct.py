@@ -145,13 +145,13 @@ class Linear(SimulatedSignals):
         return (np.atleast_2d(points) @ self.matrix.T)[:, None, :]
 
 
-def linear_posterior(unknowns):
+def linear_posterior(unknowns, seed=3):
     generator = np.random.default_rng(5)
     matrix = generator.standard_normal((400, 2)) @ np.array([[1.0, 0.8], [0.0, 0.3]])
     data = matrix @ np.array([0.4, -0.2]) + generator.standard_normal(400)
     fit = fit_simulated(Linear(unknowns, matrix, data), np.zeros(2))
     settings = SamplerSettings(ensembles=2)
-    return matrix, data, fit, sample_direct(fit, settings, np.random.SeedSequence(3))
+    return matrix, data, fit, sample_direct(fit, settings, np.random.SeedSequence(seed))
 
 
 def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
@@ -173,14 +173,16 @@ def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
 
 @pytest.mark.long
 def test_a_uniform_tolerance_cuts_the_posterior_exactly():
-    # Kolmogorov-Smirnov with 1000 draws, thinned to 250 so that they are independent: fails by
-    # chance in 1 of 1000.
+    # Kolmogorov-Smirnov with 1000 draws of each of 8 seeds, 970 of them effective: fails by chance in
+    # 1 of 1000. With the upper 5 % of the tail thinned to 3 % its probability is 3e-8.
     priors = [Unknown("a", 0.35, 0.45), Unknown("b", -1e-9, 1e-9)]
-    matrix, data, _, posterior = linear_posterior(priors)
+    found = [linear_posterior(priors, seed) for seed in range(8)]
+    matrix, data, _, _ = found[0]
+    drawn = np.concatenate([each[3].draws[..., 0].ravel() for each in found])
     column = matrix[:, 0]
     mean, sd = (column @ data) / (column @ column), (column @ column) ** -0.5
     exact = truncnorm((0.35 - mean) / sd, (0.45 - mean) / sd, loc=mean, scale=sd)
-    assert kstest(posterior.draws[..., 0].ravel()[::4], exact.cdf).pvalue > 0.001
+    assert kstest(drawn, exact.cdf).pvalue > 0.001
 
 
 def test_forward_and_reverse_give_the_same_gap():

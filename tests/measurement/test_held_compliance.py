@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesbl.measurement.held_compliance import HELD, held_alike
+from bayesbl.measurement.held_compliance import HELD, SOFTER, held_alike
 
 RNG = np.random.default_rng(1)
 
@@ -32,7 +32,9 @@ def snapshot(delta_mrad: float, held_mrad: float, friction_nm: float = 2.0):
 )
 def test_what_is_held_explains_a_width_of_its_own_sign_alone(before, after, error_mrad):
     check = held_alike(snapshot(*before), snapshot(*after, friction_nm=3.0))
-    errors = [spot.delta_error_rad for spot in check.blind_spots]
+    *others, always = check.blind_spots
+    assert always == SOFTER
+    errors = [spot.delta_error_rad for spot in others]
     assert len(errors) == (error_mrad is not None)
     if error_mrad is not None:
         assert errors[0] == pytest.approx(1e-3 * error_mrad, rel=0.02)
