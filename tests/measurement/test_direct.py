@@ -173,8 +173,8 @@ def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
 
 @pytest.mark.long
 def test_a_uniform_tolerance_cuts_the_posterior_exactly():
-    # Kolmogorov-Smirnov with 1000 draws of each of 8 seeds, 970 of them effective: fails by chance in
-    # 1 of 1000. With the upper 5 % of the tail thinned to 3 % its probability is 3e-8.
+    # Kolmogorov-Smirnov with 1000 draws of each of 8 seeds, 970 of them effective: fails by
+    # chance in 1 of 1000. With the upper 5 % of the tail thinned to 3 % its probability is 3e-8.
     priors = [Unknown("a", 0.35, 0.45), Unknown("b", -1e-9, 1e-9)]
     found = [linear_posterior(priors, seed) for seed in range(8)]
     matrix, data, _, _ = found[0]
