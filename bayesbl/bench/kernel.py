@@ -1321,12 +1321,14 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
 
 
 @_jit
-def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
+def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
     """Start of a motion: the load at its start angle, all torques balanced on the loaded flank.
 
     Speed and acceleration are those of the reference at that time, zero for a motion from rest. A
-    held output begins at rest on its lower flank, where torque the other way leaves it. Returns the
-    reference angle that the controller stands at.
+    held output begins at rest on its lower flank, where torque the other way leaves it. With
+    ``start_flank`` 1 or −1 the teeth touch on that flank, whatever the torque.
+
+    Returns the reference angle that the controller stands at.
     """
     if c.held:
         y[:] = 0.0
@@ -1340,6 +1342,8 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
     load += c.load_inertia * acceleration * c.per_ratio
     # A load that hardly presses may stand anywhere in the gap; so is the start continuous.
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
+    if start_flank != 0.0:
+        side = start_flank
     y[:] = 0.0
     if not c.rigid:
         y[TWIST] = static_twist(load, p, c) + side * c.gap
@@ -1362,7 +1366,7 @@ def standing_state(t, p, c, y):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untyped-def]
+def simulate_motion(p, pieces, dt, accuracy_rpm, start_flank, out):  # type: ignore[no-untyped-def]
     """A motion from the state it starts in, into ``out``; returns status, right-hand sides."""
     lag = max(0.0, longest_lag(p))
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
@@ -1375,7 +1379,7 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, out):  # type: ignore[no-untype
     q[Slot.reference_speed_rpm] = 0.0 if held else fastest
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     y = np.empty(states_of(begun))
-    c = constants(q, standing_state(-lag, p, begun, y), 0.0)
+    c = constants(q, standing_state(-lag, p, begun, start_flank, y), 0.0)
     stop = (out.shape[1] - 1) * dt + lead + 1e-9
     stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
     status, _, cost = integrate(-lag, y, stop, math.inf, 0.0, dt, out, p, c, accuracy_rpm, pieces)

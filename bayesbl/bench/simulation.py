@@ -99,13 +99,14 @@ def simulate_motions(
     workers: int = 1,
     failures: str = "raise",
     states: bool = False,
+    start_flank: float = 0.0,
 ) -> FloatArray:
     """As :func:`simulate_channels` where the speed loop follows a motion: shape (m, 3, n).
 
     The first sample lies at the motion's start, with the load at ``start_angle_rad``, all torques
-    balanced on the flank that the load's torque presses on; where the output is held, at rest on
-    the lower flank. With ``states`` all states as :func:`simulate_states` gives them, shape
-    (m, 12, n).
+    balanced on the flank that the load's torque presses on, or on ``start_flank`` if that is 1 or
+    −1; where the output is held, at rest on the lower flank. With ``states`` all states as
+    :func:`simulate_states` gives them, shape (m, 12, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     fastest = 0.0 if motion.output_held else motion.fastest_rpm
@@ -117,7 +118,7 @@ def simulate_motions(
 
     def run(row: int) -> int:
         found: int = kernel.simulate_motion(
-            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy[row], out[row]
+            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy[row], start_flank, out[row]
         )[0]
         return found
 

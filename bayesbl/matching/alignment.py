@@ -15,11 +15,10 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.motions import motion_starts, noise_of, start_angles, undecided_starts
+from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, start_angles
 from bayesbl.matching.observed import Observed, without_start
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
-from bayesbl.recording.moving import first_move
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
@@ -28,6 +27,8 @@ SHIFTS_TRIED = 4
 POINTS_AT_ONCE = 64
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
+FORGOTTEN = 0.01
+"""χ² below which a start is forgotten: 0.1 standard deviations of anything at most."""
 
 
 def fit_aligned(
@@ -46,8 +47,8 @@ def fit_aligned(
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
     fits = [fit_simulated(model, start) for start in _each_settled(model, aligned_starts(model))]
     best = min(fits, key=lambda fit: fit.chi_square)
-    for i in undecided_starts(best):
-        recordings = _started_later(recordings, i, bench)
+    best = replace(best, model=replace(model, noise=remaining_noise(best)))
+    recordings = [_forgetful(best, i) for i in range(len(recordings))]
     return refitted(SimulatedSignals(bench, recordings, unknowns, noise, workers), best)
 
 
@@ -60,13 +61,13 @@ def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
     return with_model(best, model)
 
 
-def _started_later(recordings: Sequence[Observed], index: int, bench: Bench) -> list[Observed]:
-    """The recordings, one of them without its start, in which the teeth need not touch."""
-    seen = recordings[index]
-    assert seen.motion is not None
-    time = np.arange(seen.samples) / seen.sampling_hz
-    later = without_start(seen, bench, first_move(seen.motion.speed_rpm(time)))
-    return [later if i == index else r for i, r in enumerate(recordings)]
+def _forgetful(fit: SimulatedFit, index: int) -> Observed:
+    """A recording without the part of it that remembers on which flank the teeth began."""
+    seen = fit.model.recordings[index]
+    if seen.motion is None:
+        return seen
+    left = remembered_start(fit, index)
+    return without_start(seen, int(np.sum(left > FORGOTTEN)))
 
 
 def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:

@@ -23,8 +23,8 @@ from bayesbl.noise.channel_noise import (
 from bayesbl.recording.types import BoolArray, FloatArray
 
 LOADED_SHARE = 0.05
-"""Of gravity's largest torque, that presses the teeth together at a start without doubt: a bearing
-that a bench calls free of friction may still hold some per cent."""
+"""Of the largest torque in a motion, that presses the teeth together at its start without doubt: a
+bearing that a bench calls free of friction may still hold some per cent."""
 
 ANGLES_SCANNED = 36
 ANGLES_REFINED = 4
@@ -77,19 +77,28 @@ def _rounding_of(seen: Observed, residual: FloatArray) -> FloatArray | None:
     return np.stack([own.autocovariance(a, b, HIGHEST_ORDER + 1) for own, a, b in rows])
 
 
-def undecided_starts(fit: SimulatedFit) -> list[int]:
-    """Recordings whose first flank the bench does not decide: gravity hardly presses there."""
-    found = []
-    for i, seen in enumerate(fit.model.recordings):
-        if seen.motion is None or begin_of(seen) > 0:
-            continue
-        settings = fit.model.settings_of(fit.point[None], seen)
-        row = fit.model.bench.vector(**settings)[0]
-        angle = row[Slot.start_angle_rad] + row[Slot.gravity_angle_rad]
-        torque = abs(row[Slot.gravity_torque_nm] * math.sin(angle))
-        if torque <= LOADED_SHARE * row[Slot.gravity_torque_nm]:
-            found.append(i)
-    return found
+def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
+    """What is left, from each sample on, of the flank that a motion began on, shape (n,).
+
+    χ² between the simulations from either flank: a fit that begins on the wrong one is off by its
+    root at most, in standard deviations of anything. Zero where the torque at the start decides it.
+    """
+    model, seen = fit.model, fit.model.recordings[index]
+    assert seen.motion is not None
+    row = model.bench.vector(**model.settings_of(fit.point[None], seen))
+    size = seen.samples, seen.sampling_hz
+    twist = np.abs(simulate_motions(row, seen.motion, *size, states=True)[0, TWIST])
+    pressed = twist - row[0, Slot.gap_rad] - row[0, Slot.backlash__gap_rad]
+    if pressed[0] > LOADED_SHARE * pressed.max():
+        return np.zeros(seen.samples)
+    channels = [SPEED, CURRENT][: len(seen.signals)]
+    forward, backward = (
+        simulate_motions(row, seen.motion, *size, start_flank=side)[0, channels]
+        for side in (1.0, -1.0)
+    )
+    apart = np.sum(((forward - backward) / model.noise[index].sd[:, None]) ** 2, axis=0)
+    left: FloatArray = np.cumsum(apart[::-1])[::-1]
+    return left
 
 
 def start_angles(

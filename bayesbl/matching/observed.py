@@ -1,8 +1,8 @@
 """Recordings as the simulator is compared with them: which signals, from where on, how they repeat.
 
-A recording of a motion rarely begins where its history is known. At rest on a loaded flank the
-torques say all; elsewhere (in motion, in the gap, held by friction) the state at the first sample
-is forgotten once the teeth have met and the transients have died, and what was before is left out.
+A recording of a motion does not begin where its history is known: in motion, in the gap, or at rest
+on the flank where friction or the last move left it. The state at the first sample is forgotten
+once the teeth have met and the transients have died, and what was before is left out.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ FAST_S = 0.25
 """Noise of a motion that does not repeat is what is faster than a mean over this: two periods or
 more of any ringing, and long beside the noise of sensors."""
 
-SHORTEST_REST_S = 0.05
 STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
 """Of the joint's reference speed, twenty times the width over which friction changes its sign:
 beyond, it is that of motion."""
@@ -224,10 +223,7 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
         cycle=cycle,
         rounding=_rounding(signals, bench, fastest),
     )
-    rest = first_move(asked)
-    if _begins_at_rest(seen, rest) and not bench.effects:
-        return seen
-    return without_start(seen, bench, rest)
+    return without_start(seen, first_move(asked) + _recovery(seen, bench))
 
 
 def _signals(recording: Recording, bench: Bench) -> FloatArray:
@@ -247,29 +243,9 @@ def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[
     return tuple(Rounding(speed_steps(row), sd) for row, sd in zip(signals, exact, strict=False))
 
 
-def _begins_at_rest(seen: Observed, rest: int) -> bool:
-    """Whether the motor stands in the samples before the reference first moves.
-
-    By the mean and the slope of its speed there, at a false alarm of 1e-4 each if noise is white;
-    noise that lasts makes it stricter, and the start is then left out.
-    """
-    if rest < SHORTEST_REST_S * seen.sampling_hz:
-        return False
-    speed = seen.signals[0, :rest]
-    x = np.linspace(-1.0, 1.0, rest)
-    slope, mean = np.polyfit(x, speed, 1)
-    left = speed - mean - slope * x
-    # Three times as wide as for white noise: sensors' noise lasts for some samples.
-    error = 3.0 * max(float(left.std()), 1e-9) / math.sqrt(rest)
-    return bool(abs(mean) < 4.0 * error and abs(slope) < 4.0 * math.sqrt(3.0) * error)
-
-
-def without_start(seen: Observed, bench: Bench, rest: int) -> Observed:
-    """The same without what comes before the bench has forgotten how it began.
-
-    ``rest``: samples before the first motion, in which the teeth need not touch.
-    """
-    begin = min(rest + _recovery(seen, bench), int(MOST_LEFT_OUT * seen.samples))
+def without_start(seen: Observed, samples: int) -> Observed:
+    """The same without its first samples, or ``MOST_LEFT_OUT`` of it."""
+    begin = min(samples, int(MOST_LEFT_OUT * seen.samples))
     return _without(seen, np.arange(seen.samples) < begin)
 
 

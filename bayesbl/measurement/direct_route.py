@@ -52,7 +52,7 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
-from bayesbl.measurement.motion_verdict import motion_notes, unseen_gap
+from bayesbl.measurement.motion_verdict import motion_notes, unknown_start, unseen_gap
 from bayesbl.measurement.task import Task, estimator_of, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
@@ -320,8 +320,10 @@ def direct_verdict(
         against_the_bench(found.joint),
         undecided_gap(found.joint, index, gap, level, with_current=len(recording.signals) > 1),
     ]
-    alike = impacts_alike(found.posterior.fit, FALSE_ALARM)[index]
-    unseen = unseen_gap(found.posterior, index) if alike else IMPACTS_DIFFER
+    fit = found.posterior.fit
+    unseen = unseen_gap(found.posterior, index) or unknown_start(fit, index)
+    if not impacts_alike(fit, FALSE_ALARM)[index]:
+        unseen = IMPACTS_DIFFER
     if any(against):
         against = list(dict.fromkeys([*against, motor_orders_in_words(found.joint)]))
     if any(against) or unseen:
@@ -334,7 +336,7 @@ def direct_verdict(
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
         )
-    reasons += motion_notes(found.posterior.fit, index)
+    reasons += motion_notes(fit, index)
     return Verdict(outcome, (*reasons, *notes), reason)
 
 

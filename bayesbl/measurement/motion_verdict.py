@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesbl.bench.kernel import RPM, Slot
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.motions import flank_changes
+from bayesbl.matching.motions import flank_changes, remembered_start
 from bayesbl.matching.observed import begin_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
@@ -20,6 +20,9 @@ EXCLUDED_SHARE = 0.01
 recording excludes that end, and there is a bound. A flat posterior has a tenth there."""
 
 BOUND_LEVEL = 0.95
+
+REMEMBERED = 1.0
+"""χ² left of an unknown start in what is compared: one standard deviation of δ at most."""
 
 
 def unseen_gap(posterior: DirectPosterior, index: int) -> str | None:
@@ -43,6 +46,18 @@ def unseen_gap(posterior: DirectPosterior, index: int) -> str | None:
         "`bayesbl plan --bench FILE` ranks motions.",
     ]
     return " ".join(filter(None, sentences))
+
+
+def unknown_start(fit: SimulatedFit, index: int) -> str | None:
+    """Why how a motion began keeps δ unknown; ``None`` if it does not."""
+    seen = fit.model.recordings[index]
+    if seen.motion is None or remembered_start(fit, index)[begin_of(seen)] <= REMEMBERED:
+        return None
+    return (
+        "On which flank the teeth stood when the recording began is not known: nothing presses "
+        "them together there, and what is compared still depends on it. Record the same motion for "
+        "longer, or begin where gravity presses the load against its flank."
+    )
 
 
 def largest_pull(fit: SimulatedFit, index: int) -> float:
