@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import matmul_toeplitz
 
 from bayesbl.noise.autoregression import (
     autocorrelation,
     bic,
     burg,
+    correlated,
     innovation_share,
     log_variances,
 )
@@ -55,11 +55,9 @@ class ResidualNoise:
 
     def covariance_times(self, columns: FloatArray) -> FloatArray:
         """Σ X for X of shape (n, p) or (n,)."""
-        n = columns.shape[0]
         if not self.coefficients.size:
             return self.sd**2 * columns
-        lags = self.sd**2 * autocorrelation(self.coefficients, n)
-        return np.asarray(matmul_toeplitz(lags, columns))
+        return self.sd**2 * correlated(self.coefficients, columns)
 
     def effective_samples(self, n: int) -> float:
         """Independent samples that n are worth for the mean square: n / Σ ρ²."""

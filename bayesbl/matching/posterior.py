@@ -246,13 +246,13 @@ def _walk(
     walkers = walkers_needed(len(model.unknowns))
     start_seed, walk_seed = seed.spawn(2)
     starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)
-    ensembles = Ensembles(target, starts.reshape(settings.ensembles, walkers, -1), walk_seed)
+    starts = starts.reshape(settings.ensembles, walkers, -1)
+    ensembles = Ensembles(target, starts, local.centre, local.covariance, walk_seed)
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
     tail = 0.5 - 0.5 * settings.level
 
     def bounds(chains: FloatArray) -> FloatArray:
-        pooled = np.concatenate([thinned(chain)[:, gaps] for chain in chains])
-        return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
+        return np.asarray(np.quantile(chains[..., gaps], [tail, 1.0 - tail], axis=(0, 1, 2)))
 
     return walk(ensembles, settings, bounds, np.sqrt(np.diag(local.covariance))[gaps], progress)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import fft
 
 from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
@@ -97,6 +98,22 @@ def autocorrelation(
     rho = _yule_walker(coefficients, lags + 1)
     change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
     return np.asarray(change / change[0])
+
+
+def correlated(
+    coefficients: FloatArray, columns: FloatArray, differentiated: bool = False
+) -> FloatArray:
+    """R X for X of shape (n, p) or (n,), R the Toeplitz matrix of :func:`autocorrelation`.
+
+    As part of a circulant matrix of a size whose Fourier transform is fast.
+    """
+    n = len(columns)
+    rho = autocorrelation(coefficients, n, differentiated)
+    size = fft.next_fast_len(2 * n - 1, real=True)
+    around = np.concatenate((rho, np.zeros(size - 2 * n + 1), rho[:0:-1]))
+    spectrum = fft.rfft(around).reshape(-1, *(1,) * (columns.ndim - 1))
+    product = fft.irfft(spectrum * fft.rfft(columns, size, axis=0), size, axis=0)
+    return np.asarray(product[:n])
 
 
 def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.autoregression import autocorrelation, bic, burg, innovations, log_variances
+from bayesbl.noise.autoregression import bic, burg, correlated, innovations, log_variances
 from bayesbl.noise.quantisation import SpeedSteps
 from bayesbl.noise.tails import tails
 from bayesbl.recording.types import FloatArray
@@ -86,9 +86,11 @@ class Noise:
         """Whether much of the noise is rounding that is the same in every rotation."""
         return self.hidden_sd_rpm > 0.5 * self.sd_rpm
 
-    def autocovariance(self, lags: int) -> FloatArray:
-        """γ(0) … γ(lags − 1), rpm²."""
-        return self.sd_rpm**2 * autocorrelation(self.coefficients, lags, self.differentiated)
+    def covariance_times(self, columns: FloatArray) -> FloatArray:
+        """Σ X for X of shape (n, p), Σ the noise's covariance without what repeats, rpm²."""
+        if not self.order and not self.differentiated:
+            return self.sd_rpm**2 * columns
+        return self.sd_rpm**2 * correlated(self.coefficients, columns, self.differentiated)
 
 
 def rotation_difference(

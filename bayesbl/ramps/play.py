@@ -181,8 +181,7 @@ def sample_play(
     tail = 0.5 * (1.0 - settings.level)
 
     def bounds(chains: FloatArray) -> FloatArray:
-        whole = chains.reshape(-1, chains.shape[-1])
-        return np.asarray(np.quantile(whole, (tail, 1.0 - tail), axis=0))
+        return np.asarray(np.quantile(chains, (tail, 1.0 - tail), axis=(0, 1, 2)))
 
     found = walk(ensembles, settings, bounds, 0.3 * (high - low), progress)
     kept = np.stack([thinned(chain) for chain in found.chains])

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import matmul_toeplitz
 
 from bayesbl.noise.autoregression import innovations
 from bayesbl.noise.rotation_noise import (
@@ -135,7 +134,7 @@ def without_drift(
     coefficients = residual_rpm @ on_residual
     drift = powers @ coefficients
     steady = estimate_noise(residual_rpm - drift, optimum.symbols[ROTATION], period_s)
-    spread = on_residual.T @ _noisy(steady, on_residual)
+    spread = on_residual.T @ steady.covariance_times(on_residual)
     size = float(coefficients @ np.linalg.solve(spread, coefficients))
     if size < chi2_isf(FALSE_ALARM, _DRIFT_DEGREE) or np.ptp(drift) < SMALLEST_SHARE * abs(mean):
         return None
@@ -170,7 +169,7 @@ def without_jitter(
     starts, signs = starts[whole], signs[whole]
     on_residual = inside[:, whole] * later[:, None] / power[whole]
     delay_s = np.nan_to_num(residual_rpm) @ on_residual
-    spread = on_residual.T @ _noisy(noise, on_residual)
+    spread = on_residual.T @ noise.covariance_times(on_residual)
     # What the steady model is free to do: start, period and separation.
     steady = np.stack([np.ones(starts.size), starts, signs], axis=1)
     if starts.size < steady.shape[1] + 3:
@@ -217,10 +216,6 @@ def _turned_evenly(recording: Recording, speed_rpm: FloatArray, ahead_s: FloatAr
         if excluded is not None:
             excluded = np.interp(at, time_s, excluded.astype(float)) > 0.0
     return replace(recording, channels={MOTOR_SPEED: speed_rpm}, excluded=excluded)
-
-
-def _noisy(noise: Noise, columns: FloatArray) -> FloatArray:
-    return np.asarray(matmul_toeplitz(noise.autocovariance(len(columns)), columns))
 
 
 def _unevenness(delay_s: FloatArray, spread: FloatArray, steady: FloatArray) -> float:

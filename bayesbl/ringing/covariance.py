@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, matmul_toeplitz
+from scipy.linalg import cho_factor, cho_solve
 
 from bayesbl.errors import RecordingError
 from bayesbl.noise.rotation_noise import Noise
@@ -101,11 +101,7 @@ def covariance(
     known = np.where(left_out, 0.0, residual_rpm)
     bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
     inverse = _inverse_curvature(gram, bent / np.outer(norms, norms))
-    if noise.order or noise.differentiated:
-        noisy = matmul_toeplitz(noise.autocovariance(time_s.size), columns)
-    else:
-        noisy = noise.sd_rpm**2 * columns
-    middle = columns.T @ noisy
+    middle = columns.T @ noise.covariance_times(columns)
     if noise.hidden_sd_rpm:
         turn = optimum.symbols[ROTATION] * (time_s.size - 1) / (time_s[-1] - time_s[0])
         middle += _of_repeating_rounding(columns, round(turn), noise)

@@ -29,6 +29,9 @@ from bayesbl.sampling.convergence import (
 )
 from bayesbl.sampling.ensemble import Ensembles
 
+DRAWS_FOR_EDGES = 2000
+"""Of each ensemble: with four the edge of a 90 % interval scatters by 0.023 standard deviations."""
+
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
@@ -151,7 +154,7 @@ def _other_answer(
 
 def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> FloatArray:
     """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([thinned(chain) for chain in chains])
+    points = np.concatenate([thinned(chain, DRAWS_FOR_EDGES) for chain in chains])
     amplitude = objective.solve(points).coefficients[:, -1]
     return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 

@@ -14,7 +14,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_time
 from bayesbl.sampling.ensemble import Ensembles
 
-STEPS_BETWEEN_CHECKS = 250
+STEPS_BETWEEN_CHECKS = 100
 GROWTH_BETWEEN_CHECKS = 0.2
 """Of the steps so far, before the next check: it costs in proportion to the steps it looks at."""
 BURN_IN_AUTOCORRELATIONS = 5.0

@@ -7,12 +7,20 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.recording.types import BoolArray, FloatArray
 
 FEWEST_WALKERS = 32
 START_SPREAD = 1.5
 """Scatter of the walkers at the start, in standard deviations of the local covariance."""
+
+INDEPENDENT_SHARE = 0.5
+"""Of the steps, that propose from the local distribution whatever the walker is; the others jump
+along differences of walkers, which needs no guess of the posterior's shape."""
+FREEDOM = 5.0
+"""Of Student's t that is proposed from: its tails are heavier than a posterior's, so no walker that
+is far out stays there."""
 
 GAMMA_SCATTER = 1e-5
 """Of the length of a jump, relative: so that any point can be reached."""
@@ -34,21 +42,28 @@ class Ensembles:
         Log density of points (m, d), shape (m,).
     starts
         Of each walker, shape (ensembles, :func:`walkers_needed`, d).
+    centre, local_covariance
+        Roughly where the density is, shapes (d,) and (d, d): decides how fast it is sampled, never
+        what is.
     """
 
     def __init__(
         self,
         target: Callable[[FloatArray], FloatArray],
         starts: FloatArray,
+        centre: FloatArray,
+        local_covariance: FloatArray,
         seed: np.random.SeedSequence,
     ) -> None:
         import emcee
 
         self._shape = starts.shape
         points = starts.reshape(-1, starts.shape[-1])
-        self._sampler = emcee.EnsembleSampler(
-            *points.shape, target, moves=_DifferentialEvolution(starts.shape[0]), vectorize=True
-        )
+        moves = [
+            (_Independence(centre, local_covariance), INDEPENDENT_SHARE),
+            (_DifferentialEvolution(starts.shape[0]), 1.0 - INDEPENDENT_SHARE),
+        ]
+        self._sampler = emcee.EnsembleSampler(*points.shape, target, moves=moves, vectorize=True)
         bits = np.random.RandomState(np.random.MT19937(seed)).get_state()
         self._state: Any = emcee.State(points, random_state=bits)
 
@@ -78,7 +93,8 @@ class Ensembles:
             (count, walkers_needed(centre.size), centre.size)
         )
         starts = centre + START_SPREAD * scatter @ np.linalg.cholesky(local_covariance).T
-        return cls(target, np.clip(starts, low + margin, high - margin), walk_seed)
+        inside = np.clip(starts, low + margin, high - margin)
+        return cls(target, inside, centre, local_covariance, walk_seed)
 
     def run(self, steps: int) -> None:
         """Go on for a number of steps."""
@@ -96,6 +112,32 @@ class Ensembles:
         backend = self._sampler.backend
         accepted = np.asarray(backend.accepted).reshape(self._shape[:2])
         return np.asarray(accepted.mean(axis=1) / backend.iteration)
+
+
+class _Independence:
+    """Proposals from Student's t around a point, the same for every walker.
+
+    x' = c + L z √(ν/χ²_ν); the chance of a move is p(x') t(x) / (p(x) t(x')), 1 at most (Tierney
+    1994, Annals of Statistics 22, 1701). Where the posterior is nearly normal most are taken, and a
+    chain forgets in a few steps.
+    """
+
+    def __init__(self, centre: FloatArray, covariance: FloatArray) -> None:
+        self._centre = centre
+        self._root = np.linalg.cholesky(covariance)
+
+    def propose(self, model: Any, state: Any) -> tuple[Any, BoolArray]:
+        """The next state and which walkers moved, as emcee asks for them."""
+        random, (walkers, d) = model.random, state.coords.shape
+        shrunk = np.sqrt(random.chisquare(FREEDOM, (walkers, 1)) / FREEDOM)
+        tried = self._centre + (random.randn(walkers, d) / shrunk) @ self._root.T
+        likelier = self._log_proposal(state.coords) - self._log_proposal(tried)
+        return _accept(model, state, np.arange(walkers), tried, likelier)
+
+    def _log_proposal(self, points: FloatArray) -> FloatArray:
+        white = np.linalg.solve(self._root, (points - self._centre).T)
+        square = np.sum(white**2, axis=0)
+        return np.asarray(-0.5 * (FREEDOM + len(white)) * np.log1p(square / FREEDOM))
 
 
 class _DifferentialEvolution:
@@ -126,13 +168,29 @@ class _DifferentialEvolution:
             places = moving.ravel()
             length = gamma * (1.0 + GAMMA_SCATTER * random.randn(places.size, 1))
             tried = state.coords[places] + length * (state.coords[pair[0]] - state.coords[pair[1]])
-            found = model.log_prob_fn(tried)
-            if np.isnan(found).any():
-                raise ValueError("The log density is not a number somewhere.")
-            with np.errstate(invalid="ignore"):  # from a point of no density to another
-                gain = found - state.log_prob[places]
-            moves = np.log(random.rand(places.size)) < gain
-            state.coords[places[moves]] = tried[moves]
-            state.log_prob[places[moves]] = found[moves]
-            accepted[places[moves]] = True
+            accepted |= _accept(model, state, places, tried)[1]
         return state, accepted
+
+
+def _accept(
+    model: Any,
+    state: Any,
+    places: NDArray[np.int_],
+    tried: FloatArray,
+    likelier: FloatArray | float = 0.0,
+) -> tuple[Any, BoolArray]:
+    """Metropolis and Hastings' choice for the walkers at some places, as emcee wants it.
+
+    ``likelier``: log of how much likelier the old point is to be proposed than the new one.
+    """
+    found = model.log_prob_fn(tried)
+    if np.isnan(found).any():
+        raise ValueError("The log density is not a number somewhere.")
+    with np.errstate(invalid="ignore"):  # from a point of no density to another
+        gain = found - state.log_prob[places] + likelier
+    moves = np.log(model.random.rand(places.size)) < gain
+    state.coords[places[moves]] = tried[moves]
+    state.log_prob[places[moves]] = found[moves]
+    accepted = np.zeros(len(state.coords), dtype=bool)
+    accepted[places[moves]] = True
+    return state, accepted

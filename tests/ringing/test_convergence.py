@@ -66,9 +66,11 @@ def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(
     assert "several modes: another optimum" in reason
 
 
-def test_a_chain_too_short_is_withheld(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    reason = withheld(clean(), tmp_path, capsys, "[posterior]\nmax_steps = 100\n")
-    assert "The chain is short" in reason
+def test_a_chain_too_short_is_said(point: PointEstimate) -> None:
+    settings, seed = SamplerSettings(ensembles=2, max_steps=100), np.random.SeedSequence(2)
+    found = sample_posterior(point.objective, point.optimum, point.spread, settings, seed)
+    assert found.diagnostics.outcome == "usable"
+    assert "The chain is short" in found.diagnostics.reasons[0]
 
 
 def test_a_posterior_at_a_bound_is_withheld(

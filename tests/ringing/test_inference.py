@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from made_recordings import draw_symbols, synthetic_recording
 from scipy import stats
+from scipy.linalg import toeplitz
 from synthetic_ringing import TRUTH
 
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.noise.autoregression import autocorrelation, innovation_share
+from bayesbl.noise.autoregression import autocorrelation, correlated, innovation_share
 from bayesbl.noise.process import NO_NOISE, NoiseModel
 from bayesbl.noise.rotation_noise import Noise, estimate_noise
 from bayesbl.recording.types import MOTOR_SPEED, Recording
@@ -169,7 +170,18 @@ def test_autocorrelation_agrees_with_a_long_simulation() -> None:
     x = NoiseModel(2.0, tuple(coefficients)).draw(1_000_000, seeded(4))
     measured = [float(x[k:] @ x[: x.size - k]) / x.size for k in range(12)]
     # Standard errors are at most 0.5 % of the variance; four of them.
-    np.testing.assert_allclose(measured, noise.autocovariance(12), atol=0.02 * 4.0)
+    np.testing.assert_allclose(measured, noise.covariance_times(np.eye(12))[0], atol=0.02 * 4.0)
+
+
+@pytest.mark.parametrize("size", [1, 2, 97, 500])
+@pytest.mark.parametrize("differentiated", [False, True])
+def test_columns_are_correlated_as_by_the_whole_matrix(size: int, differentiated: bool) -> None:
+    coefficients = np.array([0.7, -0.2, 0.3])
+    columns = np.random.default_rng(size).standard_normal((size, 3))
+    whole = toeplitz(autocorrelation(coefficients, size, differentiated))
+    found = correlated(coefficients, columns, differentiated)
+    np.testing.assert_allclose(found, whole @ columns, atol=1e-12)
+    np.testing.assert_allclose(correlated(coefficients, columns[:, 0], differentiated), found[:, 0])
 
 
 def test_the_misfit_that_repeats_is_found_and_nothing_where_nothing_repeats() -> None:

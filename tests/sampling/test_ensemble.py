@@ -42,14 +42,15 @@ def test_a_normal_distribution_is_drawn_with_its_mean_and_covariance():
 
 
 def test_an_ensemble_never_sees_another_one():
-    """One that stands a million standard deviations away stays there, so no jump spans both."""
+    """One a million standard deviations away, where all others would rather be, stays alone."""
 
     def two_peaks(points: FloatArray) -> FloatArray:
-        return log_density(points - np.round(points / 1e6) * 1e6)
+        far = np.round(points / 1e6)
+        return log_density(points - far * 1e6) + 1e4 * far[:, 0]
 
     near = np.random.default_rng(2).standard_normal((2, 32, 2))
     near[1] += 1e6
-    made = Ensembles(two_peaks, near, np.random.SeedSequence(3))
+    made = Ensembles(two_peaks, near, np.zeros(2), COVARIANCE, np.random.SeedSequence(3))
     made.run(500)
     spread = made.chains[:, 250:].std(axis=(1, 2))
     assert np.all(spread < 5.0)
