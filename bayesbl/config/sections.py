@@ -87,10 +87,12 @@ class RunConfig(Section):
 
 
 class Column(Section):
-    """An entry of ``[columns]``: a column's name in the file, and its unit."""
+    """An entry of ``[columns]``: a column's name in the file, its unit, and whether forwards is
+    negative there."""
 
     name: str = Field(min_length=1)
     unit: Annotated[str, AfterValidator(spelled)] | None = None
+    reversed: bool = False
 
 
 ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
@@ -162,7 +164,10 @@ class RecordedConfig(RunConfig):
     @property
     def column_specs(self) -> dict[str, ColumnSpec]:
         """``[columns]`` as the readers take it."""
-        return {key: ColumnSpec(column.name, column.unit) for key, column in self.columns.items()}
+        return {
+            key: ColumnSpec(column.name, column.unit, column.reversed)
+            for key, column in self.columns.items()
+        }
 
     @field_validator("columns")
     @classmethod

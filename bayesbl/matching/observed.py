@@ -48,6 +48,9 @@ beyond, it is that of motion."""
 MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
 """Of the reference speed: as near simulated speeds are to those of an independent solver."""
+REVERSED_SHARE = 0.3
+"""Of the controller's gain, that the current may rise with the speed: noise of either is some
+hundredths, a current of the other sign near 1."""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -190,6 +193,7 @@ def observed(
             found=f"{speed.size * period / rotation:.2g} load rotations",
             expected="at least two",
         )
+    _require_current_sign(recording, bench)
     signals = _signals(recording, bench)
     return Observed(
         recording.name,
@@ -233,6 +237,30 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
         require_plausible_current(recording, bench.value("current_limit_a"))
         rows.append(recording.channels[MOTOR_CURRENT])
     return np.stack(rows)
+
+
+def _require_current_sign(recording: Recording, bench: Bench) -> None:
+    """A speed loop answers to more speed with less current, so the current falls with the speed.
+
+    In steady rotation i = −(K_p e + K_i ∫e)/K_t, and ∫e is orthogonal to e: the slope of i on e is
+    −K_p/K_t, less where e holds noise that the loop does not see.
+    """
+    if MOTOR_CURRENT not in recording.channels:
+        return
+    speed, current = recording.motor_speed_rpm, recording.channels[MOTOR_CURRENT]
+    error = (speed - speed.mean()) / RPM_PER_RAD_PER_S
+    slope = float(error @ (current - current.mean())) / max(float(error @ error), 1e-300)
+    gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
+    if slope < REVERSED_SHARE * gain:
+        return
+    raise RecordingError(
+        "The motor current has the other sign: it rises with the speed.",
+        file=recording.place,
+        where=MOTOR_CURRENT,
+        found=f"{slope:+.3g} A for each rad/s",
+        expected=f"about {-gain:.3g}, as the bench's controller answers; reverse it under "
+        "[columns]: motor_current_a = {name = …, reversed = true}",
+    )
 
 
 def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[Rounding, ...]:

@@ -22,7 +22,8 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
     routes = summarised_routes(stored)
     amplitude = routes["amplitude"].get("amplitude_rpm") if "amplitude" in routes else None
     posterior, optimum = stored.groups["posterior"], stored.groups["optimum"]
-    names = [str(n) for n in optimum["parameter"].values]
+    # What is free in another recording alone has no value in this one.
+    names = [str(n) for n in optimum["parameter"].values if np.isfinite(float(optimum[str(n)]))]
     found: SnapshotSummary = {
         "route": "direct",
         "routes": routes,
@@ -30,7 +31,7 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
         "amplitude_rpm": amplitude,
         "parameters": {n: stored.interval("posterior", n) for n in names if n != DELTA},
         "optimum": {n: float(optimum[n]) for n in names},
-        "cramer_rao_sd": dict(zip(names, optimum["cramer_rao_sd"].values.tolist(), strict=True)),
+        "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
         "posterior_sd": {n: float(posterior[n].std()) for n in names},
         "noise": _noise(stored.groups["noise"]),
         "predictive_check": _check(stored.groups["predictive_check"]),

@@ -45,10 +45,13 @@ class ColumnSpec:
         The column's name in the file.
     unit
         The unit it comes in; ``None`` for the unit that the channel's name ends in.
+    reversed
+        Whether its sign is the other one: forwards is negative there.
     """
 
     name: str
     unit: str | None = None
+    reversed: bool = False
 
 
 def is_mappable(channel: str) -> bool:

@@ -51,11 +51,13 @@ class Column:
     channel: str
     unit: str | None
     note: str | None = None
+    reversed: bool = False
 
     @property
     def factor(self) -> float:
-        """What brings the column to the channel's own unit."""
-        return 1.0 if self.unit is None else conversion_factor(self.channel, self.unit)
+        """What brings the column to the channel's own unit and sign."""
+        size = 1.0 if self.unit is None else conversion_factor(self.channel, self.unit)
+        return -size if self.reversed else size
 
 
 def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) -> list[Column]:
@@ -64,7 +66,10 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
     Where the file ties columns to clocks, time is that of the mapped columns unless it is mapped.
     """
     names = table.columns
-    channels = {channel: _mapped(path, table, channel, spec) for channel, spec in specs.items()}
+    channels = {
+        channel: replace(_mapped(path, table, channel, spec), reversed=spec.reversed)
+        for channel, spec in specs.items()
+    }
     taken = {column.index for column in channels.values()}
     for channel in (TIME, *CHANNELS):
         if channel not in channels and channel in names and names.index(channel) not in taken:

@@ -11,7 +11,7 @@ import pytest
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.measured_channels import Measurement
 from bayesbl.config.bench import reference_bench
-from bayesbl.errors import BenchError
+from bayesbl.errors import BenchError, RecordingError
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import (
@@ -23,6 +23,7 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.types import MOTOR_CURRENT
 
 NOISE = Measurement(
     encoder_counts=None, speed_noise=NoiseModel(1.5, (0.6,)), current_noise=NoiseModel(0.05)
@@ -55,6 +56,18 @@ def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
     assert stretch == (seen.samples if effects else seen.lag)
     whole = noise.whiten(seen.signals - asked.signals(POINTS, 0))
     assert asked.whitened(POINTS) == pytest.approx(whole.reshape(len(POINTS), -1), abs=1e-9)
+
+
+@pytest.mark.parametrize("speed_rpm", [2000.0, -2000.0])
+def test_a_current_of_the_other_sign_is_refused_in_either_direction(speed_rpm: float) -> None:
+    bench = replace(reference_bench(), measurement=NOISE)
+    recording = bench.simulate(
+        8e-4, rotations=2.4, seed=np.random.default_rng(1), reference_speed_rpm=speed_rpm
+    )
+    observed(recording, bench)
+    turned = {MOTOR_CURRENT: -recording.channels[MOTOR_CURRENT]}
+    with pytest.raises(RecordingError, match="rises with the speed"):
+        observed(replace(recording, channels={**recording.channels, **turned}), bench)
 
 
 def test_a_fit_says_why_its_bench_cannot_be_simulated() -> None:

@@ -229,6 +229,24 @@ def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures,
     assert 14.0 < torque["low"] < torque["high"] < 16.0
 
 
+def test_what_changed_in_one_recording_is_no_parameter_of_the_other(folder, no_figures, capsys):
+    known = load_bench(KNOWN)
+    filtered = BenchEffect("speed_averaging", {"time_s": EffectParameterValue(0.008)})
+    files = [
+        written(folder, known, 8e-4, 5, "plain"),
+        written(folder, known.with_effects(filtered), 8e-4, 6, "filtered"),
+    ]
+    options = ["--route", "direct", "--bench", KNOWN, "--config", two_ensembles(folder, "compare")]
+    run("compare", *files, *options, "--out", folder / "filtered")
+    plain, other = summary(folder / "filtered")["snapshots"]
+    assert "speed_averaging__time_s" in other["parameters"]
+    assert set(plain["optimum"]) == {"delta_rad", "start_angle_rad"}
+    assert set(plain["optimum"]) == set(plain["posterior_sd"]) == set(plain["cramer_rao_sd"])
+    capsys.readouterr()
+    assert run("inspect", folder / "filtered") == 0
+    assert "nan" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [

@@ -122,6 +122,15 @@ def test_columns_are_renamed_and_converted_to_the_units_of_their_channels(tmp_pa
     assert recording.name == "first"
 
 
+def test_a_reversed_column_changes_its_sign(tmp_path: Path) -> None:
+    file = write(tmp_path, csv_text("time_s,Speed"))
+    forwards, backwards = (
+        read_recording(file, columns={"motor_speed_rpm": ColumnSpec("Speed", "rad/s", is_reversed)})
+        for is_reversed in (False, True)
+    )
+    np.testing.assert_array_equal(backwards.motor_speed_rpm, -forwards.motor_speed_rpm)
+
+
 def test_columns_that_nobody_asked_for_are_listed(tmp_path: Path) -> None:
     text = csv_text("time_s,motor_speed_rpm,humidity", end=",40\n").replace(
         "humidity,40", "humidity"
