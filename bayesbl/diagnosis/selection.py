@@ -24,14 +24,15 @@ ln(trials), n the effective samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.diagnosis.comparison import (
     Comparison,
     EffectsFit,
@@ -51,6 +52,7 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.folds import Folds
+from bayesbl.diagnosis.plain_sets import smallest_set
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
@@ -62,6 +64,10 @@ from bayesbl.recording.types import FloatArray
 MOST_EFFECTS = 6
 
 SURE_PARAMETER = 3.0
+
+EXCESS = 4.0
+"""Of what a bench leaves over the noise floor, up to which it may be noise: behind a low pass white
+noise is 2.2 times what does not follow from its own past."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +89,19 @@ class Problem:
     notes
         Sentences about what these recordings cannot show.
     learn
-        Learns what a fit leaves, at a false-alarm rate, where the comparison can.
+        Learns what a fit of a comparison leaves, at a false-alarm rate, where it can.
     scale_sd
         Relative standard deviation of a factor that all torques and inertias have in common.
+    settle
+        The comparison with the bench as it was fitted, and the fit on it.
     """
 
     comparison: Comparison
     remaining: Callable[[EffectsFit], tuple[Unexplained, ...]]
     notes: tuple[str, ...] = ()
-    learn: Callable[[EffectsFit, float], LearnedFit | None] = lambda fit, false_alarm: None
+    learn: Callable[[Any, EffectsFit, float], LearnedFit | None] = lambda *_: None
     scale_sd: float = 0.0
+    settle: Callable[[EffectsFit], tuple[Comparison, EffectsFit]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +146,13 @@ def diagnose(
     comparison = problem.comparison
     before = comparison.fit((), None)
     after = _select(comparison, before, settings, progress)
-    learned = problem.learn(after, settings.false_alarm)
+    if problem.settle is not None:
+        comparison, after = problem.settle(after)
+    learned, denied = None, tuple(impossible(after))
+    if denied:
+        comparison, after = problem.comparison, before
+    else:
+        learned = problem.learn(comparison, after, settings.false_alarm)
     if learned is not None:
         comparison, after = learned.comparison, learned.fit
     effects = tuple(
@@ -146,26 +161,41 @@ def diagnose(
     )
     spread = _deviations(comparison, after)
     found = {name: Estimate(v, spread.get(name, math.nan)) for name, v in after.bench.items()}
-    estimates = scaled_parameters(found, problem.scale_sd)
+    estimates = {} if denied else scaled_parameters(found, problem.scale_sd)
     errors = _parameter_errors(bench, estimates)
     remaining = problem.remaining(after)
     pieces = residuals_of_pieces(comparison, before, after)
+    table = disagreement_table(pieces, in_units_of_noise=False)
+    left = table.overall["used"]
+    beyond_noise = left.after > EXCESS * left.noise_floor
     return Diagnosis(
         verdict_of(
             effects=bool(effects),
             parameters=bool(errors),
-            remains=bool(remaining) or learned is not None,
+            remains=bool(remaining) or learned is not None or beyond_noise,
         ),
         effects,
         errors,
         remaining,
-        disagreement_table(pieces, in_units_of_noise=False),
-        problem.notes,
+        table,
+        (*problem.notes, *denied),
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
         augmented_bench=None if learned is None else learned.bench,
         learned=None if learned is None else learned.answer,
     )
+
+
+def impossible(fit: EffectsFit) -> Iterator[str]:
+    """A sentence for each fitted parameter that no joint can have: then nothing is believed."""
+    for name, value in fit.bench.items():
+        info = PARAMETER_INFO[name]
+        if info.positive and value <= 0.0:
+            yield (
+                f"The best fit with {name} free has {value:.3g} {info.unit} there, which nothing "
+                "has: what the recordings show follows no law that was tried, so nothing is named. "
+                "Faster motion shows the inertia, slow motion in both directions the friction."
+            )
 
 
 def _by_weight(comparison: Comparison, after: EffectsFit) -> list[str]:
@@ -251,7 +281,7 @@ def _with_set(
         if not plain:
             return current
         every = comparison.fit((*others, *(c.name for c in plain)), current)
-        chosen = _smallest_set(comparison, every, plain, most - len(others), threshold)
+        chosen = smallest_set(comparison, every, plain, most - len(others), threshold)
         fit = comparison.fit((*chosen, *others), every)
         idle = []
         for name in chosen:
@@ -265,101 +295,6 @@ def _with_set(
         if not idle:
             return fit
         dropped.update(idle[:1])
-
-
-def _smallest_set(
-    comparison: Comparison,
-    every: EffectsFit,
-    plain: list[TestedEffect],
-    most: int,
-    threshold: float,
-) -> tuple[str, ...]:
-    """Of the sets of plain effects, the smallest that the best set adds nothing to.
-
-    Around the fit with all of them the problem is linear. The best set has the smallest residual of
-    those in which every size is physical. With X the columns of a set and Z those that the best one
-    has besides, cleared of X, s = Zᵀr of the set's residual r has covariance ZᵀΣZ, and sᵀ(ZᵀΣZ)⁻¹s
-    is χ² if they are not there. Of several such sets that look alike the first in the catalogue.
-    """
-    sets = _plain_sets(comparison, every, plain, most)
-    noises = _noises(comparison, every)
-    ends = np.cumsum([part.shape[0] for part in every.columns])[:-1]
-
-    def spread(values: FloatArray) -> FloatArray:
-        """Columns times the noise's covariance, shape (p, p)."""
-        pairs = zip(np.split(values, ends), noises, strict=True)
-        return np.asarray(sum(part.T @ noise.covariance_times(part) for part, noise in pairs))
-
-    best = min(sets, key=lambda made: made.squares)
-    adequate: list[_PlainSet] = []
-    for made in sets:
-        if adequate and len(made.members) > len(adequate[0].members):
-            break
-        more = [best.columns[m] for m in best.members if m not in made.members]
-        if not more:
-            adequate.append(made)
-            continue
-        others = np.column_stack(more)
-        kept = made.matrix
-        if kept.shape[1]:
-            others = others - kept @ np.linalg.lstsq(kept, others, rcond=1e-10)[0]
-        noise = spread(others)
-        rank = int(np.linalg.matrix_rank(noise, rtol=1e-10, hermitian=True))
-        score = others.T @ made.left
-        if rank == 0 or (
-            chi2.sf(float(score @ np.linalg.pinv(noise, 1e-10, True) @ score), rank) > threshold
-        ):
-            adequate.append(made)
-    nearest = min(adequate, key=lambda made: made.squares)
-    for made in adequate:
-        apart = made.left - nearest.left
-        size = float(apart @ apart)
-        if size == 0.0 or size < ALIKE * math.sqrt(float(spread(apart[:, None])[0, 0])):
-            return tuple(plain[m].name for m in made.members)
-    raise AssertionError("the nearest set is like itself")
-
-
-@dataclass(frozen=True, slots=True)
-class _PlainSet:
-    """Least squares with some plain effects, by number, beside all else that is fitted.
-
-    ``matrix``: columns of the fit, (n, p); ``columns``: those of every plain effect, by number;
-    ``left``: residual, (n,).
-    """
-
-    members: tuple[int, ...]
-    matrix: FloatArray
-    columns: Sequence[FloatArray]
-    left: FloatArray
-    squares: float
-
-
-def _plain_sets(
-    comparison: Comparison, every: EffectsFit, plain: list[TestedEffect], most: int
-) -> list[_PlainSet]:
-    """All sets of at most so many effects in which every size is physical, small ones first."""
-    places = [every.names.index(f"{c.name}.{c.amplitude}") for c in plain]
-    matrix = np.vstack(every.columns)
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    matrix = matrix / scale
-    columns = [matrix[:, place] for place in places]
-    target = np.concatenate(residuals(comparison, every, "used"))
-    for c, place in zip(plain, places, strict=True):
-        target = target + matrix[:, place] * scale[place] * every.effects[c.name][c.amplitude]
-    # A shape that all share is held: beside nothing with that shape it would stand for anything.
-    held = [every.names.index(name) for name in every.shared if name in every.names]
-    common = [k for k in range(matrix.shape[1]) if k not in places and k not in held]
-    found = []
-    for size in range(min(most, len(plain)) + 1):
-        for members in combinations(range(len(plain)), size):
-            kept = matrix[:, common + [places[m] for m in members]]
-            fitted = np.linalg.lstsq(kept, target, rcond=1e-10)[0] if kept.shape[1] else np.zeros(0)
-            values = zip(members, fitted[len(common) :], strict=True)
-            if all(plain[m].is_physical(value / scale[places[m]]) for m, value in values):
-                left = target - kept @ fitted
-                found.append(_PlainSet(members, kept, columns, left, float(left @ left)))
-    return found
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:

@@ -80,8 +80,8 @@ def headline(summary: DiagnosisSummary) -> str:
             )
         case "unexplained" if (found := learned_of(summary)) is not None:
             return f"No effect that was tried explains it: {dependence(found)}."
-        case "unexplained":
-            what = next(remaining(summary), ": .").partition(": ")[2]
+        case "unexplained" if summary["remaining"]:
+            what = next(remaining(summary)).partition(": ")[2]
             return f"Something repeats that no effect that was tried explains: {what}"
         case _:
             left = summary["disagreement"]["over_all"].get("used")

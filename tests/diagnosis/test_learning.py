@@ -64,11 +64,7 @@ def groups(
 
 
 def answer_with(comparison: InverseComparison) -> Diagnosis:
-    problem = Problem(
-        comparison,
-        lambda fit: (),
-        learn=lambda fit, false_alarm: learned_fit(comparison, fit, false_alarm),
-    )
+    problem = Problem(comparison, lambda fit: (), learn=learned_fit)
     return diagnose(problem, comparison.bench, Settings(3))
 
 

@@ -14,7 +14,8 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.method import compared, gravity_shows
+from bayesbl.diagnosis.rigid.method import around_fitted, compared, with_released
+from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, within_turns, without_load_angle
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
@@ -151,7 +152,65 @@ def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
     """The bench has no gravity, and an inertia half as large again: it goes with the angle too."""
     bench = believed(replace(drawn_axis(np.random.default_rng(1)), inertia_kg_m2=0.03 / 0.8))
     made = comparison(swinging(reach_rad, gravity_nm), bench, 20.0, WHOLE)
-    assert gravity_shows(replace(made, unknown=())) is (gravity_nm > 0.0)
+    _, released = with_released(replace(made, unknown=()))
+    assert released == (("inertia", "direction") if gravity_nm > 0.0 else ("inertia",))
+    right = believed(replace(drawn_axis(np.random.default_rng(1)), inertia_kg_m2=0.02 / 0.8))
+    _, released = with_released(replace(made, bench=right, unknown=(), seen=()))
+    assert released == (("direction",) if gravity_nm > 0.0 else ())
+
+
+def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
+    """A spring that the bench lacks: at one frequency it goes with −α."""
+    made = comparison(
+        swinging(0.1, 4.0), believed(drawn_axis(np.random.default_rng(1))), 20.0, WHOLE
+    )
+    found = answer(made)
+    assert found.verdict == "unexplained"
+    assert not found.effects
+    assert not found.parameter_errors
+    assert any("which nothing has" in note for note in found.notes)
+
+
+def test_the_size_of_an_eccentric_encoder_is_that_on_the_bench_as_fitted() -> None:
+    """It adds J d²e/dt², so an inertia half as large again would make it a third too small."""
+    rng = np.random.default_rng(2)
+    time = np.arange(0.0, 8.0, 1e-3)
+    found = []
+    for name, rate in (("a", 1.1), ("b", 0.7)):
+        true = 30.0 * np.sin(rate * time) + 9.0 * np.sin(3.3 * rate * time)
+        acceleration = -(rate**2) * (
+            30.0 * np.sin(rate * time) + 3.3**2 * 9.0 * np.sin(3.3 * rate * time)
+        )
+        torque = 1e-3 * acceleration + 2e-3 * rng.standard_normal(time.size)
+        shown = true + 0.02 * np.sin(true)
+        found.append(Recording(name, time, {MOTOR_POSITION: shown, MOTOR_TORQUE: torque}))
+    bench = believed(replace(drawn_axis(rng), inertia_kg_m2=1e-3)).with_parameters(
+        motor_inertia_kg_m2=1.5e-3
+    )
+    made = comparison(found, bench, 100.0, (("used",), ("used",)))
+    made = replace(made, terms={"encoder_eccentricity": TORQUE_TERMS["encoder_eccentricity"]})
+    fit = made.fit(("encoder_eccentricity",), None)
+    _, settled = around_fitted(made, fit)
+    assert fit.effects["encoder_eccentricity"]["angle_rad"] == pytest.approx(0.02 / 1.5, rel=0.02)
+    # What the reading adds to the angle in the sine is of second order: e/2.
+    assert settled.effects["encoder_eccentricity"]["angle_rad"] == pytest.approx(0.02, rel=0.02)
+
+
+@pytest.mark.parametrize("times", [0, 1, 2])
+@pytest.mark.parametrize("frequency_hz", [3.0, 21.0, 80.0])
+def test_a_derivative_behind_the_filter_is_exact_at_every_frequency(
+    times: int, frequency_hz: float
+) -> None:
+    """But for the filter's gain, and for the ends, which it carries two periods far."""
+    time, rate = np.arange(0.0, 4.0, 5e-3), 2.0 * math.pi * frequency_hz
+    low_pass = LowPass(60.0, 5e-3)
+    edge = math.tan(math.pi * 60.0 * 5e-3)
+    gain = 1.0 / (1.0 + (math.tan(math.pi * frequency_hz * 5e-3) / edge) ** 8)
+    found = low_pass.derivative(np.sin(rate * time + 0.7) + 5.0 * time + 2.0, times)
+    slow = (5.0 * time + 2.0, 5.0, 0.0)[times]
+    expected = gain * rate**times * np.sin(rate * time + 0.7 + 0.5 * math.pi * times) + slow
+    inside = slice(100, -100)
+    np.testing.assert_allclose(found[inside], expected[inside], atol=1e-3 * gain * rate**times)
 
 
 def test_the_cut_off_is_where_the_position_no_longer_resolves_the_acceleration() -> None:

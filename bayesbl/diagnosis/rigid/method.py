@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from types import MappingProxyType
 
 import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.comparison import EffectsFit, Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
@@ -41,7 +42,7 @@ from bayesbl.diagnosis.rigid.view import (
     thinned,
     turns_of,
 )
-from bayesbl.diagnosis.selection import BySelection, Problem
+from bayesbl.diagnosis.selection import BySelection, Problem, impossible
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError
 from bayesbl.recording.types import (
@@ -70,7 +71,22 @@ USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
 """How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
 
 MOST = 0.5
-"""Share of the squares that gravity must not leave, to be taken for there where none is given."""
+"""Share of the squares that a bench parameter must not leave, to be fitted unasked."""
+
+_RELEASED: Mapping[str, str] = MappingProxyType(
+    {
+        "inertia": "Most of what friction leaves goes with the acceleration, though the bench has "
+        "its inertia without a tolerance: it was fitted.",
+        "gravity": "Most of what friction leaves goes with the load's angle as gravity does, "
+        "though the bench has gravity_torque_nm without a tolerance: it was fitted.",
+        "direction": "Most of what friction and inertia leave goes with the load's angle as "
+        "gravity does, though the bench has gravity_torque_nm = 0: it was fitted, with its "
+        "direction. Give it in the bench file.",
+    }
+)
+
+BENCH_ROUNDS = 2
+"""Of fits, each with columns by the bench of the one before: it moves by per cents at most."""
 
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
@@ -140,10 +156,7 @@ def inverse_problem(task: Task) -> Problem:
         resolved = resolved_hz(positions, period) if positions else WIDEST / period
         resolved = min(resolved, WIDEST / period)
         cutoff = coherent_hz(comparison_below(resolved)) or resolved
-    comparison = comparison_below(cutoff)
-    unsaid = not (load or asked.load_angle_known or comparison.gravity_free)
-    if unsaid and gravity_shows(comparison):
-        comparison = replace(comparison, gravity_free=True)
+    comparison, released = with_released(comparison_below(cutoff))
     pieces, motions = comparison.pieces, comparison.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += [
@@ -158,12 +171,7 @@ def inverse_problem(task: Task) -> Problem:
             "unknown, so a ripple has its own phase in every recording, and gravity's direction "
             "is fitted."
         )
-    if unsaid and comparison.gravity_free:
-        notes.append(
-            "Most of what friction and inertia leave goes with the load's angle as gravity does, "
-            "though the bench has gravity_torque_nm = 0: it was fitted, with its direction. Give "
-            "it in the bench file."
-        )
+    notes += [_RELEASED[name] for name in released]
     if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
@@ -183,32 +191,67 @@ def inverse_problem(task: Task) -> Problem:
         comparison,
         lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
         tuple(notes),
-        lambda fit, false_alarm: learned_fit(comparison, fit, false_alarm),
+        learned_fit,
         scale_sd,
+        lambda fit: around_fitted(comparison, fit),
     )
 
 
-def gravity_shows(comparison: InverseComparison) -> bool:
-    """Whether gravity, fitted in size and direction, takes most of what all else leaves.
+def with_released(comparison: InverseComparison) -> tuple[InverseComparison, tuple[str, ...]]:
+    """The comparison with those bench parameters free that the recordings contradict, and which.
 
-    All else: what acts in proportion to a size, with the inertia free, since the acceleration of a
-    small swing goes with its angle too.
+    Inertia and gravity, where the bench claims to know them: of the smallest sets of them beside
+    which no other would take most of what is left, with every effect in proportion to a size, the
+    first. A set that would need an inertia below zero is none.
     """
-    inertia = comparison.unknown
-    if not set(inertia) & set(INERTIAS):
-        inertia = (*inertia, INERTIAS[0])
-    plain = tuple(c.name for c in comparison.candidates if c.is_plain)
+    free = {
+        "inertia": lambda made: replace(made, unknown=(*made.unknown, INERTIAS[0])),
+        "gravity": lambda made: replace(made, unknown=(*made.unknown, GRAVITY)),
+        "direction": lambda made: replace(made, gravity_free=True),
+    }
+    if comparison.load or set(comparison.unknown) & set(INERTIAS):
+        del free["inertia"]
+    if comparison.load or not comparison.load_angle_known or GRAVITY in comparison.unknown:
+        del free["gravity"]
+    if comparison.load or comparison.load_angle_known or comparison.gravity_free:
+        del free["direction"]
 
-    def left(gravity_free: bool) -> float:
-        tried = replace(comparison, unknown=inertia, gravity_free=gravity_free)
-        fit = tried.fit(plain, None)
+    def left(names: Sequence[str]) -> float:
+        made = comparison
+        for name in names:
+            made = free[name](made)
+        fit = made.fit(tuple(c.name for c in made.candidates if c.is_plain), None)
+        if any(impossible(fit)):
+            return math.inf
         return sum(
             float(np.sum(piece.kept(piece.measured - prediction) ** 2))
-            for piece, prediction in zip(tried.pieces, fit.predictions, strict=True)
+            for piece, prediction in zip(made.pieces, fit.predictions, strict=True)
             if piece.use == "used" and piece.shown
         )
 
-    return left(True) < MOST * left(False)
+    sets = [names for size in range(len(free) + 1) for names in combinations(free, size)]
+    squares = [left(names) for names in sets]
+    chosen = next(s for s, own in zip(sets, squares, strict=True) if MOST * own <= min(squares))
+    for name in chosen:
+        comparison = free[name](comparison)
+    return comparison, chosen
+
+
+def around_fitted(
+    comparison: InverseComparison, fit: EffectsFit
+) -> tuple[InverseComparison, EffectsFit]:
+    """The comparison with the bench as it was fitted, and the fit on it.
+
+    An eccentric encoder adds J d²e/dt² and a loaded gear rubs as the load pulls, so their sizes
+    hold for the bench that their columns are made of.
+    """
+    for _ in range(BENCH_ROUNDS):
+        if not fit.bench or not all(fit.bench[name] > 0.0 for name in fit.bench):
+            break
+        bench = comparison.bench.with_parameters(**fit.bench)
+        comparison = replace(comparison, bench=bench, seen=())
+        fit = comparison.fit(tuple(fit.effects), fit)
+    return comparison, fit
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy import fft
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
-from scipy.signal import butter, sosfiltfilt
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
@@ -37,28 +36,46 @@ UNEVEN = 1e-3
 """Departure of a time stamp from the even grid, in periods, up to which it is even."""
 
 
-@cache
-def _sections(cutoff: float) -> FloatArray:
-    return np.asarray(butter(FILTER_ORDER, cutoff, output="sos"))
-
-
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """The stated zero-phase filter and the derivatives behind it."""
+    """The stated zero-phase filter and the derivatives behind it.
+
+    Both are exact at every frequency below half the sampling rate: a digital Butterworth filter's
+    squared gain 1/(1 + (tan(ωT/2)/tan(ω_cT/2))⁸) and (iω)ᵏ, applied to the recording's discrete
+    Fourier transform. Differences of samples would lose sin(ωT)/ωT of every derivative.
+    """
 
     cutoff_hz: float
     period_s: float
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Low-passed, same shape."""
-        return np.asarray(sosfiltfilt(_sections(2.0 * self.cutoff_hz * self.period_s), values))
+        return self.derivative(values, 0)
 
     def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
-        """Derivative of the low-passed values by central differences."""
-        smooth = self(values)
-        for _ in range(times):
-            smooth = np.gradient(smooth, self.period_s)
-        return smooth
+        """Derivative of the low-passed values, same shape (n,).
+
+        What is left of a line from the first to the last sample goes on oddly at either end, so
+        that it is periodic, with a steady slope.
+        """
+        n = values.size
+        slope = (values[-1] - values[0]) / ((n - 1) * self.period_s)
+        line = values[0] + slope * self.period_s * np.arange(n)
+        left = values - line
+        around = np.concatenate((left[:-1], -left[:0:-1]))
+        frequency = fft.rfftfreq(around.size, self.period_s)
+        gain = _gain(self.cutoff_hz, self.period_s, around.size)
+        spectrum = fft.rfft(around) * gain * (2.0j * math.pi * frequency) ** times
+        made = fft.irfft(spectrum, around.size)[:n]
+        return np.asarray(made + (line, slope, 0.0)[times])
+
+
+def _gain(cutoff_hz: float, period_s: float, size: int) -> FloatArray:
+    """Of the filter run forward and backward, at the frequencies of a transform of even size."""
+    half_turns = 0.5 * math.pi * np.arange(size // 2 + 1) / (size // 2)
+    edge = math.tan(math.pi * cutoff_hz * period_s)
+    ratio = np.tan(half_turns[:-1]) / edge
+    return np.append(1.0 / (1.0 + ratio ** (2 * FILTER_ORDER)), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
