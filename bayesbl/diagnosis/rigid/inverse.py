@@ -13,7 +13,7 @@ coloured noise widens its covariance instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,8 @@ from scipy.optimize import minimize_scalar
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
-from bayesbl.diagnosis.rigid.compared_columns import WIDTH, ComparedColumns, Values
+from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
+from bayesbl.diagnosis.rigid.least_squares import Staying, least_squares, stacked
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
 from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray
@@ -96,7 +97,7 @@ class InverseComparison(ComparedColumns):
             trials[name] = self._scan(name, effects, shapes, start)
         if directional and any(self._scanned(name) for name in fresh):
             self._scan_width(effects, shapes)
-        linear, _ = self._linear(effects, shapes)
+        linear = self._linear(effects, shapes)
         found = {name: self._catalogue(name, linear, shapes) for name in effects}
         self._share_amplitudes(found, linear)
         predictions = tuple(
@@ -225,10 +226,7 @@ class InverseComparison(ComparedColumns):
         self, key: str, grid: Sequence[float], effects: tuple[str, ...], shapes: Values
     ) -> None:
         """Put the value of least squares into ``shapes``: a grid, then a search around its best."""
-
-        def cost(value: float) -> float:
-            return self._linear(effects, {**shapes, key: float(value)})[1]
-
+        cost = self._cost(key, effects, shapes)
         costs = [cost(value) for value in grid]
         best = int(np.argmin(costs))
         low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
@@ -239,26 +237,56 @@ class InverseComparison(ComparedColumns):
 
     # Least squares
 
-    def _linear(self, effects: tuple[str, ...], shapes: Values) -> tuple[Values, float]:
-        """Linear coefficients by name, and the sum of squares over all used pieces."""
+    def _cost(self, key: str, effects: tuple[str, ...], shapes: Values) -> Callable[[float], float]:
+        """Sum of squares of the fit over a shape; what does not depend on it is fitted once."""
+        used, all_move = self._used, key.startswith(SKEW)
+        moving = tuple(e for e in effects if all_move or self._depends(e, key))
+        others = tuple(e for e in effects if e not in moving)
+        stay: list[Columns] = [{} for _ in used]
+        if not all_move:
+            stay = [self._kept_columns(i, others, shapes) for i in used]
+        staying = Staying(stay)
+
+        def cost(value: float) -> float:
+            tried = {**shapes, key: value}
+            rests = [self._rest(i, effects, tried) for i in used]
+            along = staying.along(rests)
+            tables = [
+                {n: c for n, c in self._kept_columns(i, moving, tried).items() if n not in table}
+                for i, table in zip(used, stay, strict=True)
+            ]
+            left = sum(float(rest @ rest) for rest in rests) - float(along @ along)
+            return left - staying.explained(tables, rests, along)
+
+        return cost
+
+    def _depends(self, name: str, key: str) -> bool:
+        """Whether an effect's columns change with a shape."""
+        if key == WIDTH:
+            return "direction" in effect_named(name).depends_on
+        return key.startswith(f"{name}.")
+
+    def _rest(self, i: int, effects: tuple[str, ...], shapes: Values) -> FloatArray:
+        """What the bench leaves of a piece, at the samples that count, shape (k,)."""
+        piece = self.pieces[i]
+        return piece.kept(piece.measured - self._base(i, effects, shapes))
+
+    def _kept_columns(self, i: int, effects: tuple[str, ...], shapes: Values) -> Columns:
+        columns = self._columns(i, effects, shapes)
+        return {name: self.pieces[i].kept(column) for name, column in columns.items()}
+
+    def _linear(self, effects: tuple[str, ...], shapes: Values) -> Values:
+        """Linear coefficients by name, fitted on all used pieces."""
         used = self._used
-        tables = [self._columns(i, effects, shapes) for i in used]
+        tables = [self._kept_columns(i, effects, shapes) for i in used]
         names = list(dict.fromkeys(name for table in tables for name in table))
-        rests, blocks = [], []
-        for i, table in zip(used, tables, strict=True):
-            piece = self.pieces[i]
-            rests.append(piece.kept(piece.measured - self._base(i, effects, shapes)))
-            nothing = np.zeros(piece.measured.size)
-            stacked = [table.get(name, nothing) for name in names]
-            if names:
-                blocks.append(piece.kept(np.column_stack(stacked)))
-        rest = np.concatenate(rests)
         if not names:
-            return {}, float(rest @ rest)
-        matrix = np.vstack(blocks)
-        coefficients = _least_squares(matrix, rest)
-        left = rest - matrix @ coefficients
-        return dict(zip(names, coefficients.tolist(), strict=True)), float(left @ left)
+            return {}
+        # A piece of which nothing is modelled says nothing of the coefficients.
+        chosen = [(i, table) for i, table in zip(used, tables, strict=True) if table]
+        matrix = np.vstack([stacked(table, names) for _, table in chosen])
+        rest = np.concatenate([self._rest(i, effects, shapes) for i, _ in chosen])
+        return dict(zip(names, least_squares(matrix, rest).tolist(), strict=True))
 
     def _prediction(
         self,
@@ -292,7 +320,7 @@ class InverseComparison(ComparedColumns):
             if name in linear:
                 rest = rest - linear[name] * column
         matrix = np.column_stack([columns[name] for name in own])
-        fitted = _least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
+        fitted = least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
         complete = {**linear, **dict(zip(own, fitted, strict=True))}
         self._share_amplitudes(found, complete)
         return complete
@@ -395,10 +423,3 @@ class InverseComparison(ComparedColumns):
         if effect == SKEW:
             return 1e-3 / self.views[0].low_pass.cutoff_hz
         return 1e-5 * value if parameter == ORDER else 1e-2 * value
-
-
-def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    # A column whose squares underflow says nothing of its size.
-    scale = np.where(scale > math.sqrt(np.finfo(float).tiny), scale, np.inf)
-    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-8)[0] / scale)
