@@ -19,12 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
+from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
 from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
 from bayesbl.diagnosis.rigid.least_squares import Staying, least_squares, stacked
-from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
+from bayesbl.diagnosis.rigid.order_rivals import OrderScan
+from bayesbl.diagnosis.rigid.order_scan import OrderedRest
 from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray
 
@@ -35,6 +36,9 @@ WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 
 SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 21))
 """In periods of the cut-off: beyond half of one a delay has no sign."""
+
+NO_ORDER = 0.0
+"""Where no line of the residual is of the motor's angle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,17 +123,21 @@ class InverseComparison(ComparedColumns):
         rests = [
             OrderedRest(
                 piece.name,
+                piece.kept(piece.time_s),
                 piece.kept(motion.angle[view.rows]),
+                piece.kept(np.abs(motion.speed[view.rows])),
                 piece.kept(piece.measured - fit.predictions[i]),
-                piece.kept(view.order_at_cutoff(motion)),
+                view.low_pass.cutoff_hz,
                 view.above,
+                view.low_pass.period_s,
+                view.step_rad,
             )
             for i, piece, motion, view in zip(
                 range(len(self.pieces)), self.pieces, self.motions, self.views, strict=True
             )
             if piece.use == "used"
         ]
-        return scan_orders(rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
+        return OrderScan(tuple(rests), self.phases_shared)
 
     # Shapes
 
@@ -179,7 +187,7 @@ class InverseComparison(ComparedColumns):
         if name == SKEW and abs(value) < 0.5 * self._period_s:
             return True  # so far apart are samples and what a controller holds between them
         if scanned[0] == ORDER:
-            return not LOWEST_ORDER < value < HIGHEST_ORDER
+            return value == NO_ORDER
         grid = self._grid(name)
         near = 1e-2 * (grid[1] - grid[0])
         return not grid[0] + near < value < grid[-1] - near or self._extrapolates(name, shapes)
@@ -216,8 +224,14 @@ class InverseComparison(ComparedColumns):
         key, trials = f"{name}.{scanned[0]}", 3.0
         if scanned[0] == ORDER:
             without = start or self.fit(tuple(e for e in effects if e != name), None)
-            order, step, trials = self.scan_orders(without).best()
-            self._search(key, (order - step, order, order + step), effects, shapes)
+            scan = self.scan_orders(without)
+            line = scan.of_angle()
+            if line is None:
+                shapes[key] = NO_ORDER
+                return trials
+            grid = (line.order - scan.step, line.order, line.order + scan.step)
+            self._search(key, grid, effects, shapes)
+            trials = line.trials
         else:
             self._search(key, self._grid(name), effects, shapes)
         return trials
