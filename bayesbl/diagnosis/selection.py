@@ -10,7 +10,8 @@ all the rest adds nothing to. The others are tried one at a time beside that set
 chosen again whenever one of them is named. An effect is believed if
 
 - its amplitude stands out of the noise: Wald's χ² under the sandwich covariance, corrected for
-  the number of candidates and of shapes tried, below the false-alarm rate;
+  the number of candidates and of shapes tried, below the false-alarm rate; and it is more probable
+  than not, by the evidence below;
 - the used pieces are predicted better with it than without, each from a fit on the others, beyond
   what the noise does to that;
 - it has the sign that physics gives it.
@@ -255,7 +256,16 @@ def _select(
                 dropped.add(name)
                 current = comparison.fit(tuple(e for e in current.effects if e != name), current)
         current = _with_set(comparison, folds, current, settings.most, threshold)
+    while weak := _weakest(comparison, current, threshold):
+        current = comparison.fit(tuple(e for e in current.effects if e != weak), current)
     return current
+
+
+def _weakest(comparison: Comparison, fit: EffectsFit, threshold: float) -> str | None:
+    """Of the effects that do not stand out beside all others, the one with the least evidence."""
+    named = [_by_name(comparison, name) for name in fit.effects]
+    weak = [c for c in named if not _stands_out(comparison, fit, c, threshold)]
+    return min(weak, key=lambda c: _wald(comparison, fit, c)[2]).name if weak else None
 
 
 def _with_set(
@@ -353,12 +363,16 @@ def _trial(comparison: Comparison, current: EffectsFit, candidate: TestedEffect)
 def _stands_out(
     comparison: Comparison, fit: EffectsFit, candidate: TestedEffect, threshold: float
 ) -> bool:
-    """Whether an effect of a fit stands out of the noise, with a size that physics allows."""
+    """Whether an effect of a fit stands out of the noise, with a size that physics allows.
+
+    By its p-value and by its probability, which must be above one half.
+    """
     if candidate.name in fit.at_edge:
         return False
     if not candidate.is_physical(fit.effects[candidate.name][candidate.amplitude]):
         return False
-    return _wald(comparison, fit, candidate)[1] < math.log(threshold)
+    _, log_p, log_evidence = _wald(comparison, fit, candidate)
+    return log_p < math.log(threshold) and log_evidence > 0.0
 
 
 def _wald(

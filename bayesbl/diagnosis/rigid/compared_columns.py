@@ -112,8 +112,6 @@ class ComparedColumns:
                     base = base + self._signal(i, name, amount, shapes)
             return base
         bench = self.bench
-        if not self.load_angle_known:
-            bench = bench.with_parameters(gravity_torque_nm=0.0)
         if self.views[i].above:
 
             def waves() -> FloatArray:
@@ -128,10 +126,12 @@ class ComparedColumns:
             return self._seen(i, ("base", skew), waves)
 
         def torque() -> FloatArray:
-            needed = required_torque(self._motion(i, shapes), bench) + self.known[i]
-            return np.asarray(needed / self.unit)
+            known = {} if self.load_angle_known else {"gravity_torque_nm": 0.0}
+            needed = required_torque(self._motion(i, shapes), bench.with_parameters(**known))
+            return np.asarray((needed + self.known[i]) / self.unit)
 
-        return self._seen(i, ("base", skew, shapes.get(WIDTH)), torque)
+        width = shapes.get(WIDTH) if self._directional(()) else None
+        return self._seen(i, ("base", skew, width), torque)
 
     def _signal(
         self, i: int, name: str, given: Mapping[str, float], shapes: Mapping[str, float]

@@ -52,9 +52,8 @@ def coherent_hz(resolved: InverseComparison) -> float | None:
         The comparison behind the highest cut-off that resolves the motion.
     """
     fit = resolved.fit(tuple(c.name for c in resolved.candidates if c.is_plain), None)
-    orders = [
-        found.lowest_order for found in resolved.scan_orders(fit).remaining("", (), FALSE_ALARM)
-    ]
+    lines = resolved.scan_orders(fit).lines(FALSE_ALARM)
+    orders = [line.order for line in lines if line.dependence == "motor angle"]
     frequencies, measured, left = [], [], []
     for i, piece in enumerate(resolved.pieces):
         if piece.use != "used" or not piece.shown:

@@ -13,17 +13,19 @@ coloured noise widens its covariance instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER, ORDER, PHASE
+from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
-from bayesbl.diagnosis.rigid.compared_columns import WIDTH, ComparedColumns, Values
-from bayesbl.diagnosis.rigid.order_scan import OrderedRest, OrderScan, scan_orders
+from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
+from bayesbl.diagnosis.rigid.least_squares import Staying, least_squares, stacked
+from bayesbl.diagnosis.rigid.order_rivals import OrderScan
+from bayesbl.diagnosis.rigid.order_scan import OrderedRest
 from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray
 
@@ -34,6 +36,9 @@ WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 
 SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 21))
 """In periods of the cut-off: beyond half of one a delay has no sign."""
+
+NO_ORDER = 0.0
+"""Where no line of the residual is of the motor's angle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +101,7 @@ class InverseComparison(ComparedColumns):
             trials[name] = self._scan(name, effects, shapes, start)
         if directional and any(self._scanned(name) for name in fresh):
             self._scan_width(effects, shapes)
-        linear, _ = self._linear(effects, shapes)
+        linear = self._linear(effects, shapes)
         found = {name: self._catalogue(name, linear, shapes) for name in effects}
         self._share_amplitudes(found, linear)
         predictions = tuple(
@@ -118,17 +123,21 @@ class InverseComparison(ComparedColumns):
         rests = [
             OrderedRest(
                 piece.name,
+                piece.kept(piece.time_s),
                 piece.kept(motion.angle[view.rows]),
+                piece.kept(np.abs(motion.speed[view.rows])),
                 piece.kept(piece.measured - fit.predictions[i]),
-                piece.kept(view.order_at_cutoff(motion)),
+                view.low_pass.cutoff_hz,
                 view.above,
+                view.low_pass.period_s,
+                view.step_rad,
             )
             for i, piece, motion, view in zip(
                 range(len(self.pieces)), self.pieces, self.motions, self.views, strict=True
             )
             if piece.use == "used"
         ]
-        return scan_orders(rests, self.phases_shared, LOWEST_ORDER, HIGHEST_ORDER)
+        return OrderScan(tuple(rests), self.phases_shared)
 
     # Shapes
 
@@ -178,7 +187,7 @@ class InverseComparison(ComparedColumns):
         if name == SKEW and abs(value) < 0.5 * self._period_s:
             return True  # so far apart are samples and what a controller holds between them
         if scanned[0] == ORDER:
-            return not LOWEST_ORDER < value < HIGHEST_ORDER
+            return value == NO_ORDER
         grid = self._grid(name)
         near = 1e-2 * (grid[1] - grid[0])
         return not grid[0] + near < value < grid[-1] - near or self._extrapolates(name, shapes)
@@ -215,8 +224,14 @@ class InverseComparison(ComparedColumns):
         key, trials = f"{name}.{scanned[0]}", 3.0
         if scanned[0] == ORDER:
             without = start or self.fit(tuple(e for e in effects if e != name), None)
-            order, step, trials = self.scan_orders(without).best()
-            self._search(key, (order - step, order, order + step), effects, shapes)
+            scan = self.scan_orders(without)
+            line = scan.of_angle()
+            if line is None:
+                shapes[key] = NO_ORDER
+                return trials
+            grid = (line.order - scan.step, line.order, line.order + scan.step)
+            self._search(key, grid, effects, shapes)
+            trials = line.trials
         else:
             self._search(key, self._grid(name), effects, shapes)
         return trials
@@ -225,10 +240,7 @@ class InverseComparison(ComparedColumns):
         self, key: str, grid: Sequence[float], effects: tuple[str, ...], shapes: Values
     ) -> None:
         """Put the value of least squares into ``shapes``: a grid, then a search around its best."""
-
-        def cost(value: float) -> float:
-            return self._linear(effects, {**shapes, key: float(value)})[1]
-
+        cost = self._cost(key, effects, shapes)
         costs = [cost(value) for value in grid]
         best = int(np.argmin(costs))
         low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
@@ -239,26 +251,56 @@ class InverseComparison(ComparedColumns):
 
     # Least squares
 
-    def _linear(self, effects: tuple[str, ...], shapes: Values) -> tuple[Values, float]:
-        """Linear coefficients by name, and the sum of squares over all used pieces."""
+    def _cost(self, key: str, effects: tuple[str, ...], shapes: Values) -> Callable[[float], float]:
+        """Sum of squares of the fit over a shape; what does not depend on it is fitted once."""
+        used, all_move = self._used, key.startswith(SKEW)
+        moving = tuple(e for e in effects if all_move or self._depends(e, key))
+        others = tuple(e for e in effects if e not in moving)
+        stay: list[Columns] = [{} for _ in used]
+        if not all_move:
+            stay = [self._kept_columns(i, others, shapes) for i in used]
+        staying = Staying(stay)
+
+        def cost(value: float) -> float:
+            tried = {**shapes, key: value}
+            rests = [self._rest(i, effects, tried) for i in used]
+            along = staying.along(rests)
+            tables = [
+                {n: c for n, c in self._kept_columns(i, moving, tried).items() if n not in table}
+                for i, table in zip(used, stay, strict=True)
+            ]
+            left = sum(float(rest @ rest) for rest in rests) - float(along @ along)
+            return left - staying.explained(tables, rests, along)
+
+        return cost
+
+    def _depends(self, name: str, key: str) -> bool:
+        """Whether an effect's columns change with a shape."""
+        if key == WIDTH:
+            return "direction" in effect_named(name).depends_on
+        return key.startswith(f"{name}.")
+
+    def _rest(self, i: int, effects: tuple[str, ...], shapes: Values) -> FloatArray:
+        """What the bench leaves of a piece, at the samples that count, shape (k,)."""
+        piece = self.pieces[i]
+        return piece.kept(piece.measured - self._base(i, effects, shapes))
+
+    def _kept_columns(self, i: int, effects: tuple[str, ...], shapes: Values) -> Columns:
+        columns = self._columns(i, effects, shapes)
+        return {name: self.pieces[i].kept(column) for name, column in columns.items()}
+
+    def _linear(self, effects: tuple[str, ...], shapes: Values) -> Values:
+        """Linear coefficients by name, fitted on all used pieces."""
         used = self._used
-        tables = [self._columns(i, effects, shapes) for i in used]
+        tables = [self._kept_columns(i, effects, shapes) for i in used]
         names = list(dict.fromkeys(name for table in tables for name in table))
-        rests, blocks = [], []
-        for i, table in zip(used, tables, strict=True):
-            piece = self.pieces[i]
-            rests.append(piece.kept(piece.measured - self._base(i, effects, shapes)))
-            nothing = np.zeros(piece.measured.size)
-            stacked = [table.get(name, nothing) for name in names]
-            if names:
-                blocks.append(piece.kept(np.column_stack(stacked)))
-        rest = np.concatenate(rests)
         if not names:
-            return {}, float(rest @ rest)
-        matrix = np.vstack(blocks)
-        coefficients = _least_squares(matrix, rest)
-        left = rest - matrix @ coefficients
-        return dict(zip(names, coefficients.tolist(), strict=True)), float(left @ left)
+            return {}
+        # A piece of which nothing is modelled says nothing of the coefficients.
+        chosen = [(i, table) for i, table in zip(used, tables, strict=True) if table]
+        matrix = np.vstack([stacked(table, names) for _, table in chosen])
+        rest = np.concatenate([self._rest(i, effects, shapes) for i, _ in chosen])
+        return dict(zip(names, least_squares(matrix, rest).tolist(), strict=True))
 
     def _prediction(
         self,
@@ -292,7 +334,7 @@ class InverseComparison(ComparedColumns):
             if name in linear:
                 rest = rest - linear[name] * column
         matrix = np.column_stack([columns[name] for name in own])
-        fitted = _least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
+        fitted = least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
         complete = {**linear, **dict(zip(own, fitted, strict=True))}
         self._share_amplitudes(found, complete)
         return complete
@@ -395,10 +437,3 @@ class InverseComparison(ComparedColumns):
         if effect == SKEW:
             return 1e-3 / self.views[0].low_pass.cutoff_hz
         return 1e-5 * value if parameter == ORDER else 1e-2 * value
-
-
-def _least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    # A column whose squares underflow says nothing of its size.
-    scale = np.where(scale > math.sqrt(np.finfo(float).tiny), scale, np.inf)
-    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=1e-8)[0] / scale)

@@ -3,8 +3,8 @@
     τ = a_0 + Σ_k a_k cos(2π k x/X) + b_k sin(2π k x/X)
 
 over where the axis is or how fast it turns, through the window and the filter that all is compared
-behind. What an axis that does not turn round does beyond its way is unknown: X is then twice the
-way.
+behind. X is twice the way, beyond which nothing is known, in whatever unit it is measured; where
+the way is longer than a turn, X may be that too.
 """
 
 from __future__ import annotations
@@ -96,10 +96,11 @@ def _hypotheses(comparison: InverseComparison) -> Iterator[Hypothesis]:
     ratio = comparison.bench.value("gear_ratio")
     way = max(float(np.ptp(motion.angle)) for motion in comparison.motions) / ratio
     turn = 2.0 * math.pi
-    over_angle = turn if way >= turn else 2.0 * way
     top = max(float(np.abs(motion.speed).max()) for motion in comparison.motions)
     for reverses in (False, True):
-        yield Hypothesis("motor", "load_angle", over_angle, reverses)
+        yield Hypothesis("motor", "load_angle", 2.0 * way, reverses)
+        if way >= turn:
+            yield Hypothesis("motor", "load_angle", turn, reverses)
         if way * ratio >= turn:
             yield Hypothesis("motor", "motor_angle", turn, reverses)
     yield Hypothesis("motor", "motor_speed", 4.0 * top)

@@ -39,6 +39,7 @@ from bayesbl.diagnosis.rigid.view import (
     noise_of,
     sharper,
     standstill,
+    step_of,
     thinned,
     turns_of,
 )
@@ -294,9 +295,11 @@ def compared(
         out = resting if out is None else out if resting is None else out | resting
     window = None if out is None else np.where(out, 0.0, 1.0)
     low_pass = LowPass(cutoff_hz, period)
-    views = [View(low_pass, window, thinned(recording, cutoff_hz))]
+    position = recording.channels.get(MOTOR_POSITION)
+    step = 0.0 if position is None else step_of(position)
+    views = [View(low_pass, window, thinned(recording, cutoff_hz), step_rad=step)]
     if channel != LOAD_POSITION:
-        views.append(View(low_pass, window, inside(recording, cutoff_hz), above=True))
+        views.append(View(low_pass, window, inside(recording, cutoff_hz), True, step))
     torques = (recording.channels[name] for name in known_torque)
     known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
     found = []

@@ -3,29 +3,77 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
-from bayesbl.diagnosis.residuals.unexplained import Unexplained
-from bayesbl.recording.types import ComplexArray, FloatArray
-from bayesbl.units import unit_of
+from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
 
 FEWEST_CYCLES = 3.0
 FEWEST_SAMPLES = 20
 """That an order must pass in to be judged: below, its score is no χ²."""
-MOST_REMAINING = 5
-_STEPS_PER_CYCLE = 5.0
-_MOST_ORDERS = 40_000
-_MOST_PRODUCTS = 100_000_000
+
+SLOW_SHARE = 0.1
+"""Of the time: in the slowest part the highest order still has two samples in a period."""
+
+STEPS_PER_CYCLE = 5.0
+_MOST_ORDERS = 100_000
 _LEVEL_CYCLES = 20.0
 """Resolved cycles over which the noise of an order is taken: wide beside a line, not the range."""
 
+_OVERSAMPLING = 8
+"""Bins in a period of the highest order: of what lies beyond it, no more than 2 % get in."""
+
+_BAND = 1.1
+"""Samples that show orders up to here and up to so many times as high are summed together."""
+
+_SLOWEST = 1e-6
+"""Of the fastest: a motor that stands turns so fast."""
+
+Owner = tuple[bool, str]
+"""Whatever has one phase: what a filter passes, or not, of a recording, or of all."""
+
 
 @dataclass(frozen=True, slots=True)
-class OrderScan:
+class OrderedRest:
+    """A residual over the motor's angle, rad, each of shape (n,).
+
+    Attributes
+    ----------
+    speed
+        Of the motor, without its sign, rad/s.
+    cutoff_hz, above
+        Of the filter: what is slower is seen, or what is faster.
+    period_s, step_rad
+        Of the recording's sampling; of its position, 0 where that has no steps.
+    """
+
+    recording: str
+    time_s: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    rest: FloatArray
+    cutoff_hz: float
+    above: bool
+    period_s: float
+    step_rad: float = 0.0
+
+    @property
+    def passing(self) -> FloatArray:
+        """Order of the motor's turning at the cut-off, shape (n,)."""
+        slowest = max(_SLOWEST * float(self.speed.max()), np.finfo(float).tiny)
+        return 2.0 * math.pi * self.cutoff_hz / np.maximum(self.speed, slowest)
+
+    def shows(self, order: float) -> BoolArray:
+        """Samples that show an order, shape (n,)."""
+        return np.asarray(self.passing <= order if self.above else self.passing > order)
+
+
+@dataclass(frozen=True, slots=True)
+class OrderSpectrum:
     """Score of sin and cos of every order: χ² if nothing is there.
 
     |Σ r exp(i n θ)|² over half of what noise makes of it: the larger of what the neighbouring
@@ -40,24 +88,27 @@ class OrderScan:
         Shape (m,), evenly spaced; empty if the motor does not turn far enough.
     amplitudes
         Of the wave of each order, mean over recordings weighted by samples, shape (m,).
+    powers
+        Half of what noise makes of |Σ r exp(i n θ)|² in a sample, of each owner, shape (m,).
     independent
         Number of orders that are independent of one another.
-    freedom
-        Degrees of freedom of a score.
     """
 
     orders: FloatArray
     scores: FloatArray
     amplitudes: FloatArray
+    powers: dict[Owner, FloatArray]
     independent: float
-    freedom: int
 
-    def best(self) -> tuple[float, float, float]:
-        """The order of the highest score, the scan's step, and the number of trials."""
-        if not self.orders.size:
-            return 1.0, 0.1, 1.0
-        step, k = float(self.orders[1] - self.orders[0]), int(np.argmax(self.scores))
-        return float(self.orders[k]), step, self.trials(float(self.scores[k]))
+    @property
+    def step(self) -> float:
+        """Between orders."""
+        return float(self.orders[1] - self.orders[0])
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of a score."""
+        return 2 * len(self.powers)
 
     def trials(self, score: float) -> float:
         """How much likelier a score is somewhere than at one order (Baluev 2008).
@@ -66,120 +117,98 @@ class OrderScan:
         """
         return self.independent * math.sqrt(max(1.0, 0.5 * score))
 
-    def remaining(
-        self, channel: str, recordings: tuple[str, ...], false_alarm: float
-    ) -> tuple[Unexplained, ...]:
-        """Orders that stand out, strongest first, at most :data:`MOST_REMAINING`.
 
-        ``recordings`` are those that were scanned. Neighbours within two resolved cycles belong to
-        the stronger line.
-        """
-        found = list[Unexplained]()
-        if not self.orders.size:
-            return ()
-        width = 2.0 * _STEPS_PER_CYCLE * float(self.orders[1] - self.orders[0])
-        left = self.scores.copy()
-        while len(found) < MOST_REMAINING:
-            k = int(np.argmax(left))
-            score, order = float(left[k]), float(self.orders[k])
-            if self.trials(score) * chi2.sf(score, self.freedom) > false_alarm:
-                break
-            found.append(
-                Unexplained(
-                    channel,
-                    "motor angle",
-                    float(self.amplitudes[k]),
-                    unit_of(channel),
-                    order,
-                    order,
-                    math.nan,
-                    recordings,
-                    score,
-                )
-            )
-            left[np.abs(self.orders - order) <= width] = 0.0
-        return tuple(found)
-
-
-@dataclass(frozen=True, slots=True)
-class OrderedRest:
-    """A residual over the motor's angle, rad, each of shape (n,).
-
-    ``passing``: order of the motor's turning at the filter's cut-off at that sample; those below it
-    are seen, or those ``above``.
-    """
-
-    recording: str
-    angle: FloatArray
-    rest: FloatArray
-    passing: FloatArray
-    above: bool
-
-
-def scan_orders(rests: list[OrderedRest], shared: bool, low: float, high: float) -> OrderScan:
-    """Scan residuals over motor angles.
-
-    Parameters
-    ----------
-    shared
-        Whether all recordings have one phase, because their angle is absolute.
-    low, high
-        Orders looked at; none with fewer than three cycles in the longest recording.
-    """
+def turns_of(rests: Sequence[OrderedRest], shared: bool) -> float:
+    """Of the motor: in the longest recording, or over all where their angle is absolute."""
     ends = [(float(item.angle.min()), float(item.angle.max())) for item in rests]
-    turns = max(last - first for first, last in ends) / (2.0 * math.pi)
     if shared:
-        turns = (max(e[1] for e in ends) - min(e[0] for e in ends)) / (2.0 * math.pi)
-    low = max(low, FEWEST_CYCLES / turns) if turns > 0.0 else high
-    count = int(min(_MOST_ORDERS, (high - low) * turns * _STEPS_PER_CYCLE)) + 1
-    owners = [(item.above, "" if shared else item.recording) for item in rests]
-    sums = dict.fromkeys(owners)
-    if low >= high or count < 2:
+        ends = [(min(first for first, _ in ends), max(last for _, last in ends))]
+    return max(last - first for first, last in ends) / (2.0 * math.pi)
+
+
+def order_range(rests: Sequence[OrderedRest], turns: float) -> tuple[float, float]:
+    """Orders that recordings can show, from their motion: in any unit of the angle the same.
+
+    From three cycles on the way to two samples a cycle, of the time and of the position.
+    """
+    speeds = np.concatenate([item.speed for item in rests])
+    slow = float(np.quantile(speeds, SLOW_SHARE))
+    if not (turns > 0.0 and slow > 0.0):
+        return math.inf, 0.0
+    sampled = math.pi / slow / min(item.period_s for item in rests)
+    stepped = [math.pi / item.step_rad for item in rests if item.step_rad > 0.0]
+    return FEWEST_CYCLES / turns, min(sampled, _MOST_ORDERS / STEPS_PER_CYCLE / turns, *stepped)
+
+
+def owner_of(item: OrderedRest, shared: bool) -> Owner:
+    """Whose phase it has."""
+    return item.above, "" if shared else item.recording
+
+
+def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
+    """Every order's score; ``shared``: all recordings have one phase."""
+    turns = turns_of(rests, shared)
+    low, high = order_range(rests, turns)
+    owners = [owner_of(item, shared) for item in rests]
+    if not (high - low) * turns * STEPS_PER_CYCLE >= 2.0:
         nothing = np.array([])
-        return OrderScan(nothing, nothing, nothing, 1.0, 2 * len(sums))
-    orders = np.linspace(low, high, count)
-    waves = {owner: np.zeros(count, dtype=complex) for owner in sums}
-    powers = {owner: np.zeros(count) for owner in sums}
-    size, samples = np.zeros(count), np.zeros(count)
+        return OrderSpectrum(nothing, nothing, nothing, dict.fromkeys(owners, nothing), 1.0)
+    step = 1.0 / (STEPS_PER_CYCLE * turns)
+    orders = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+    size = np.zeros(orders.size)
+    waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
+    powers = {owner: np.zeros(orders.size) for owner in owners}
+    samples = {owner: np.zeros(orders.size) for owner in owners}
     for owner, item in zip(owners, rests, strict=True):
         found, seen, white = _transform(item, orders)
-        level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * _STEPS_PER_CYCLE))
+        level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * STEPS_PER_CYCLE))
         enough = seen >= FEWEST_SAMPLES
         waves[owner] += np.where(enough, found, 0.0)
         powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), white), 0.0)
-        samples += seen
-    scores = np.zeros(count)
+        samples[owner] += seen
+    scores = np.zeros(orders.size)
     for owner, wave in waves.items():
         scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)
         size += np.abs(wave)
-    amplitudes = 2.0 * size / np.maximum(samples, 1.0)
-    return OrderScan(orders, scores, amplitudes, max(1.0, (high - low) * turns), 2 * len(sums))
+    every = np.asarray(sum(samples.values()))
+    single = {owner: powers[owner] / np.maximum(samples[owner], 1.0) for owner in powers}
+    independent = max(1.0, (high - low) * turns)
+    return OrderSpectrum(orders, scores, 2.0 * size / np.maximum(every, 1.0), single, independent)
+
+
+def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> ComplexArray:
+    """Σ v exp(i k step x) for k = 0 … count − 1, shape (count,).
+
+    By a fast Fourier transform of the values, each shared by the two bins that it lies between.
+    """
+    size = _OVERSAMPLING * count
+    place = (x * (step * size / (2.0 * math.pi))) % size
+    first = np.floor(place).astype(np.intp)
+    share = place - first
+    bins = np.bincount(first % size, values * (1.0 - share), size)
+    bins += np.bincount((first + 1) % size, values * share, size)
+    return np.conj(np.fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
 
 
 def _transform(
     item: OrderedRest, orders: FloatArray
 ) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Σ r exp(i n θ) over the samples that show the order, their number, and ½ Σ r² of them.
-
-    Orders are evenly spaced: one wave is turned on from order to order.
-    """
-    below, limit = not item.above, item.passing
-    chosen = np.arange(limit.size)
-    most = max(_MOST_PRODUCTS // orders.size, 1)
-    if limit.size > most:  # at random: even steps would make one order look like another
-        chosen = np.sort(np.random.default_rng(0).permutation(limit.size)[:most])
-    limit, angle, rest = limit[chosen], item.angle[chosen], item.rest[chosen]
-    # Ordered so that the samples that show an order are always the first ones.
-    first = np.argsort(-limit if below else limit)
-    ordered = limit[first]
-    ends = np.searchsorted(-ordered, -orders) if below else np.searchsorted(ordered, orders)
-    steps = range(orders.size) if below else range(orders.size - 1, -1, -1)
-    wave = rest[first] * np.exp(1j * orders[steps[0]] * angle[first])
-    turn = np.exp(1j * (orders[1] - orders[0]) * angle[first] * (1.0 if below else -1.0))
-    out = np.empty(orders.size, dtype=complex)
-    for k in steps:
-        end = ends[k]
-        out[k] = wave[:end].sum()
-        wave = wave[:end] * turn[:end]
-    squares = np.concatenate(([0.0], np.cumsum(rest[first] ** 2)))
-    return out, ends.astype(float), 0.5 * squares[ends]
+    """Σ r exp(i n θ) over the samples that show the order, their number, and ½ Σ r² of them."""
+    step, first = float(orders[1] - orders[0]), round(float(orders[0] / (orders[1] - orders[0])))
+    places = np.searchsorted(orders, item.passing)
+    bands = np.floor(np.log(np.maximum(places, 1)) / math.log(_BAND)).astype(int)
+    found = np.zeros(orders.size, dtype=complex)
+    seen, squares = np.zeros(orders.size), np.zeros(orders.size)
+    for band in np.unique(bands):
+        chosen = bands == band
+        # Neither below nor above does a sample count for an order that it does not show.
+        end = int(places[chosen].max() if item.above else places[chosen].min())
+        here = slice(end, None) if item.above else slice(None, end)
+        rest = item.rest[chosen]
+        top = orders.size if item.above else end
+        if not found[here].size:
+            continue
+        found[here] += sums_of(item.angle[chosen], rest, step, first + top)[first:][here]
+        seen[here] += rest.size
+        squares[here] += 0.5 * float(rest @ rest)
+    return found, seen, squares

@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import HIGHEST_ORDER, ORDER, Effect, RigidLaw
+from bayesbl.bench.effect_declaration import ORDER, Effect, RigidLaw
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.diagnosis.comparison import TestedEffect
 from bayesbl.diagnosis.rigid.motion import Motion
@@ -83,12 +83,11 @@ def without_load_angle(terms: Mapping[str, Term]) -> dict[str, Term]:
 
 
 def within_turns(terms: Mapping[str, Term], turns: float) -> dict[str, Term]:
-    """The terms without those that repeat too rarely in so many turns of the motor."""
+    """The terms without those that repeat once a turn of the motor, and so too rarely."""
     return {
         name: term
         for name, term in terms.items()
-        if not term.periodic
-        or (HIGHEST_ORDER if term.law.scanned == ORDER else 1.0) * turns >= FEWEST_CYCLES
+        if not term.periodic or term.law.scanned == ORDER or turns >= FEWEST_CYCLES
     }
 
 

@@ -43,6 +43,18 @@ SAMPLES_PER_PERIOD = 2.5
 REST_SHARE = 1e-2
 """Of the RMS speed: slower than this, an axis stands or turns round."""
 
+MOST_STEPS = 5.5
+"""Of a position from sample to sample, up to which its written decimals leave them whole."""
+
+ROUNDED = 1e-8
+"""Of a position: what its written decimals may move it by."""
+
+FEWEST_STEPS = 50
+SURELY_WHOLE = 0.98
+FARTHER = 2.0
+WHOLE_STEP = 0.1
+"""Share of a step that written decimals may add."""
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -58,12 +70,15 @@ class View:
         What the filter holds back instead of what it passes. There the acceleration is not known,
         but the angle is: what turns with the motor can be compared, even beyond half the sampling
         rate, and nothing else.
+    step_rad
+        Of the motor's position as recorded; 0 where it has none.
     """
 
     low_pass: LowPass
     window: FloatArray | None
     rows: slice
     above: bool = False
+    step_rad: float = 0.0
 
     def __call__(self, signal: FloatArray) -> FloatArray:
         """The signal as it is compared."""
@@ -77,11 +92,6 @@ class View:
         middle = first + step * (len(range(first, end, step)) // 2)
         rows = slice(middle, end, step) if second else slice(first, middle, step)
         return replace(self, rows=rows)
-
-    def order_at_cutoff(self, motion: Motion) -> FloatArray:
-        """Order of the motor's turning that has the cut-off's frequency at every sample."""
-        turns_per_s = np.abs(motion.speed[self.rows]) / (2.0 * math.pi)
-        return self.low_pass.cutoff_hz / np.maximum(turns_per_s, 1e-9)
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
@@ -131,6 +141,30 @@ def noise_of(position: FloatArray) -> float:
     From third differences: of white noise 20 times its variance, of a smooth motion nothing.
     """
     return math.sqrt(float(np.mean(np.diff(position, 3) ** 2)) / 20.0)
+
+
+def step_of(position: FloatArray) -> float:
+    """The step that a position moves in, rad; 0 where it is not seen to.
+
+    From the smallest movements, then from ever longer ways, each a whole number of steps.
+    """
+    moved = np.abs(np.diff(position))
+    moved = moved[moved > ROUNDED * np.abs(position).max()]
+    if not moved.size:
+        return 0.0
+    step = float(np.median(moved[moved < 1.5 * moved.min()]))
+    few = moved[moved < MOST_STEPS * step] / step
+    if few.size < FEWEST_STEPS or np.mean(np.abs(few - np.round(few)) < WHOLE_STEP) < SURELY_WHOLE:
+        return 0.0
+    ways = np.abs(position - position[0])
+    reach = MOST_STEPS * step
+    while reach < FARTHER * ways.max():
+        way = ways[ways < reach]
+        steps = np.round(way / step)
+        if steps.any():
+            step = float(way @ steps / (steps @ steps))
+        reach *= FARTHER
+    return step
 
 
 def turns_of(recordings: Sequence[Recording]) -> float:
