@@ -154,7 +154,8 @@ def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
         nothing = np.array([])
         return OrderSpectrum(nothing, nothing, nothing, dict.fromkeys(owners, nothing), 1.0)
     step = 1.0 / (STEPS_PER_CYCLE * turns)
-    orders = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+    numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+    orders: FloatArray = np.asarray(step * numbers, dtype=np.float64)
     size = np.zeros(orders.size)
     waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
     powers = {owner: np.zeros(orders.size) for owner in owners}
@@ -187,7 +188,8 @@ def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> Compl
     share = place - first
     bins = np.bincount(first % size, values * (1.0 - share), size)
     bins += np.bincount((first + 1) % size, values * share, size)
-    return np.conj(np.fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
+    found = np.conj(np.fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
+    return np.asarray(found, dtype=np.complex128)
 
 
 def _transform(
