@@ -29,6 +29,9 @@ from bayesbl.recording.types import (
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 FILTER_ORDER = 4
+FADE_PERIODS = 4.0
+"""Of the cut-off frequency, in which what is beyond the ends fades: twice what the filter carries
+from there."""
 END_PERIODS = 2.0
 """Of the cut-off frequency: how far the ends of a recording disturb what is filtered."""
 
@@ -55,27 +58,24 @@ class LowPass:
     def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
         """Derivative of the low-passed values, same shape (n,).
 
-        What is left of a line from the first to the last sample goes on oddly at either end, so
-        that it is periodic, with a steady slope.
+        What is left of a line from the first to the last sample goes on oddly at either end, with a
+        steady slope, and fades out.
         """
         n = values.size
         slope = (values[-1] - values[0]) / ((n - 1) * self.period_s)
         line = values[0] + slope * self.period_s * np.arange(n)
         left = values - line
-        around = np.concatenate((left[:-1], -left[:0:-1]))
-        frequency = fft.rfftfreq(around.size, self.period_s)
-        gain = _gain(self.cutoff_hz, self.period_s, around.size)
-        spectrum = fft.rfft(around) * gain * (2.0j * math.pi * frequency) ** times
-        made = fft.irfft(spectrum, around.size)[:n]
+        more = min(n - 1, math.ceil(FADE_PERIODS / (self.cutoff_hz * self.period_s)))
+        fade = np.cos(0.5 * math.pi * np.arange(1, more + 1) / more) ** 2
+        before, after = -left[1 : more + 1] * fade, -left[-2 : -more - 2 : -1] * fade
+        size = fft.next_fast_len(n + 2 * more, real=True)
+        around = np.concatenate((left, after, np.zeros(size - n - 2 * more), before[::-1]))
+        frequency = fft.rfftfreq(size, self.period_s)
+        ratio = np.tan(math.pi * frequency * self.period_s)
+        ratio /= math.tan(math.pi * self.cutoff_hz * self.period_s)
+        gain = (2.0j * math.pi * frequency) ** times / (1.0 + ratio ** (2 * FILTER_ORDER))
+        made = fft.irfft(fft.rfft(around) * gain, size)[:n]
         return np.asarray(made + (line, slope, 0.0)[times])
-
-
-def _gain(cutoff_hz: float, period_s: float, size: int) -> FloatArray:
-    """Of the filter run forward and backward, at the frequencies of a transform of even size."""
-    half_turns = 0.5 * math.pi * np.arange(size // 2 + 1) / (size // 2)
-    edge = math.tan(math.pi * cutoff_hz * period_s)
-    ratio = np.tan(half_turns[:-1]) / edge
-    return np.append(1.0 / (1.0 + ratio ** (2 * FILTER_ORDER)), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
