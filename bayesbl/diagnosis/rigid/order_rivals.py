@@ -48,9 +48,6 @@ OTHER_SPEED = 1.25
 SAME_SIZE = 0.5
 """Of its size at one speed that a line must have at the others."""
 
-SEEN_SHARE = 0.05
-"""Of the samples that show an order: what fewer hold is no line at one speed."""
-
 STEP_HARMONICS = 8
 _SPEEDS = 60
 _WIDEST = 0.02
@@ -221,12 +218,12 @@ class _Found:
         return tuple(found)
 
     def _strongest(self) -> tuple[tuple[float, float], float]:
-        """Speeds, up to :data:`OTHER_SPEED` times the lowest, that hold most of it; its size."""
+        """Where it stands out most, of speeds up to :data:`OTHER_SPEED` apart; its size there."""
         every = np.concatenate([r.speed[s] for r, s in self._rows])
         top = float(every.max())
         lows = np.geomspace(max(float(every.min()), 1e-2 * top), top, _SPEEDS)
         lows /= math.sqrt(OTHER_SPEED)
-        power, size, count = np.zeros((3, lows.size))
+        score, size, count = np.zeros((3, lows.size))
         for item, shown in self._rows:
             speed, rest = item.speed[shown], item.rest[shown]
             order = np.argsort(speed)
@@ -234,11 +231,16 @@ class _Found:
             sums = np.concatenate(([0.0], np.cumsum(wave[order])))
             first = np.searchsorted(speed[order], lows)
             last = np.searchsorted(speed[order], OTHER_SPEED * lows)
+            squares = np.concatenate(([0.0], np.cumsum(rest[order] ** 2)))
             within = np.abs(sums[last] - sums[first])
-            power += within**2 / np.maximum(last - first, SEEN_SHARE * speed.size)
+            noise = np.maximum(
+                0.5 * (squares[last] - squares[first]),
+                self._powers[owner_of(item, self._shared)] * (last - first),
+            )
+            score += within**2 / np.where(noise > 0.0, noise, np.inf)
             size += within
             count += last - first
-        k = int(np.argmax(power))
+        k = int(np.argmax(score))
         ends = float(lows[k]), float(OTHER_SPEED * lows[k])
         return ends, 2.0 * float(size[k]) / max(float(count[k]), 1.0)
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import fft
 from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
@@ -27,7 +28,7 @@ _LEVEL_CYCLES = 20.0
 _OVERSAMPLING = 8
 """Bins in a period of the highest order: of what lies beyond it, no more than 2 % get in."""
 
-_BAND = 1.1
+_BAND = 1.2
 """Samples that show orders up to here and up to so many times as high are summed together."""
 
 _SLOWEST = 1e-6
@@ -154,8 +155,7 @@ def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
         nothing = np.array([])
         return OrderSpectrum(nothing, nothing, nothing, dict.fromkeys(owners, nothing), 1.0)
     step = 1.0 / (STEPS_PER_CYCLE * turns)
-    numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
-    orders: FloatArray = np.asarray(step * numbers, dtype=np.float64)
+    orders: FloatArray = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1.0)
     size = np.zeros(orders.size)
     waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
     powers = {owner: np.zeros(orders.size) for owner in owners}
@@ -182,14 +182,14 @@ def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> Compl
 
     By a fast Fourier transform of the values, each shared by the two bins that it lies between.
     """
-    size = _OVERSAMPLING * count
+    size = fft.next_fast_len(_OVERSAMPLING * count, real=True)
     place = (x * (step * size / (2.0 * math.pi))) % size
     first = np.floor(place).astype(np.intp)
     share = place - first
     bins = np.bincount(first % size, values * (1.0 - share), size)
     bins += np.bincount((first + 1) % size, values * share, size)
-    found = np.conj(np.fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
-    return np.asarray(found, dtype=np.complex128)
+    found = np.conj(fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
+    return np.asarray(found, dtype=complex)
 
 
 def _transform(
