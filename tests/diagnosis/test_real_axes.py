@@ -69,8 +69,27 @@ WHOLE: tuple[tuple[Use, ...], ...] = (("used",), ("held_out",))
 )
 def test_no_answer_depends_on_the_units(angle: float, torque: float, time: float) -> None:
     made, recordings = axis(3)
+    cogging = (
+        0.5 * made.coulomb_nm,
+        40.0 * 2.0 * math.pi / np.ptp(recordings[0].channels[MOTOR_POSITION]),
+    )
+    recordings = [
+        Recording(
+            r.name,
+            r.time_s,
+            {
+                **r.channels,
+                MOTOR_TORQUE: r.channels[MOTOR_TORQUE]
+                + cogging[0] * np.sin(cogging[1] * r.channels[MOTOR_POSITION]),
+            },
+        )
+        for r in recordings
+    ]
     bench = believed(made)
     first = answer(comparison(recordings, bench, 20.0, WHOLE))
+    ripple = next(e for e in first.effects if e.name == "motor_torque_ripple").parameters
+    assert ripple["torque_nm"].value == pytest.approx(cogging[0], rel=0.05)
+    assert ripple["order"].value == pytest.approx(cogging[1], rel=1e-2)
     scaled = [
         Recording(
             r.name,
@@ -96,6 +115,7 @@ def test_no_answer_depends_on_the_units(angle: float, torque: float, time: float
         "torque_nm": torque,
         "coefficient_nm_s_per_rad": torque * time / angle,
         "speed_rad_per_s": angle / time,
+        "order": 1.0 / angle,
     }
     for one, same in zip(first.effects, other.effects, strict=True):
         assert one.name == same.name

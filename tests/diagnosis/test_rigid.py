@@ -272,6 +272,43 @@ def test_what_repeats_beyond_the_effects_allowed_is_reported() -> None:
     assert found.remaining[0].amplitude == pytest.approx(0.15, rel=0.2)
 
 
+def test_a_line_in_time_is_told_as_one_and_is_no_ripple() -> None:
+    # At three speeds in turn it is three orders; of lines as these one in a hundred is left open.
+    recordings = []
+    for i, name in enumerate("abc"):
+        rng = np.random.default_rng(i)
+        time = np.arange(3000) / SAMPLING_HZ
+        speed = 20.0 + 12.5 * (np.tanh((time - 4.0) / 0.2) + 1.0)
+        speed += 17.5 * (np.tanh((time - 8.0 - 0.3 * i) / 0.2) + 1.0)
+        angle = np.cumsum(speed) / SAMPLING_HZ
+        torque = (2e-3 + LOAD_INERTIA / RATIO**2) * np.gradient(speed, time)
+        torque += 3.0 * np.sin(angle / RATIO) + 0.3 * np.sin(2.0 * np.pi * 7.3 * time + i)
+        torque += 0.1 * rng.standard_normal(time.size)
+        recordings.append(Recording(name, time, {MOTOR_POSITION: angle, MOTOR_TORQUE: torque}))
+    found = answer(inverse(recordings, bench()))
+    assert "motor_torque_ripple" not in named(found)
+    (line,) = found.remaining
+    assert line.dependence == "time"
+    assert line.frequency_hz == pytest.approx(7.3, abs=0.2 / 12.0)
+    assert line.amplitude == pytest.approx(0.3, rel=0.2)
+
+
+def test_a_line_at_one_speed_is_left_open() -> None:
+    made = []
+    for i, name in enumerate("abc"):
+        rng = np.random.default_rng(i)
+        time = np.arange(2000) / 250.0
+        angle = 40.0 * time
+        torque = 0.3 * np.sin(2.0 * angle) + 0.1 * rng.standard_normal(time.size)
+        torque = torque + 3.0 * np.sin(angle / RATIO)
+        made.append(Recording(name, time, {MOTOR_POSITION: angle, MOTOR_TORQUE: torque}))
+    found = answer(inverse(made, bench(), unknown=()))
+    assert "motor_torque_ripple" not in named(found)
+    assert found.remaining[0].dependence == "angle or time"
+    assert found.remaining[0].lowest_order == pytest.approx(2.0, abs=0.02)
+    assert found.remaining[0].frequency_hz == pytest.approx(80.0 / (2.0 * np.pi), rel=0.02)
+
+
 @pytest.mark.long
 def test_stribeck_friction_is_named_beside_the_frictions_it_hides_behind() -> None:
     hidden = {"coulomb": 0.5, "viscous": 6e-3, "stribeck": (0.5, 8.0)}
