@@ -1,9 +1,10 @@
 """Lines of a residual that are of the motor's angle, and their rivals, which only look like it.
 
 At one speed ω an order n of the motor's turning and the frequency n ω/2π in time are the same. A
-line is of the angle only where it is there at other speeds too, with at least half of its size; it
-is of time where that holds of its frequency. All else was seen at one speed only. Of that, what has
-the frequency at which a stepped position passes its steps, as the sampling shows it, is the
+line is of the angle, or of time, only where it is there at other speeds too: of the one whose wave
+is the larger where it is smaller. (It need not be as large there: above the loop's bandwidth the
+inertia carries part of a ripple.) All else was seen at one speed only. Of that, what has the
+frequency at which a stepped position passes its steps, as the sampling shows it, is the
 encoder's:
 
     |ω/q − k/T|,   q the step, T the sampling period, k the nearest whole number
@@ -44,9 +45,6 @@ LINE_ALARM = 0.01
 
 OTHER_SPEED = 1.25
 """From one speed to another: nearer, a motion that sways has one line at both."""
-
-SAME_SIZE = 0.5
-"""Of its size at one speed that a line must have at the others."""
 
 STEP_HARMONICS = 8
 _SPEEDS = 60
@@ -179,13 +177,16 @@ class _Found:
         ) -> Line:
             return Line(self.order, hertz, what, score, trials, amplitude, slowest, fastest)
 
-        if self._elsewhere([self.order * r.angle for r in self._rests], inside, self._shared):
-            return line("motor angle", hertz, amplitude)
         rate = 1.0 / self._rests[0].period_s
         sampled = _as_sampled(hertz, rate)
         exact = self._frequency(sampled)
-        phases = [2.0 * math.pi * exact * r.time_s for r in self._rests]
-        if self._elsewhere(phases, inside, False):
+        turning = [self.order * r.angle for r in self._rests]
+        passing = [2.0 * math.pi * exact * r.time_s for r in self._rests]
+        of_angle = self._everywhere(turning, inside, self._shared)
+        of_time = self._everywhere(passing, inside, False)
+        if of_angle > of_time:
+            return line("motor angle", hertz, amplitude)
+        if of_time > 0.0:
             return line("time", exact, largest)
         step = max(item.step_rad for item in self._rests)
         if step > 0.0:
@@ -244,10 +245,13 @@ class _Found:
         ends = float(lows[k]), float(OTHER_SPEED * lows[k])
         return ends, 2.0 * float(size[k]) / max(float(count[k]), 1.0)
 
-    def _elsewhere(
+    def _everywhere(
         self, phases: Sequence[FloatArray], inside: Sequence[BoolArray], shared: bool
-    ) -> bool:
-        """Whether a wave is at other speeds too, beyond noise and half as large at least."""
+    ) -> float:
+        """Size of a wave where it is smaller, at the line's own speeds or at all others.
+
+        Zero where it is not beyond the noise at the others.
+        """
         sums = dict[Owner, list[complex]]()
         for (item, shown), phase, near in zip(self._rows, phases, inside, strict=True):
             wave = item.rest * np.exp(1j * phase)
@@ -260,16 +264,15 @@ class _Found:
             own[4] += max(power * away.size, 0.5 * float(away @ away))
         found = [own for own in sums.values() if own[3].real >= FEWEST_SAMPLES]
         if not found:
-            return False
+            return 0.0
         score = sum(abs(own[1]) ** 2 / own[4].real for own in found if own[4].real > 0.0)
         if chi2.sf(score, 2 * len(found)) > LINE_ALARM:
-            return False
-        sizes = [
+            return 0.0
+        return min(
             sum(abs(own[side]) for own in found)
             / max(sum(own[2 + side].real for own in found), 1.0)
             for side in (0, 1)
-        ]
-        return sizes[1] >= SAME_SIZE * sizes[0]
+        )
 
     def _frequency(self, near: float) -> float:
         """Of the strongest line in time around a frequency, Hz."""
