@@ -40,6 +40,9 @@ MOST_REMAINING = 5
 MOST_LINES = 8
 """Looked at, each beneath the stronger ones."""
 
+CLEAREST = 3
+"""Lines, of which one may be named: one that stands out more need not be larger."""
+
 LINE_ALARM = 0.01
 """False alarms of a line where there is none, and of its being there at other speeds."""
 
@@ -96,8 +99,10 @@ class OrderScan:
         return 1.0 / (STEPS_PER_CYCLE * turns_of(self.rests, self.shared))
 
     def of_angle(self) -> Line | None:
-        """The strongest line that is of the motor's angle."""
-        return next((x for x in self.lines(LINE_ALARM) if x.dependence == "motor angle"), None)
+        """Of the clearest lines the largest that is of the motor's angle."""
+        clearest = islice(self.lines(LINE_ALARM), CLEAREST)
+        own = [line for line in clearest if line.dependence == "motor angle"]
+        return max(own, key=lambda line: line.amplitude, default=None)
 
     def lines(self, false_alarm: float) -> Iterator[Line]:
         """What stands out, the strongest first, each of what the stronger ones leave.
