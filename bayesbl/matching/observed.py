@@ -247,7 +247,8 @@ def _require_current_sign(recording: Recording, bench: Bench) -> None:
     """
     if MOTOR_CURRENT not in recording.channels:
         return
-    speed, current = recording.motor_speed_rpm, recording.channels[MOTOR_CURRENT]
+    kept = slice(None) if recording.excluded is None else ~recording.excluded
+    speed, current = recording.motor_speed_rpm[kept], recording.channels[MOTOR_CURRENT][kept]
     error = (speed - speed.mean()) / RPM_PER_RAD_PER_S
     slope = float(error @ (current - current.mean())) / max(float(error @ error), 1e-300)
     gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")

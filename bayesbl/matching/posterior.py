@@ -252,7 +252,8 @@ def _walk(
     tail = 0.5 - 0.5 * settings.level
 
     def bounds(chains: FloatArray) -> FloatArray:
-        return np.asarray(np.quantile(chains[..., gaps], [tail, 1.0 - tail], axis=(0, 1, 2)))
+        pooled = chains.reshape(-1, chains.shape[-1])[:, gaps]
+        return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
 
     return walk(ensembles, settings, bounds, np.sqrt(np.diag(local.covariance))[gaps], progress)
 

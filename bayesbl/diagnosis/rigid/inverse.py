@@ -23,9 +23,9 @@ from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
 from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
-from bayesbl.diagnosis.rigid.least_squares import Staying, least_squares, stacked
 from bayesbl.diagnosis.rigid.order_rivals import OrderScan
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest
+from bayesbl.diagnosis.rigid.staying_columns import Staying, least_squares, stacked
 from bayesbl.diagnosis.rigid.terms import SKEW
 from bayesbl.recording.types import FloatArray
 
