@@ -174,20 +174,25 @@ class DirectMeasurer:
             DirectMatch,
         )
         level = self.config.interval.level
+        snapshots = [
+            self._snapshot(recording, index, found)
+            for index, recording in enumerate(task.recordings)
+        ]
+        change_reason = undecided_change(
+            found.joint,
+            found.change_rad,
+            level,
+            with_current=all(MOTOR_CURRENT in r.channels for r in task.recordings),
+        )
+        withheld = change_reason is not None or any(s.verdict.reason for s in snapshots)
         return Measurement(
             "direct",
-            [
-                self._snapshot(recording, index, found)
-                for index, recording in enumerate(task.recordings)
-            ],
+            snapshots,
             attributes={"bench": self.bench.fingerprint()},
-            same_joint=check_of_comparison(found.joint, found.change_rad, level),
-            change_reason=undecided_change(
-                found.joint,
-                found.change_rad,
-                level,
-                with_current=all(MOTOR_CURRENT in r.channels for r in task.recordings),
+            same_joint=check_of_comparison(
+                found.joint, found.change_rad, level, is_given=not withheld
             ),
+            change_reason=change_reason,
         )
 
     def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:

@@ -67,15 +67,20 @@ def _z(feature: Feature, expected: float) -> float:
     return (feature.value - expected) / sd if sd > 0.0 else 0.0
 
 
-def check_of_comparison(found: JointFindings, change_rad: FloatArray, level: float) -> JointCheck:
+def check_of_comparison(
+    found: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
+) -> JointCheck:
     """The recordings against one another, with what none of them would show.
 
-    ``change_rad``: draws of the change of δ from the first to the last.
+    ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: it is not
+    withheld.
     """
     between = [] if found.against_bench else found.changed
     sentences = [_sentence(c) for c in between]
     if between:
         sentences[-1] += _others(found, between)
+        if is_given:
+            sentences[-1] += " The change of δ is given with this allowed for."
     return JointCheck(
         found.explained and not between,
         [_item(c) for c in between],
@@ -208,8 +213,7 @@ def _item(changed: ChangedParameter) -> CheckItem:
 
 def _sentence(changed: ChangedParameter) -> str:
     return (
-        f"In {changed.recording} something other than the gap is different: {_as_found(changed)}. "
-        "The change of δ is given with this allowed for."
+        f"In {changed.recording} something other than the gap is different: {_as_found(changed)}."
     )
 
 
