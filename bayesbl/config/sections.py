@@ -37,7 +37,7 @@ from bayesbl.config.fields import (
     refuse,
     require_different,
 )
-from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.channels import TIME, ColumnSpec
 from bayesbl.recording.input_bytes import stem_of
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -180,6 +180,8 @@ class RecordedConfig(RunConfig):
                     expected=" or ".join(f'"{unit}"' for unit in accepted_units(channel)),
                     at=(channel, "unit"),
                 )
+            if column.reversed and channel == TIME:
+                refuse("Time has no sign.", found="reversed = true", at=(channel, "reversed"))
         names = [column.name for column in columns.values()]
         require_different(names, "A column is mapped to two channels.")
         return columns

@@ -67,8 +67,9 @@ MOST_EFFECTS = 6
 SURE_PARAMETER = 3.0
 
 EXCESS = 4.0
-"""Of what a bench leaves over the noise floor, up to which it may be noise: behind a low pass white
-noise is 2.2 times what does not follow from its own past."""
+"""Of what a bench leaves over the noise floor, up to which it is taken for noise: behind a low pass
+white noise is 2.2 times what does not follow from its own past. Slower noise, and drift, is more,
+and nothing tells it from an effect that is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +96,8 @@ class Problem:
         Relative standard deviation of a factor that all torques and inertias have in common.
     settle
         The comparison with the bench as it was fitted, and the fit on it.
+    stated
+        The same without what is fitted unasked, where that is another.
     """
 
     comparison: Comparison
@@ -103,6 +106,7 @@ class Problem:
     learn: Callable[[Any, EffectsFit, float], LearnedFit | None] = lambda *_: None
     scale_sd: float = 0.0
     settle: Callable[[EffectsFit], tuple[Comparison, EffectsFit]] | None = None
+    stated: Comparison | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,13 +149,14 @@ def diagnose(
         The one believed, for the tolerances of parameters that were fitted.
     """
     comparison = problem.comparison
-    before = comparison.fit((), None)
-    after = _select(comparison, before, settings, progress)
+    nothing = comparison.fit((), None)
+    before = nothing if problem.stated is None else problem.stated.fit((), None)
+    after = _select(comparison, nothing, settings, progress)
     if problem.settle is not None:
         comparison, after = problem.settle(after)
-    learned, denied = None, tuple(impossible(after))
+    learned, denied = None, tuple(impossible(after, _deviations(comparison, after)))
     if denied:
-        comparison, after = problem.comparison, before
+        comparison, after = problem.stated or problem.comparison, before
     else:
         learned = problem.learn(comparison, after, settings.false_alarm)
     if learned is not None:
@@ -168,13 +173,13 @@ def diagnose(
     pieces = residuals_of_pieces(comparison, before, after)
     table = disagreement_table(pieces, in_units_of_noise=False)
     left = table.overall["used"]
-    beyond_noise = left.after > EXCESS * left.noise_floor
+    remains = (
+        bool(remaining or denied or problem.stated)
+        or learned is not None
+        or left.after > EXCESS * left.noise_floor
+    )
     return Diagnosis(
-        verdict_of(
-            effects=bool(effects),
-            parameters=bool(errors),
-            remains=bool(remaining) or learned is not None or beyond_noise,
-        ),
+        verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
         effects,
         errors,
         remaining,
@@ -187,11 +192,14 @@ def diagnose(
     )
 
 
-def impossible(fit: EffectsFit) -> Iterator[str]:
-    """A sentence for each fitted parameter that no joint can have: then nothing is believed."""
+def impossible(fit: EffectsFit, sds: Mapping[str, float]) -> Iterator[str]:
+    """A sentence for each fitted parameter that no joint can have: then nothing is believed.
+
+    ``sds``: standard deviations, by which noise alone may carry a value below zero.
+    """
     for name, value in fit.bench.items():
         info = PARAMETER_INFO[name]
-        if info.positive and value <= 0.0:
+        if info.positive and value + SURE_PARAMETER * sds.get(name, 0.0) <= 0.0:
             yield (
                 f"The best fit with {name} free has {value:.3g} {info.unit} there, which nothing "
                 "has: what the recordings show follows no law that was tried, so nothing is named. "

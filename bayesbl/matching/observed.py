@@ -48,9 +48,10 @@ beyond, it is that of motion."""
 MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
 """Of the reference speed: as near simulated speeds are to those of an independent solver."""
-REVERSED_SHARE = 0.3
-"""Of the controller's gain, that the current may rise with the speed: noise of either is some
-hundredths, a current of the other sign near 1."""
+SURE_SLOPE, LEAST_SLOPE = 4.0, 0.02
+"""Standard errors, and share of the controller's gain, by which a current that rises with the speed
+has the other sign: noise that the loop does not see makes the slope small, never of another sign.
+"""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -242,24 +243,40 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
 def _require_current_sign(recording: Recording, bench: Bench) -> None:
     """A speed loop answers to more speed with less current, so the current falls with the speed.
 
-    In steady rotation i = −(K_p e + K_i ∫e)/K_t, and ∫e is orthogonal to e: the slope of i on e is
-    −K_p/K_t, less where e holds noise that the loop does not see.
+    Above the corners of its integrators, 2 K_i/K_p and 3 √(K_pos K_i/K_p), the slope of i on e is
+    −K_p/K_t, less where e holds noise that the loop does not see. Below them ∫e and the position
+    may turn its sign.
     """
     if MOTOR_CURRENT not in recording.channels:
         return
-    kept = slice(None) if recording.excluded is None else ~recording.excluded
-    speed, current = recording.motor_speed_rpm[kept], recording.channels[MOTOR_CURRENT][kept]
-    error = (speed - speed.mean()) / RPM_PER_RAD_PER_S
-    slope = float(error @ (current - current.mean())) / max(float(error @ error), 1e-300)
-    gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
-    if slope < REVERSED_SHARE * gain:
+    proportional, integral, outer = (
+        bench.value(name)
+        for name in (
+            "speed_gain_nm_s_per_rad",
+            "integral_gain_nm_per_rad",
+            "position_gain_per_s",
+        )
+    )
+    kept = np.ones(recording.samples) if recording.excluded is None else 1.0 - recording.excluded
+    taper = kept * np.hanning(recording.samples)
+    pair = (recording.motor_speed_rpm / RPM_PER_RAD_PER_S, recording.channels[MOTOR_CURRENT])
+    speed, current = (np.fft.rfft(taper * (row - row[kept > 0.0].mean())) for row in pair)
+    rate = 2.0 * math.pi * np.fft.rfftfreq(taper.size, recording.sampling_period_s)
+    corner = max(2.0 * integral / proportional, 3.0 * math.sqrt(outer * integral / proportional))
+    speed, current = speed[rate > corner], current[rate > corner]
+    squares = max(float(np.sum(np.abs(speed) ** 2)), 1e-300)
+    slope = float(np.real(np.vdot(speed, current))) / squares
+    left = np.abs(current - slope * speed) ** 2
+    sd = math.sqrt(float(np.sum(left * np.abs(speed) ** 2))) / squares
+    gain = proportional / bench.value("torque_constant_nm_per_a")
+    if slope < max(SURE_SLOPE * sd, LEAST_SLOPE * gain):
         return
     raise RecordingError(
         "The motor current has the other sign: it rises with the speed.",
         file=recording.place,
         where=MOTOR_CURRENT,
-        found=f"{slope:+.3g} A for each rad/s",
-        expected=f"about {-gain:.3g}, as the bench's controller answers; reverse it under "
+        found=f"{slope:+.3g} A for each rad/s above {corner / (2.0 * math.pi):.3g} Hz",
+        expected=f"down to {-gain:.3g}, as the bench's controller answers; reverse it under "
         "[columns]: motor_current_a = {name = …, reversed = true}",
     )
 

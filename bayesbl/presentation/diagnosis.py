@@ -32,7 +32,7 @@ MOST_RIVALS = 2
 """That a headline lists by name."""
 
 UNTOLD_SHARE = (
-    "–: before naming, the disagreement is too small beside the noise to give a share of it."
+    "–: before naming, the disagreement is not sure enough beside the noise to give a share of it."
 )
 
 _USES = {"used": "fitted on", "held_out": "held out"}
@@ -83,9 +83,11 @@ def headline(summary: DiagnosisSummary) -> str:
         case "unexplained" if summary["remaining"]:
             what = next(remaining(summary)).partition(": ")[2]
             return f"Something repeats that no effect that was tried explains: {what}"
-        case _:
+        case verdict:
             left = summary["disagreement"]["over_all"].get("used")
-            if left is not None and left["closed_fraction"] is not None:
+            if left is not None and (
+                verdict == "unexplained" or left["closed_fraction"] is not None
+            ):
                 after, noise = (_sized_rms(left, key) for key in ("after", "noise_floor"))
                 return (
                     f"No effect could be named, and the bench leaves {after} where the noise is "

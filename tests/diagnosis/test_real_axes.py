@@ -179,6 +179,29 @@ def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
     assert released == (("direction",) if gravity_nm > 0.0 else ())
 
 
+def test_what_the_bench_states_is_what_the_disagreement_starts_from() -> None:
+    """An inertia half as large again is fitted unasked, and told against the stated one."""
+    bench = believed(replace(drawn_axis(np.random.default_rng(1)), inertia_kg_m2=0.03 / 0.8))
+    stated = {name: replace(p, tolerance=0.0) for name, p in bench.parameters.items()}
+    bench = replace(bench, parameters=stated)
+    made = replace(comparison(swinging(1.5, 0.0), bench, 20.0, WHOLE), unknown=())
+    freed, _ = with_released(made)
+    found = diagnose(Problem(freed, lambda fit: (), stated=made), bench, Settings())
+    (error,) = found.parameter_errors
+    assert error.fitted.value == pytest.approx(0.02, abs=4.0 * error.fitted.sd + 1e-4)
+    left = made.pieces[0].measured - made.fit((), None).predictions[0]
+    before = found.disagreement.overall["used"].before
+    assert before == pytest.approx(float(np.sqrt(np.mean(left**2))), rel=0.01)
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_a_complete_bench_has_no_skew_at_a_high_cut_off(seed: int) -> None:
+    """Between samples a straight line would take noise from the acceleration."""
+    made, recordings = axis(seed)
+    found = answer(comparison(recordings, believed(made), 190.0, WHOLE))
+    assert "channel_time_skew" not in {e.name for e in found.effects}
+
+
 def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
     """A spring that the bench lacks: at one frequency it goes with −α."""
     bench = believed(drawn_axis(np.random.default_rng(1)))

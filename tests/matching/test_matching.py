@@ -59,10 +59,20 @@ def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
 
 
 @pytest.mark.parametrize("speed_rpm", [2000.0, -2000.0])
-def test_a_current_of_the_other_sign_is_refused_in_either_direction(speed_rpm: float) -> None:
+@pytest.mark.parametrize("position_gain_per_s", [0.0, 5.0, 20.0])
+@pytest.mark.parametrize("start_angle_rad", [0.3, 2.0])
+def test_a_current_of_the_other_sign_is_refused_in_either_direction(
+    speed_rpm: float, position_gain_per_s: float, start_angle_rad: float
+) -> None:
+    """A position loop, or a part of a rotation, turns the slope of the slow part alone."""
     bench = replace(reference_bench(), measurement=NOISE)
+    bench = bench.with_parameters(position_gain_per_s=position_gain_per_s)
     recording = bench.simulate(
-        8e-4, rotations=2.4, seed=np.random.default_rng(1), reference_speed_rpm=speed_rpm
+        8e-4,
+        rotations=2.4,
+        seed=np.random.default_rng(1),
+        reference_speed_rpm=speed_rpm,
+        start_angle_rad=start_angle_rad,
     )
     observed(recording, bench)
     turned = {MOTOR_CURRENT: -recording.channels[MOTOR_CURRENT]}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.rigid.motion import END_PERIODS
 from bayesbl.diagnosis.rigid.view import noise_of
 from bayesbl.recording.types import FloatArray
 
@@ -37,7 +38,10 @@ def resolved_hz(positions: Sequence[FloatArray], period_s: float) -> float:
     order = np.argsort(frequency, kind="stable")
     power, noise = (np.cumsum(np.concatenate(parts)[order]) for parts in (powers, noises))
     within = np.flatnonzero(noise <= LARGEST_SHARE * power)
-    return float(frequency[order][within[-1]])
+    # Below four times what the filter carries from the ends nothing would be left to compare.
+    lasting = period_s * max(position.size for position in positions)
+    least = 4.0 * END_PERIODS / lasting
+    return max(least, float(frequency[order][within[-1]]) if within.size else 0.0)
 
 
 def coherent_hz(resolved: InverseComparison) -> float | None:

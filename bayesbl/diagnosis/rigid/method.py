@@ -17,6 +17,7 @@ from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
+from bayesbl.diagnosis.rigid.order_scan import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -45,7 +46,7 @@ from bayesbl.diagnosis.rigid.view import (
 )
 from bayesbl.diagnosis.selection import BySelection, Problem, impossible
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -156,8 +157,9 @@ def inverse_problem(task: Task) -> Problem:
         positions = [r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels]
         resolved = resolved_hz(positions, period) if positions else WIDEST / period
         resolved = min(resolved, WIDEST / period)
-        cutoff = coherent_hz(comparison_below(resolved)) or resolved
-    comparison, released = with_released(comparison_below(cutoff))
+        cutoff = coherent_hz(with_released(comparison_below(resolved))[0]) or resolved
+    stated = comparison_below(cutoff)
+    comparison, released = with_released(stated)
     pieces, motions = comparison.pieces, comparison.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += [
@@ -195,6 +197,7 @@ def inverse_problem(task: Task) -> Problem:
         learned_fit,
         scale_sd,
         lambda fit: around_fitted(comparison, fit),
+        stated if released else None,
     )
 
 
@@ -222,7 +225,7 @@ def with_released(comparison: InverseComparison) -> tuple[InverseComparison, tup
         for name in names:
             made = free[name](made)
         fit = made.fit(tuple(c.name for c in made.candidates if c.is_plain), None)
-        if any(impossible(fit)):
+        if any(impossible(fit, {})):
             return math.inf
         return sum(
             float(np.sum(piece.kept(piece.measured - prediction) ** 2))
@@ -247,9 +250,10 @@ def around_fitted(
     hold for the bench that their columns are made of.
     """
     for _ in range(BENCH_ROUNDS):
-        if not fit.bench or not all(fit.bench[name] > 0.0 for name in fit.bench):
+        possible = {name: value for name, value in fit.bench.items() if value > 0.0}
+        if not possible:
             break
-        bench = comparison.bench.with_parameters(**fit.bench)
+        bench = comparison.bench.with_parameters(**possible)
         comparison = replace(comparison, bench=bench, seen=())
         fit = comparison.fit(tuple(fit.effects), fit)
     return comparison, fit
@@ -300,6 +304,15 @@ def compared(
     views = [View(low_pass, window, thinned(recording, cutoff_hz), step_rad=step)]
     if channel != LOAD_POSITION:
         views.append(View(low_pass, window, inside(recording, cutoff_hz), True, step))
+    compared_samples = len(range(*views[0].rows.indices(recording.samples)))
+    if compared_samples < FEWEST_SAMPLES:
+        raise RecordingError(
+            "The cut-off of the filter is too low for so short a recording: its ends reach all of "
+            "it.",
+            file=recording.place,
+            found=f"{cutoff_hz:.3g} Hz in {recording.samples * period:.3g} s",
+            expected="a longer recording, or a higher [comparison] cutoff_hz",
+        )
     torques = (recording.channels[name] for name in known_torque)
     known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
     found = []

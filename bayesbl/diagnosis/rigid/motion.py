@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy import fft
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import binary_dilation
 
 from bayesbl.errors import RecordingError
@@ -97,9 +97,18 @@ class Motion:
     friction_width: float = 0.0
 
     def shifted(self, time_s: float) -> Motion:
-        """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording."""
+        """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording.
+
+        By splines of degree 7: a straight line between samples would take noise from the
+        acceleration, and a shift by half a sample would then fit better than none.
+        """
         when = np.clip(self.time_s - time_s, self.time_s[0], self.time_s[-1])
-        return self._each(lambda values: np.interp(when, self.time_s, values))
+        degree = min(7, (self.time_s.size - 1) // 2 * 2 - 1)
+
+        def at(values: Any) -> Any:
+            return make_interp_spline(self.time_s, values, k=degree)(when)
+
+        return self._each(at)
 
     def _each(self, change: Callable[[Any], Any]) -> Motion:
         names = ("angle", "speed", "acceleration", "sway")

@@ -19,6 +19,7 @@ from itertools import islice
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
@@ -110,11 +111,11 @@ class OrderScan:
         Neighbours within two resolved cycles belong to the stronger line.
         """
         scan, known = self, list[float]()
-        width = 2.0 * STEPS_PER_CYCLE * self.step
         while len(known) < MOST_LINES:
             spectrum = spectrum_of(scan.rests, self.shared)
             if not spectrum.orders.size:
                 return
+            width = 2.0 * STEPS_PER_CYCLE * self.step
             scores = spectrum.scores.copy()
             for order in known:
                 scores[np.abs(spectrum.orders - order) <= width] = 0.0
@@ -182,7 +183,7 @@ class _Found:
         ) -> Line:
             return Line(self.order, hertz, what, score, trials, amplitude, slowest, fastest)
 
-        rate = 1.0 / self._rests[0].period_s
+        rate = 1.0 / min(item.period_s for item in self._rests)
         sampled = _as_sampled(hertz, rate)
         exact = self._frequency(sampled)
         turning = [self.order * r.angle for r in self._rests]
@@ -288,7 +289,17 @@ class _Found:
         for item in self._rests:
             found = sums_of(item.time_s, item.rest, 2.0 * math.pi * step, high + 1)
             power += np.abs(found[low:]) ** 2 / item.rest.size
-        return step * (low + int(np.argmax(power)))
+        best = step * (low + int(np.argmax(power)))
+
+        def less(hertz: float) -> float:
+            waves = (np.exp(2.0j * math.pi * hertz * item.time_s) for item in self._rests)
+            pairs = zip(waves, self._rests, strict=True)
+            return -sum(
+                abs(complex(wave @ item.rest)) ** 2 / item.rest.size for wave, item in pairs
+            )
+
+        found = minimize_scalar(less, bounds=(best - step, best + step), method="bounded")
+        return float(found.x)
 
 
 def _as_sampled(hertz: float, rate: float) -> float:
