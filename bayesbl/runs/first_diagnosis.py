@@ -279,7 +279,7 @@ def _settings(speeds: Sequence[float]) -> list[int]:
     found: list[float] = []
     numbers = []
     for speed in speeds:
-        near = [i for i, other in enumerate(found) if abs(speed / other - 1.0) <= SAME_SPEED]
+        near = [i for i, other in enumerate(found) if abs(speed - other) <= SAME_SPEED * abs(other)]
         if not near:
             found.append(speed)
         numbers.append(near[0] if near else len(found) - 1)

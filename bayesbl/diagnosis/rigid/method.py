@@ -290,6 +290,13 @@ def compared(
     period = recording.sampling_period_s
     sharp = sharper(cutoff_hz, period)
     motion = motion_of(recording, sharp)
+    if not np.any(motion.speed):
+        raise RecordingError(
+            "The motor does not move, so there is nothing to compare.",
+            file=recording.place,
+            found=f"{motion.source} that never changes",
+            expected="a recording of a motion",
+        )
     # A bridge is no motion, and the filter spreads it.
     out = widened(recording.excluded, reach(recording, sharp))
     require_enough(recording, channel, out)
