@@ -81,7 +81,8 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     """What is left, from each sample on, of the flank that a motion began on, shape (n,).
 
     χ² between the simulations from either flank: a fit that begins on the wrong one is off by its
-    root at most, in standard deviations of anything. Zero where the torque at the start decides it.
+    root at most, in standard deviations of anything, where the noise is white. What is left out of
+    the comparison counts for nothing; zero where the torque at the start decides the flank.
     """
     model, seen = fit.model, fit.model.recordings[index]
     assert seen.motion is not None
@@ -97,6 +98,8 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
         for side in (1.0, -1.0)
     )
     apart = np.sum(((forward - backward) / model.noise[index].sd[:, None]) ** 2, axis=0)
+    if seen.excluded is not None:
+        apart = np.where(seen.excluded, 0.0, apart)
     left: FloatArray = np.cumsum(apart[::-1])[::-1]
     return left
 

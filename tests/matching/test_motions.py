@@ -22,6 +22,7 @@ from bayesbl.matching.planning import MotionLimits, ranked_motions
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
+from bayesbl.measurement.motion_verdict import unknown_start
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.moving import cycle_of, moves
@@ -200,6 +201,15 @@ def test_without_gravity_the_flank_that_a_motion_begins_on_does_not_matter() -> 
     forward, backward = (fitted(begun_on(side, recording), VERTICAL) for side in (1.0, -1.0))
     assert abs(z_of(forward)) < 4.0
     assert abs(z_of(forward) - z_of(backward)) < 0.1
+
+
+def test_a_start_that_a_short_motion_still_remembers_withholds_the_gap() -> None:
+    """Half a stroke without gravity: 30 % of it may be left out, and that is too little."""
+    recording = recorded(bench=VERTICAL, seed=8)
+    assert unknown_start(fitted(recording, VERTICAL), 0) is None
+    reason = unknown_start(fitted(cut(recording, 0, 400), VERTICAL), 0)
+    assert reason is not None
+    assert "Record the same motion for longer" in reason
 
 
 @pytest.mark.long

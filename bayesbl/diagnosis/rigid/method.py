@@ -80,10 +80,11 @@ _RELEASED: Mapping[str, str] = MappingProxyType(
         "inertia": "Most of what friction leaves goes with the acceleration, though the bench has "
         "its inertia without a tolerance: it was fitted.",
         "gravity": "Most of what friction leaves goes with the load's angle as gravity does, "
-        "though the bench has gravity_torque_nm without a tolerance: it was fitted.",
+        "though the bench has gravity_torque_nm without a tolerance: it was fitted. A balancer "
+        "that the bench lacks looks the same.",
         "direction": "Most of what friction and inertia leave goes with the load's angle as "
         "gravity does, though the bench has gravity_torque_nm = 0: it was fitted, with its "
-        "direction. Give it in the bench file.",
+        "direction. Give it in the bench file; a spring that the bench lacks looks much the same.",
     }
 )
 

@@ -28,7 +28,6 @@ from bayesbl.diagnosis.rigid.order_scan import (
     STEPS_PER_CYCLE,
     OrderedRest,
     Owner,
-    order_range,
     owner_of,
     spectrum_of,
     sums_of,
@@ -88,11 +87,6 @@ class OrderScan:
 
     rests: tuple[OrderedRest, ...]
     shared: bool
-
-    @property
-    def range(self) -> tuple[float, float]:
-        """Lowest and highest order looked at."""
-        return order_range(self.rests, turns_of(self.rests, self.shared))
 
     @property
     def step(self) -> float:

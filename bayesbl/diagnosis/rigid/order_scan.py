@@ -102,11 +102,6 @@ class OrderSpectrum:
     independent: float
 
     @property
-    def step(self) -> float:
-        """Between orders."""
-        return float(self.orders[1] - self.orders[0])
-
-    @property
     def freedom(self) -> int:
         """Degrees of freedom of a score."""
         return 2 * len(self.powers)
