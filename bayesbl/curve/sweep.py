@@ -123,11 +123,13 @@ def sweep_nominal(
         if g < settings.count - 1:
             point = _turned(model, point, angles[g, 0] - angles[g + 1, 0], bench)
             last = point
-        starts = [point + trend, *exchanged(model, point + trend)]
+        # The trend alone could lead on and on to where there is no ringing.
+        starts = [point + trend, point, *exchanged(model, point + trend)]
         ends = np.array([refine(first, start) for start in starts])
         best = int(np.argmin(first.sum_of_squares(ends)))
         point = ends[best]
-        trend = point - last if best == 0 and g < settings.count - 1 else trend
+        is_same = best < 2 and g < settings.count - 1
+        trend = point - last if is_same else np.zeros_like(point)
         for s, angle in enumerate(angles[g]):
             start = _turned(model, point, angle - angles[g, 0], bench)
             row.set(g, s, objectives[g][s], point if s == 0 else refine(objectives[g][s], start))

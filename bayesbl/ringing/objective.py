@@ -41,6 +41,12 @@ HARMLESS_JITTER_S = 5e-4
 It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
 """
 
+FURTHEST_START = 1e-3 / float(np.finfo(np.float64).eps)
+"""Largest distance of the first impact from time zero, in sampling periods.
+
+Beyond it the rounding of a time exceeds a thousandth of a sample, and pulses have no place.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class LinearSolution:
@@ -212,7 +218,9 @@ class Objective:
         matrix[:, kernel.WINDOW] = values[WINDOW_END] - values[WINDOW_START]
         matrix[:, kernel.SEPARATION] = values[SEPARATION]
         matrix[:, kernel.ROTATION] = values[ROTATION]
-        matrix[matrix[:, kernel.ROTATION] < self.shortest_rotation_s, kernel.ROTATION] = np.nan
+        is_far = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
+        is_short = matrix[:, kernel.ROTATION] < self.shortest_rotation_s
+        matrix[is_far | is_short, kernel.ROTATION] = np.nan
         return matrix
 
     def _evaluate(

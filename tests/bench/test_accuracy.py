@@ -372,14 +372,18 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
     return np.array(logged).T
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize(
+    ("period_s", "delay"), [(2e-3, 0.0), (2e-3, 0.4), (2e-3, 1.0), (2e-4, 0.4)]
+)
 @pytest.mark.parametrize("effects", [[], ["load_coulomb_friction", "gear_transmission_error"]])
-def test_a_sampled_controller_keeps_the_promise(delay: float, effects: list[str]) -> None:
+def test_a_sampled_controller_keeps_the_promise(
+    period_s: float, delay: float, effects: list[str]
+) -> None:
     parameters = with_effects(np.random.default_rng(6), effects)
-    parameters[[S.sampled_control__period_s, S.sampled_control__delay_periods]] = 2e-3, delay
+    parameters[[S.sampled_control__period_s, S.sampled_control__delay_periods]] = period_s, delay
     parameters[S.start_angle_rad] = 3.0  # a flank changes soon
-    samples = 200
-    channels = simulate_channels(parameters[None], samples, SAMPLING_HZ)[0]
+    samples = round(0.4 / period_s)
+    channels = simulate_channels(parameters[None], samples, 1.0 / period_s)[0]
     state = start_states(parameters[None])[0]
     exact = sampled_reference(parameters, state, samples)
     assert np.ptp(exact[0]) > 5.0

@@ -108,6 +108,24 @@ def test_the_reference_bench_follows_the_papers_curve_within_5_percent(nominal: 
 
 
 @pytest.mark.long
+def test_a_sweep_of_little_more_than_two_rotations_keeps_to_the_ringing() -> None:
+    settings = dataclasses.replace(SETTINGS, count=40, rotations=2.05)
+    bench = reference_bench().with_parameters(
+        gear_ratio=100.0,
+        motor_inertia_kg_m2=1e-3,
+        load_inertia_kg_m2=15.0,
+        shaft_stiffness_nm_per_rad=1e5,
+        shaft_damping_nm_s_per_rad=180.0,
+        gravity_torque_nm=320.0,
+        torque_constant_nm_per_a=0.5,
+        speed_gain_nm_s_per_rad=0.16,
+        integral_gain_nm_per_rad=6.0,
+        reference_speed_rpm=1500.0,
+    )
+    row = sweep_nominal(bench, DisturbanceModel(), settings, np.random.default_rng(1))
+    assert np.all(np.diff(row.amplitude_rpm[:, 0]) > 0.0)
+
+
 def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
     bench, settings = reference_bench(), SweepSettings(5e-4, 2e-3, 6, start_angles=2, rotations=3.0)
     model = DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})  # free, 18 to 20

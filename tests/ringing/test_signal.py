@@ -170,6 +170,16 @@ def test_moving_all_pulses_by_whole_rotations_changes_nothing() -> None:
     )
 
 
+@pytest.mark.parametrize("start_s", [1e30, -1e93, math.inf, math.nan])
+def test_a_start_without_a_place_in_the_recording_makes_no_waveform(start_s: float) -> None:
+    case = random_case(8)
+    lost = case.searched.copy()
+    lost[0, case.model.searched.index("start_time_s")] = start_s
+    uneven = case.time_s + 0.3 * np.sin(np.arange(case.time_s.size)) * np.diff(case.time_s)[0]
+    for time_s in (case.time_s, uneven):
+        assert Objective(case.model, time_s, case.speed_rpm).sum_of_squares(lost)[0] == math.inf
+
+
 def test_exchanging_the_pulses_negates_the_amplitude_and_nothing_else() -> None:
     case = random_case(8)
     objective = Objective(case.model, case.time_s, case.speed_rpm)
