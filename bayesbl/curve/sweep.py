@@ -19,10 +19,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import exchanged, find_optimum
 from bayesbl.ringing.refine import refine
-from bayesbl.ringing.symbols import (
-    START,
-    DisturbanceModel,
-)
+from bayesbl.ringing.symbols import FREQUENCY, START, DisturbanceModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +86,24 @@ class SweepRow:
     rmse_rpm: FloatArray
     names: tuple[str, ...]
 
+    def on_one_branch(self, fixed: Mapping[str, float]) -> SweepRow:
+        """From the gap on above which the optimum is one and the same ringing.
+
+        Below it another oscillation fits better, and A means another thing. Where it changes over,
+        ω leaps; along one branch it follows the gap far less than proportionally.
+        """
+        steps = np.diff(np.log(self.symbol(FREQUENCY, fixed)[:, 0]))
+        leaps = np.flatnonzero(np.abs(steps) > np.diff(np.log(self.gap_rad)))
+        kept = slice(int(leaps[-1]) + 1 if leaps.size else 0, None)
+        return SweepRow(
+            self.gap_rad[kept],
+            self.start_angle_rad[kept],
+            self.searched[kept],
+            self.amplitude_rpm[kept],
+            self.rmse_rpm[kept],
+            self.names,
+        )
+
     def symbol(self, name: str, fixed: Mapping[str, float]) -> FloatArray:
         """A searched or fixed symbol, shape (g, s)."""
         if name in fixed:
@@ -103,7 +118,7 @@ def sweep_nominal(
     generator: np.random.Generator,
     workers: int = 1,
 ) -> SweepRow:
-    """The nominal bench: a full search at the largest gap, then down the gaps.
+    """The nominal bench: a full search at the largest gap, then down the gaps of one branch.
 
     At every gap the optimum is also sought where both pulses start half a ringing off and change
     places, the other candidate for the least sum of squares.
@@ -114,7 +129,7 @@ def sweep_nominal(
         If a simulation fails.
     """
     angles = settings.start_angle_rad
-    objectives = _objectives(bench, model, settings, angles, workers)
+    objectives = _objectives(bench, model, settings, settings.gap_rad, angles, workers)
     row = _Row(model, settings.gap_rad, angles)
     point = find_optimum(objectives[-1][0], "guess", generator).searched
     trend = np.zeros_like(point)
@@ -133,7 +148,7 @@ def sweep_nominal(
         for s, angle in enumerate(angles[g]):
             start = _turned(model, point, angle - angles[g, 0], bench)
             row.set(g, s, objectives[g][s], point if s == 0 else refine(objectives[g][s], start))
-    return row.done()
+    return row.done().on_one_branch(model.fixed)
 
 
 def sweep_like(
@@ -147,10 +162,10 @@ def sweep_like(
     Uses the nominal sweep's start angles, so that their scatter cancels in the difference.
     """
     angles = nominal.start_angle_rad[:, :1]
-    objectives = _objectives(bench, model, settings, angles, 1)
-    row = _Row(model, settings.gap_rad, angles)
+    objectives = _objectives(bench, model, settings, nominal.gap_rad, angles, 1)
+    row = _Row(model, nominal.gap_rad, angles)
     shift = np.zeros(nominal.searched.shape[2])
-    for g in reversed(range(settings.count)):
+    for g in reversed(range(nominal.gap_rad.size)):
         there = nominal.searched[g, 0]
         point = refine(objectives[g][0], there + shift)
         shift = point - there
@@ -190,12 +205,13 @@ def _objectives(
     bench: Bench,
     model: DisturbanceModel,
     settings: SweepSettings,
+    gap_rad: FloatArray,
     start_angle_rad: FloatArray,
     workers: int,
 ) -> list[list[Objective]]:
     width = start_angle_rad.shape[1]
     speeds = bench.simulate_many(
-        np.repeat(settings.gap_rad, width),
+        np.repeat(gap_rad, width),
         rotations=settings.rotations,
         sampling_hz=settings.sampling_hz,
         start_angle_rad=start_angle_rad.ravel(),

@@ -173,18 +173,21 @@ def diagnose(
     pieces = residuals_of_pieces(comparison, before, after)
     table = disagreement_table(pieces, in_units_of_noise=False)
     left = table.overall["used"]
-    remains = (
-        bool(remaining or denied or problem.stated)
-        or learned is not None
-        or left.after > EXCESS * left.noise_floor
-    )
+    is_much = left.after > EXCESS * left.noise_floor
+    remains = bool(remaining or denied or problem.stated) or learned is not None or is_much
+    doubts = denied
+    if effects and is_much:
+        doubts = (
+            f"What is named leaves {left.after / left.noise_floor:.0f} times the noise: something "
+            "else is missing too, and the sizes may hold part of it.",
+        )
     return Diagnosis(
         verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
         effects,
         errors,
         remaining,
         table,
-        (*problem.notes, *denied),
+        (*doubts, *problem.notes),
         bench_parameters=estimates,
         signals=_signals(comparison, before, after),
         augmented_bench=None if learned is None else learned.bench,
@@ -316,11 +319,24 @@ def _with_set(
 
 
 def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
-    """The trial with the most evidence, or a simpler one that cannot be told from it.
+    """The most probable trial, or a simpler one that cannot be told from it.
 
+    By what each leaves: that an amplitude is sharp says nothing of what else would explain as much.
     Simpler: fewer parameters, then earlier in the catalogue.
     """
-    best = max(good, key=lambda trial: _wald(comparison, trial.fit, trial.candidate)[2])
+    least = min(good, key=lambda trial: sum(_squares(comparison, trial.fit)))
+    noises = _noises(comparison, least.fit)
+    sizes = [part.size for part in residuals(comparison, least.fit, "used")]
+    counts = [noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True)]
+
+    def improbability(trial: _Trial) -> float:
+        """−2 ln of the evidence by Schwarz's approximation, each piece with its own noise."""
+        left = np.log(_squares(comparison, trial.fit))
+        freedom, tried = _freedom(trial.fit, trial.candidate)
+        size = math.log(max(sum(counts), math.e))
+        return float(np.dot(counts, left)) + freedom * size + 2.0 * tried
+
+    best = min(good, key=improbability)
     noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
     alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
@@ -331,6 +347,18 @@ def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
         return len(trial.fit.effects[name]), order.index(name)
 
     return min(alike, key=simplicity)
+
+
+def _squares(comparison: Comparison, fit: EffectsFit) -> list[float]:
+    """Of what a fit leaves of each used piece."""
+    tiny = np.finfo(float).tiny
+    return [max(float(part @ part), tiny) for part in residuals(comparison, fit, "used")]
+
+
+def _freedom(fit: EffectsFit, candidate: TestedEffect) -> tuple[int, float]:
+    """Degrees of freedom of an effect, and ln of the number of shapes that were tried."""
+    phases = sum(name.startswith(f"{candidate.name}.phase_rad") for name in fit.names)
+    return candidate.freedom * max(1, phases), math.log(fit.trials.get(candidate.name, 1.0))
 
 
 def _noises(comparison: Comparison, fit: EffectsFit) -> list[ResidualNoise]:
@@ -392,9 +420,7 @@ def _wald(
     variance = float(sandwich(fit.columns, noises)[index, index])
     amplitude = fit.effects[candidate.name][candidate.amplitude]
     z = abs(amplitude) / math.sqrt(variance) if variance > 0.0 else 0.0
-    phases = sum(name.startswith(f"{candidate.name}.phase_rad") for name in fit.names)
-    freedom = candidate.freedom * max(1, phases)
-    trials = math.log(fit.trials.get(candidate.name, 1.0))
+    freedom, trials = _freedom(fit, candidate)
     log_p = min(0.0, float(chi2.logsf(z**2, freedom)) + trials)
     sizes = [part.size for part in residuals(comparison, fit, "used")]
     n = sum(noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True))

@@ -22,8 +22,13 @@ MOST_ROUNDS = 30
 CONVERGED = 0.01
 CONVERGED_SHARE = 1e-4
 """Rounds end when one lowers χ² by less than this, or by this share of its excess over noise."""
-ROUGHLY_CONVERGED = 0.01
-"""The share of a rough fit. One that closes less of what it leaves in a round is no contender as it
+KEPT_PROMISE = 0.8
+"""Share of the promised gain above which the derivatives of a round serve for the next one too."""
+NEAR = 1.0
+"""χ² gained since the derivatives were taken, within which they hold for the covariance: about a
+standard deviation of one coordinate."""
+ROUGHLY_CONVERGED, ROUGHLY_CONVERGED_SHARE = 1.0, 0.01
+"""The same of a rough fit. One that closes less of what it leaves in a round is no contender as it
 is; those that are the best none the less are fitted to the end."""
 
 
@@ -143,31 +148,44 @@ def fit_simulated(
     value = _objective(model, point, residual)
     damping = 1e-3
     precision, normal = model.prior_precision(), model.normal_prior.precision
-    least = ROUGHLY_CONVERGED if rough else CONVERGED_SHARE
+    least, share = CONVERGED, CONVERGED_SHARE
+    if rough:
+        least, share = ROUGHLY_CONVERGED, ROUGHLY_CONVERGED_SHARE
+    jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
+    holds, value_there = False, value
     for _ in range(MOST_ROUNDS):
-        jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
         gradient = jacobian.T @ residual + _prior_pull(model, point)
         curvature = jacobian.T @ jacobian
-        gained = 0.0
+        shape = curvature + normal
+        gained, promised = 0.0, math.inf
         while damping < 1e8:
-            move = _bounded_step(model, point, gradient, curvature + normal, damping)
+            move = _bounded_step(model, point, gradient, shape, damping)
             trial = point + move
             trial_residual = model.whitened(trial)[0]
             trial_value = _objective(model, trial, trial_residual)
             if trial_value < value:
-                gained = value - trial_value
+                gained, promised = value - trial_value, _promised(gradient, shape, move)
                 point, residual, value = trial, trial_residual, trial_value
                 damping = max(damping / 10.0, 1e-9)
                 break
-            if np.all(np.abs(move) < 1e-3 / np.sqrt(np.diag(curvature + normal).clip(1e-300))):
+            if holds or np.all(np.abs(move) < 1e-3 / np.sqrt(np.diag(shape).clip(1e-300))):
                 break
             damping *= 10.0
-        if gained < max(CONVERGED, least * (value - residual.size)):
+        was_new, holds = not holds, gained > KEPT_PROMISE * promised
+        if gained < max(least, share * (value - residual.size)) and (was_new or holds):
             break
-    if not rough:
+        if not holds:
+            jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
+            value_there = value
+    if not rough and value_there - value > NEAR:
         jacobian, steps = _jacobian(model, point, residual, steps)
         curvature = jacobian.T @ jacobian
     return SimulatedFit(model, point, residual, curvature, _covariance(curvature, precision), steps)
+
+
+def _promised(gradient: FloatArray, curvature: FloatArray, move: FloatArray) -> float:
+    """By how much a move lowers χ², as the derivatives have it."""
+    return float(2.0 * gradient @ move - move @ curvature @ move)
 
 
 def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:

@@ -15,7 +15,13 @@ from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import Feature, feature_values, features, folded_signal
-from bayesbl.naming.joint_change import CHANGED_TOGETHER, ChangedParameter, JointFindings
+from bayesbl.naming.joint_change import (
+    CHANGED_TOGETHER,
+    FRICTION,
+    MOTOR_FRICTION,
+    ChangedParameter,
+    JointFindings,
+)
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
 
@@ -199,6 +205,8 @@ def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> str:
     """A sentence on what the recordings cannot tell from what changed, behind a space."""
     freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
     freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
+    if freed >= set(FRICTION[:2]):
+        freed |= {MOTOR_FRICTION, *FRICTION}
     others = [spoken(name) for name in found.could_be if name not in freed]
     if not others:
         return ""

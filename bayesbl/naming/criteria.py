@@ -62,7 +62,7 @@ def left(explanation: Explanation) -> float:
 
 def contends(left: float, least: float) -> bool:
     """Whether what a rough fit or a promise leaves is near enough to the least that one leaves."""
-    return left < BEHIND * max(least, 0.0) + SLACK
+    return left - least < (BEHIND - 1.0) * max(least, 0.0) + SLACK
 
 
 def misfit_scale(fit: SimulatedFit, false_alarm: float) -> float:

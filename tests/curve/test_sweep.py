@@ -126,6 +126,31 @@ def test_a_sweep_of_two_rotations_keeps_to_the_ringing() -> None:
     assert np.all(np.diff(row.amplitude_rpm[:, 0]) > 0.0)
 
 
+def test_a_curve_ends_where_the_optimum_leaps_to_another_ringing() -> None:
+    bench = reference_bench().with_parameters(
+        gear_ratio=100.0,
+        motor_inertia_kg_m2=9e-4,
+        load_inertia_kg_m2=15.0,
+        shaft_stiffness_nm_per_rad=9e4,
+        shaft_damping_nm_s_per_rad=150.0,
+        gravity_torque_nm=350.0,
+        torque_constant_nm_per_a=0.6,
+        speed_gain_nm_s_per_rad=0.15,
+        integral_gain_nm_per_rad=5.0,
+    )
+    bench = dataclasses.replace(bench, gap_form="dead_zone")
+    settings = SweepSettings(rotations=3.0, start_angles=2)
+    model = DisturbanceModel()
+    row = sweep_nominal(bench, model, settings, np.random.default_rng(1))
+    frequency = row.symbol("angular_frequency_rad_per_s", model.fixed)
+    assert np.ptp(np.log(frequency)) < 0.05  # below 0.13 mrad it would be 40 % higher
+    assert 1.2e-4 < row.gap_rad[0] < 1.5e-4
+    assert row.gap_rad[-1] == settings.high_rad
+    curve, _ = swept_curve("leap", row, model, 3, "", np.random.SeedSequence(1))
+    amplitude = row.amplitude_rpm.mean(axis=1)
+    np.testing.assert_allclose(curve.gap(amplitude), row.gap_rad, rtol=2e-3)
+
+
 def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
     bench, settings = reference_bench(), SweepSettings(5e-4, 2e-3, 6, start_angles=2, rotations=3.0)
     model = DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})  # free, 18 to 20

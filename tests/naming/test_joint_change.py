@@ -233,3 +233,16 @@ def test_what_is_freed_never_leaves_the_physics(independent):
     settings = SamplerSettings(ensembles=2, max_steps=500)
     posterior = sample_direct(fit, settings, np.random.SeedSequence(8), corrected=False)
     assert np.all(np.isfinite(posterior.values(GAP, "after")))
+
+
+def test_colder_grease_leaves_the_gap_alone_at_one_speed(independent):
+    """Coulomb and viscous friction together: either alone would draw the gap along."""
+    truth = {
+        "motor_coulomb_friction.torque_nm": 0.1,
+        "motor_viscous_friction.coefficient_nm_s_per_rad": 4e-4,
+    }
+    fit, found = find_changes(nominal_fit(independent, truth, seed=11))
+    assert found.explained
+    assert "motor_friction" in found.could_be
+    grown, sd = change(fit)
+    assert abs(grown) < 2.6 * sd  # a false alarm in a hundred

@@ -13,6 +13,7 @@ from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.rigid.motion import Motion
+from bayesbl.diagnosis.rigid.staying_columns import least_squares
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.view import View
 from bayesbl.recording.types import FloatArray
@@ -46,6 +47,9 @@ class ComparedColumns:
     load_angle_known, phases_shared
         The motor position tells the load's angle, so gravity's direction; it is absolute, so one
         phase holds for all recordings. Without either, sine and cosine are free per recording.
+    waves
+        Orders of the motor's turning that are allowed for, each with its own size and phase in
+        every recording.
     seen
         For every piece, what has been computed of it.
     """
@@ -62,6 +66,7 @@ class ComparedColumns:
     gravity_free: bool = False
     load_angle_known: bool = False
     phases_shared: bool = False
+    waves: tuple[float, ...] = ()
     seen: tuple[dict[Hashable, FloatArray], ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -112,26 +117,53 @@ class ComparedColumns:
                     base = base + self._signal(i, name, amount, shapes)
             return base
         bench = self.bench
-        if self.views[i].above:
-
-            def waves() -> FloatArray:
-                motion = self._motion(i, shapes)
-                parts = [
-                    TORQUE_TERMS[e.name].law.signal(motion, bench, e.complete())
-                    for e in bench.effects
-                    if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
-                ]
-                return np.asarray(sum(parts, np.zeros_like(motion.angle)) / self.unit)
-
-            return self._seen(i, ("base", skew), waves)
+        above = self.views[i].above
+        width = shapes.get(WIDTH) if self._directional(()) and not above else None
 
         def torque() -> FloatArray:
             known = {} if self.load_angle_known else {"gravity_torque_nm": 0.0}
             needed = required_torque(self._motion(i, shapes), bench.with_parameters(**known))
             return np.asarray((needed + self.known[i]) / self.unit)
 
-        width = shapes.get(WIDTH) if self._directional(()) else None
-        return self._seen(i, ("base", skew, width), torque)
+        def waves() -> FloatArray:
+            motion = self._motion(i, shapes)
+            parts = [
+                TORQUE_TERMS[e.name].law.signal(motion, bench, e.complete())
+                for e in bench.effects
+                if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
+            ]
+            return np.asarray(sum(parts, np.zeros_like(motion.angle)) / self.unit)
+
+        needed = self._seen(i, ("base", skew, width), torque)
+        if not above:
+            return needed
+        return self._seen(i, ("waves", skew), waves) + self._along(i, effects, shapes, needed)
+
+    def _along(
+        self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float], signal: FloatArray
+    ) -> FloatArray:
+        """The part of what is compared above the cut-off that turns with the motor as effects do.
+
+        A ripple that the loop is too slow for is in the motion, not in the current. Of the
+        acceleration up there little but noise is known, yet along one order little of that is left.
+        """
+        made = [self._waves(i, name, shapes) for name in effects if self._turns(name)]
+        if not made:
+            return np.zeros_like(signal)
+        matrix = np.column_stack([column for columns in made for column in columns])
+        kept = self.pieces[i].kept
+        return np.asarray(matrix @ least_squares(kept(matrix), kept(signal)))
+
+    def _turns(self, name: str) -> bool:
+        return self.terms[name].law.scanned == ORDER
+
+    def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> list[FloatArray]:
+        """Sine and cosine of an effect that turns with the motor, of unit size."""
+        amplitude, order = self.terms[name].candidate.amplitude, shapes[f"{name}.{ORDER}"]
+        return [
+            self._signal(i, name, {amplitude: 1.0, PHASE: phase, ORDER: order}, shapes)
+            for phase in (0.0, 0.5 * math.pi)
+        ]
 
     def _signal(
         self, i: int, name: str, given: Mapping[str, float], shapes: Mapping[str, float]
@@ -148,7 +180,7 @@ class ComparedColumns:
 
     def _columns(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
         """Linear coefficients by name to what one of each adds."""
-        found = self._nuisances(i, shapes)
+        found = self._allowed_for(i, shapes) | self._nuisances(i, effects, shapes)
         where = "" if self.phases_shared else f"@{self.pieces[i].name}"
         for name in effects:
             term = self.terms[name]
@@ -169,17 +201,33 @@ class ComparedColumns:
                 found[f"{name}.{parameter}"] = self._signal(i, name, given, shapes)
         return found
 
-    def _nuisances(self, i: int, shapes: Mapping[str, float]) -> Columns:
+    def _allowed_for(self, i: int, shapes: Mapping[str, float]) -> Columns:
+        """Sine and cosine of the orders in :attr:`waves`."""
+        return {
+            f"{label} {order}@{self.pieces[i].name}": self._seen(
+                i,
+                (label, order, _skew(shapes)),
+                lambda order=order, phase=phase: np.sin(  # type: ignore[misc]
+                    order * self._motion(i, shapes).angle + phase
+                ),
+            )
+            for order in self.waves
+            for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi))
+        }
+
+    def _nuisances(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
+        """What is fitted of the bench itself."""
         ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
-        skew = _skew(shapes)
-        if self.views[i].above:
-            return {}
+        skew, above = _skew(shapes), self.views[i].above
         if self.load:
             ones = np.ones_like(self.motions[i].angle)
             return {f"offset@{where}": self._seen(i, "offset", lambda: ones)}
+        if above and not any(self._turns(name) for name in effects):
+            return {}
 
         def of(name: str, make: Callable[[Motion], FloatArray]) -> FloatArray:
-            return self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
+            column = self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
+            return self._along(i, effects, shapes, column) if above else column
 
         found = {}
         for name in self.unknown:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -57,7 +58,8 @@ def coherent_hz(resolved: InverseComparison) -> float | None:
     """
     fit = resolved.fit(tuple(c.name for c in resolved.candidates if c.is_plain), None)
     lines = resolved.scan_orders(fit).lines(FALSE_ALARM)
-    orders = [line.order for line in lines if line.dependence == "motor angle"]
+    turning = [line for line in lines if line.dependence == "motor angle"]
+    orders = [line.order for line in turning]
     frequencies, measured, left = [], [], []
     for i, piece in enumerate(resolved.pieces):
         if piece.use != "used" or not piece.shown:
@@ -72,11 +74,12 @@ def coherent_hz(resolved: InverseComparison) -> float | None:
         left.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
     rest = np.concatenate(left)
-    top = resolved.views[0].low_pass.cutoff_hz
+    highest = top = resolved.views[0].low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
+    strongest = [ratio * line.order * line.fastest / (2.0 * math.pi) for line in turning]
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
         if 2.0 * rest[band].sum() < total[band].sum():
-            return top
+            return max(top, min(highest, max(strongest, default=0.0)))
         top /= ratio
     return None
 

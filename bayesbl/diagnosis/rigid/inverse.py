@@ -232,6 +232,12 @@ class InverseComparison(ComparedColumns):
             grid = (line.order - scan.step, line.order, line.order + scan.step)
             self._search(key, grid, effects, shapes)
             trials = line.trials
+        elif name == SKEW and not self.load:
+            # A ripple of a motor that yields to it is in the torque and in the motion out of step:
+            # without it a delay would take its place.
+            without = start or self.fit(tuple(e for e in effects if e != name), None)
+            orders = tuple(line.order for line in self.scan_orders(without).clearest())
+            replace(self, waves=orders)._search(key, self._grid(name), effects, shapes)
         else:
             self._search(key, self._grid(name), effects, shapes)
         return trials

@@ -95,9 +95,12 @@ class OrderScan:
 
     def of_angle(self) -> Line | None:
         """Of the clearest lines the largest that is of the motor's angle."""
-        clearest = islice(self.lines(LINE_ALARM), CLEAREST)
-        own = [line for line in clearest if line.dependence == "motor angle"]
+        own = [line for line in self.clearest() if line.dependence == "motor angle"]
         return max(own, key=lambda line: line.amplitude, default=None)
+
+    def clearest(self) -> list[Line]:
+        """The few lines that stand out most."""
+        return list(islice(self.lines(LINE_ALARM), CLEAREST))
 
     def lines(self, false_alarm: float) -> Iterator[Line]:
         """What stands out, the strongest first, each of what the stronger ones leave.

@@ -67,9 +67,9 @@ class View:
     rows
         Of the recording's samples, those compared.
     above
-        What the filter holds back instead of what it passes. There the acceleration is not known,
-        but the angle is: what turns with the motor can be compared, even beyond half the sampling
-        rate, and nothing else.
+        What the filter holds back instead of what it passes. There the acceleration is mostly
+        noise, but the angle is known: what turns with the motor can be compared, even beyond half
+        the sampling rate, and nothing else.
     step_rad
         Of the motor's position as recorded; 0 where it has none.
     """
