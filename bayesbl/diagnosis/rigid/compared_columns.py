@@ -50,8 +50,8 @@ class ComparedColumns:
     waves
         Orders of the motor's turning that are allowed for, each with its own size and phase in
         every recording.
-    seen
-        For every piece, what has been computed of it.
+    seen, moved
+        For every piece, what has been computed of it; its motion by the last skew that it had.
     """
 
     pieces: tuple[Piece, ...]
@@ -68,10 +68,14 @@ class ComparedColumns:
     phases_shared: bool = False
     waves: tuple[float, ...] = ()
     seen: tuple[dict[Hashable, FloatArray], ...] = field(default=(), repr=False, compare=False)
+    moved: tuple[dict[tuple[float, float], Motion], ...] = field(
+        default=(), init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         if not self.seen:
             object.__setattr__(self, "seen", tuple({} for _ in self.pieces))
+        object.__setattr__(self, "moved", tuple({} for _ in self.pieces))
 
     @property
     def _used(self) -> list[int]:
@@ -98,11 +102,16 @@ class ComparedColumns:
 
     def _motion(self, i: int, shapes: Mapping[str, float]) -> Motion:
         """Motion as the compared channel shows it: a channel that lags shows what was."""
-        motion = self.motions[i]
-        for key, sign in ((f"{SKEW}.current_s", 1.0), (f"{SKEW}.position_s", -1.0)):
-            if shapes.get(key):
-                motion = motion.shifted(sign * shapes[key])
-        return replace(motion, friction_width=shapes.get(WIDTH, 0.0))
+        skew, known = _skew(shapes), self.moved[i]
+        if skew not in known:
+            known.clear()
+            current_s, position_s = skew
+            motion = self.motions[i]
+            for late_s in (current_s, -position_s):
+                if late_s:
+                    motion = motion.shifted(late_s)
+            known[skew] = motion
+        return replace(known[skew], friction_width=shapes.get(WIDTH, 0.0))
 
     def _base(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> FloatArray:
         """The nominal bench, and effects that no coefficient scales, in units of the channel."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -23,7 +23,7 @@ from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
 from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
-from bayesbl.diagnosis.rigid.order_rivals import OrderScan
+from bayesbl.diagnosis.rigid.order_rivals import Line, OrderScan, of_angle
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest
 from bayesbl.diagnosis.rigid.staying_columns import Staying, least_squares, stacked
 from bayesbl.diagnosis.rigid.terms import SKEW
@@ -43,7 +43,14 @@ NO_ORDER = 0.0
 
 @dataclass(frozen=True, slots=True)
 class InverseComparison(ComparedColumns):
-    """Motion of every piece against what was measured of torque, current or load position."""
+    """Motion of every piece against what was measured of torque, current or load position.
+
+    ``lines``: those that stand out of what the last fit leaves.
+    """
+
+    lines: dict[int, tuple[EffectsFit, list[Line]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def candidates(self) -> tuple[TestedEffect, ...]:
@@ -224,23 +231,30 @@ class InverseComparison(ComparedColumns):
         key, trials = f"{name}.{scanned[0]}", 3.0
         if scanned[0] == ORDER:
             without = start or self.fit(tuple(e for e in effects if e != name), None)
-            scan = self.scan_orders(without)
-            line = scan.of_angle()
+            line = of_angle(self._clearest(without))
             if line is None:
                 shapes[key] = NO_ORDER
                 return trials
-            grid = (line.order - scan.step, line.order, line.order + scan.step)
+            step = self.scan_orders(without).step
+            grid = (line.order - step, line.order, line.order + step)
             self._search(key, grid, effects, shapes)
             trials = line.trials
         elif name == SKEW and not self.load:
             # A ripple of a motor that yields to it is in the torque and in the motion out of step:
             # without it a delay would take its place.
             without = start or self.fit(tuple(e for e in effects if e != name), None)
-            orders = tuple(line.order for line in self.scan_orders(without).clearest())
+            orders = tuple(line.order for line in self._clearest(without))
             replace(self, waves=orders)._search(key, self._grid(name), effects, shapes)
         else:
             self._search(key, self._grid(name), effects, shapes)
         return trials
+
+    def _clearest(self, fit: EffectsFit) -> list[Line]:
+        """Lines that stand out of what a fit leaves; those of the last fit are kept."""
+        if id(fit) not in self.lines:
+            self.lines.clear()
+            self.lines[id(fit)] = fit, self.scan_orders(fit).clearest()
+        return self.lines[id(fit)][1]
 
     def _search(
         self, key: str, grid: Sequence[float], effects: tuple[str, ...], shapes: Values
@@ -260,6 +274,9 @@ class InverseComparison(ComparedColumns):
     def _cost(self, key: str, effects: tuple[str, ...], shapes: Values) -> Callable[[float], float]:
         """Sum of squares of the fit over a shape; what does not depend on it is fitted once."""
         used, all_move = self._used, key.startswith(SKEW)
+        if all_move:
+            # A delay moves all that is compared, and what moves slowly shows it.
+            used = [i for i in used if not self.views[i].above]
         moving = tuple(e for e in effects if all_move or self._depends(e, key))
         others = tuple(e for e in effects if e not in moving)
         stay: list[Columns] = [{} for _ in used]

@@ -81,6 +81,12 @@ class Line:
     fastest: float
 
 
+def of_angle(lines: Sequence[Line]) -> Line | None:
+    """The largest that is of the motor's angle."""
+    own = [line for line in lines if line.dependence == "motor angle"]
+    return max(own, key=lambda line: line.amplitude, default=None)
+
+
 @dataclass(frozen=True, slots=True)
 class OrderScan:
     """Residuals over the motor's angle; ``shared``: all recordings have one phase."""
@@ -92,11 +98,6 @@ class OrderScan:
     def step(self) -> float:
         """Between orders looked at."""
         return 1.0 / (STEPS_PER_CYCLE * turns_of(self.rests, self.shared))
-
-    def of_angle(self) -> Line | None:
-        """Of the clearest lines the largest that is of the motor's angle."""
-        own = [line for line in self.clearest() if line.dependence == "motor angle"]
-        return max(own, key=lambda line: line.amplitude, default=None)
 
     def clearest(self) -> list[Line]:
         """The few lines that stand out most."""
