@@ -258,9 +258,9 @@ def _select(
                 progress(f"Seeking effect {len(current.effects) + 1}", done + 1, len(open_ones))
         good = [t for t in trials if _stands_out(comparison, t.fit, t.candidate, threshold)]
         good = [trial for trial in good if folds.predicts(trial.base, trial.fit, trial.candidate)]
-        if not good:
+        best = _simplest(comparison, good) if good else None
+        if best is None:
             break
-        best = _simplest(comparison, good)
         current = best.fit
         for name in [e for e in current.effects if e != best.candidate.name]:
             if not _stands_out(comparison, current, _by_name(comparison, name), threshold):
@@ -318,28 +318,33 @@ def _with_set(
         dropped.update(idle[:1])
 
 
-def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial:
+def _simplest(comparison: Comparison, good: list[_Trial]) -> _Trial | None:
     """The most probable trial, or a simpler one that cannot be told from it.
 
     By what each leaves: that an amplitude is sharp says nothing of what else would explain as much.
-    Simpler: fewer parameters, then earlier in the catalogue.
+    ``None`` if the base without any of them is more probable. Simpler: fewer parameters, then
+    earlier in the catalogue.
     """
     least = min(good, key=lambda trial: sum(_squares(comparison, trial.fit)))
     noises = _noises(comparison, least.fit)
     sizes = [part.size for part in residuals(comparison, least.fit, "used")]
     counts = [noise.effective_samples(size) for noise, size in zip(noises, sizes, strict=True)]
 
+    def misfit(fit: EffectsFit) -> float:
+        return float(np.dot(counts, np.log(_squares(comparison, fit))))
+
     def improbability(trial: _Trial) -> float:
         """−2 ln of the evidence by Schwarz's approximation, each piece with its own noise."""
-        left = np.log(_squares(comparison, trial.fit))
         freedom, tried = _freedom(trial.fit, trial.candidate)
-        size = math.log(max(sum(counts), math.e))
-        return float(np.dot(counts, left)) + freedom * size + 2.0 * tried
+        return misfit(trial.fit) + freedom * math.log(max(sum(counts), math.e)) + 2.0 * tried
 
-    best = min(good, key=improbability)
+    better = [trial for trial in good if improbability(trial) < misfit(trial.base)]
+    if not better:
+        return None
+    best = min(better, key=improbability)
     noises = _noises(comparison, best.fit)
     theirs = _used(comparison, best.fit)
-    alike = [t for t in good if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
+    alike = [t for t in better if distance(theirs, _used(comparison, t.fit), noises) < ALIKE]
     order = [candidate.name for candidate in comparison.candidates]
 
     def simplicity(trial: _Trial) -> tuple[int, int]:

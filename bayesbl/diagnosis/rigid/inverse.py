@@ -274,9 +274,6 @@ class InverseComparison(ComparedColumns):
     def _cost(self, key: str, effects: tuple[str, ...], shapes: Values) -> Callable[[float], float]:
         """Sum of squares of the fit over a shape; what does not depend on it is fitted once."""
         used, all_move = self._used, key.startswith(SKEW)
-        if all_move:
-            # A delay moves all that is compared, and what moves slowly shows it.
-            used = [i for i in used if not self.views[i].above]
         moving = tuple(e for e in effects if all_move or self._depends(e, key))
         others = tuple(e for e in effects if e not in moving)
         stay: list[Columns] = [{} for _ in used]
