@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -42,25 +42,32 @@ def against(flanks: Flanks) -> str | None:
 def notes_on(
     files: Sequence[Ramps],
     flanks: Flanks,
-    width_rad: FloatArray,
+    draws: Mapping[str, FloatArray],
     *,
     ratio_given: bool,
     elsewhere: bool,
 ) -> Iterator[str]:
     """What a reader should know of how δ came about.
 
-    ``elsewhere``: one file a snapshot, and not at the same position of the turn.
+    ``draws``: of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: one file a snapshot, and
+    not at the same position of the turn.
     """
     level, largest = flanks.level, flanks.largest
     assert level is not None
     assert largest is not None
     if flanks.finding == "preloaded":
-        carried = level.amplitude_nm - level.friction_nm
+        width = 1e3 * float(np.median(draws["width_rad"]))
+        lifts = float(np.median(draws["preload_torque_nm"]))
+        seen = (
+            "At no torque is a flank seen to lift, so the preload is not known."
+            if np.isnan(lifts)
+            else f"Both flanks carry it up to about {lifts:.2g} N m, where one lifts."
+        )
         yield (
-            f"No play: up to {carried:.2g} N m the joint is stiffer than beyond (its compliance is "
-            f"{flanks.relative_compliance:.2g} of that), as one is that is preloaded. The "
-            f"{1e3 * float(np.median(width_rad)):.2g} mrad that ramps leave "
-            "between the flanks are compliance held by friction; δ is at most half of them."
+            "No play is seen: around zero torque the joint is stiffer than beyond (its compliance "
+            f"is {flanks.relative_compliance:.2g} of that), as one is that is preloaded. {seen} "
+            f"The {width:.2g} mrad that ramps leave between the flanks are compliance held by "
+            "friction; δ is at most half of them."
         )
     if UNSURE < flanks.probability_of_play < 1.0 - UNSURE:
         yield (
