@@ -6,12 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bayesbl.measurement.held_compliance import HELD
 from bayesbl.ramps.flanks import Flanks
 from bayesbl.ramps.torque_cycles import Ramps
 from bayesbl.recording.types import FloatArray
 
-HARDENING = 2.0
-"""By which flanks without play may be softer at small torque, as they stiffen under load."""
+GOOD_PART = 0.5
+"""Of the gap that soft flanks may make up, from which a reader is told."""
 
 UNSURE = 0.05
 """Probability of play, and of none, from which both are told."""
@@ -76,11 +77,18 @@ def notes_on(
             f"{flanks.relative_compliance:.2g} times as soft as beyond, but not alike at all "
             "positions. δ includes that there may be none."
         )
-    if flanks.finding == "play" and flanks.relative_compliance < HARDENING:
+    soft = HELD / flanks.relative_compliance
+    if flanks.finding == "play" and soft > GOOD_PART:
+        part = (
+            "all of δ, without any play"
+            if soft > 1.0
+            else f"{100.0 * soft:.0f} % of δ, and more if softer"
+        )
         yield (
-            f"Around zero torque the joint is no more than {flanks.relative_compliance:.2g} times "
-            "as soft as beyond. Flanks that are soft at small torque, as those of a strain wave "
-            "gear, look the same without any play: then δ is lost motion."
+            f"Around zero torque the joint is {flanks.relative_compliance:.2g} times as soft as "
+            "beyond. Flanks that are soft at small torque, as those of a strain wave gear, look "
+            f"like play, and the probability of play does not count them: {HELD:.0f} times as soft "
+            f"as beyond, as is common, they make up {part}. That part is lost motion."
         )
     if flanks.skipped_nm and flanks.answered:
         held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)

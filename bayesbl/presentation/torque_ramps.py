@@ -120,7 +120,7 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
         "not known, without larger ramps" if relative != relative else words.significant(relative)
     )
     sure = words.probability(part["probability_of_play"])
-    yield Sentence(f"{shown}; probability of play {sure}", label="Relative compliance")
+    yield Sentence(f"{shown}; probability that it is above 1: {sure}", label="Relative compliance")
     yield Sentence(RELATIVE_EXPLAINED, "aside")
     stated = part["lost_motion_torque_nm"]
     if stated < first["median"]:
