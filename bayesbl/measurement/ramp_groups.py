@@ -40,7 +40,7 @@ POSTERIOR = Group(
             held_windup_rad (chain, draw) | rad
                 | of the gap: compliance that friction holds at zero torque, if flanks do not harden
             preload_torque_nm (chain, draw) | N m
-                | torque up to which both flanks carry the joint at least; 0 with play
+                | at which one flank of a preloaded joint lifts; 0 with play, NaN where not seen
         """),
     ),
     (shared.CHAIN, shared.DRAW),

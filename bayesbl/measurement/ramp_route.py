@@ -25,6 +25,7 @@ from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, of_cycles
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
+from bayesbl.ramps.preload import lifting_torque
 from bayesbl.ramps.torque_cycles import Ramps, find_ramps
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
@@ -187,7 +188,7 @@ class RampMeasurer:
         notes = notes_on(
             answer.files,
             answer.flanks,
-            answer.draws["width_rad"],
+            answer.draws,
             ratio_given=given,
             elsewhere=elsewhere,
         )
@@ -280,7 +281,8 @@ def described(
     """Draws of everything but the play: means over the files, with their scatter.
 
     By name, each of ``shape``: lost motion at ±``stated_nm`` N m, compliance, friction, windup that
-    friction holds, and preload; rad and N m.
+    friction holds, and the torque up to which a preload lets both flanks carry (0 with play, NaN
+    where no flank is seen to lift); rad and N m.
     """
     level, largest = flanks.level, flanks.largest
     assert level is not None
@@ -303,8 +305,10 @@ def described(
     draws = {name: _mean_draws(found, shape, generator) for name, found in held.items()}
     draws["preload_torque_nm"] = np.zeros(shape)
     if flanks.finding == "preloaded":
-        carried = of_cycles(level, lambda c: max(c.amplitude_nm - c.friction_nm, 0.0))
-        draws["preload_torque_nm"] = _mean_draws(carried, shape, generator)
+        lifts = lifting_torque(files, largest)
+        draws["preload_torque_nm"] = (
+            _mean_draws(lifts, shape, generator) if lifts else np.full(shape, np.nan)
+        )
     return draws
 
 

@@ -12,8 +12,9 @@ QUANTITIES = (
     "compliance_rad_per_nm",
     "friction_torque_nm",
     "held_windup_rad",
-    "preload_torque_nm",
 )
+
+PRELOAD = "preload_torque_nm"
 
 
 def summarise_ramps(stored: StoredSnapshot) -> SnapshotSummary:
@@ -22,6 +23,9 @@ def summarise_ramps(stored: StoredSnapshot) -> SnapshotSummary:
     used = stored.values("cycles", "used") > 0.5
     file = stored.values("cycles", "file")
     found = {name: stored.interval("posterior", name) for name in QUANTITIES}
+    # All NaN where no flank is seen to lift.
+    if stored.values("posterior", PRELOAD).size:
+        found[PRELOAD] = stored.interval("posterior", PRELOAD)
     return {
         "route": "torque_ramp",
         "routes": {"torque_ramp": {"delta_rad": stored.delta_rad, "reason": stored.reason}},
@@ -32,7 +36,7 @@ def summarise_ramps(stored: StoredSnapshot) -> SnapshotSummary:
         "compliance_rad_per_nm": found["compliance_rad_per_nm"],
         "friction_torque_nm": found["friction_torque_nm"],
         "held_windup_rad": found["held_windup_rad"],
-        "preload_torque_nm": found["preload_torque_nm"],
+        "preload_torque_nm": found.get(PRELOAD),
         "preloaded": float(cycles["probability_of_play"]) <= 0.5 and not stored.withheld,
         "probability_of_play": float(cycles["probability_of_play"]),
         "relative_compliance": float(cycles["relative_compliance"]),

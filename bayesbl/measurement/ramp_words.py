@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bayesbl.measurement.held_compliance import HELD
 from bayesbl.ramps.flanks import Flanks
 from bayesbl.ramps.torque_cycles import Ramps
 from bayesbl.recording.types import FloatArray
 
-HARDENING = 2.0
-"""By which flanks without play may be softer at small torque, as they stiffen under load."""
+GOOD_PART = 0.5
+"""Of the gap that soft flanks may make up, from which a reader is told."""
 
 UNSURE = 0.05
 """Probability of play, and of none, from which both are told."""
@@ -42,25 +43,32 @@ def against(flanks: Flanks) -> str | None:
 def notes_on(
     files: Sequence[Ramps],
     flanks: Flanks,
-    width_rad: FloatArray,
+    draws: Mapping[str, FloatArray],
     *,
     ratio_given: bool,
     elsewhere: bool,
 ) -> Iterator[str]:
     """What a reader should know of how δ came about.
 
-    ``elsewhere``: one file a snapshot, and not at the same position of the turn.
+    ``draws``: of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: one file a snapshot, and
+    not at the same position of the turn.
     """
     level, largest = flanks.level, flanks.largest
     assert level is not None
     assert largest is not None
     if flanks.finding == "preloaded":
-        carried = level.amplitude_nm - level.friction_nm
+        width = 1e3 * float(np.median(draws["width_rad"]))
+        lifts = float(np.median(draws["preload_torque_nm"]))
+        seen = (
+            "At no torque is a flank seen to lift, so the preload is not known."
+            if np.isnan(lifts)
+            else f"Both flanks carry it up to about {lifts:.2g} N m, where one lifts."
+        )
         yield (
-            f"No play: up to {carried:.2g} N m the joint is stiffer than beyond (its compliance is "
-            f"{flanks.relative_compliance:.2g} of that), as one is that is preloaded. The "
-            f"{1e3 * float(np.median(width_rad)):.2g} mrad that ramps leave "
-            "between the flanks are compliance held by friction; δ is at most half of them."
+            "No play is seen: around zero torque the joint is stiffer than beyond (its compliance "
+            f"is {flanks.relative_compliance:.2g} of that), as one is that is preloaded. {seen} "
+            f"The {width:.2g} mrad that ramps leave between the flanks are compliance held by "
+            "friction; δ is at most half of them."
         )
     if UNSURE < flanks.probability_of_play < 1.0 - UNSURE:
         yield (
@@ -69,11 +77,18 @@ def notes_on(
             f"{flanks.relative_compliance:.2g} times as soft as beyond, but not alike at all "
             "positions. δ includes that there may be none."
         )
-    if flanks.finding == "play" and flanks.relative_compliance < HARDENING:
+    soft = HELD / flanks.relative_compliance
+    if flanks.finding == "play" and soft > GOOD_PART:
+        part = (
+            "all of δ, without any play"
+            if soft > 1.0
+            else f"{100.0 * soft:.0f} % of δ, and more if softer"
+        )
         yield (
-            f"Around zero torque the joint is no more than {flanks.relative_compliance:.2g} times "
-            "as soft as beyond. Flanks that are soft at small torque, as those of a strain wave "
-            "gear, look the same without any play: then δ is lost motion."
+            f"Around zero torque the joint is {flanks.relative_compliance:.2g} times as soft as "
+            "beyond. Flanks that are soft at small torque, as those of a strain wave gear, look "
+            f"like play, and the probability of play does not count them: {HELD:.0f} times as soft "
+            f"as beyond, as is common, they make up {part}. That part is lost motion."
         )
     if flanks.skipped_nm and flanks.answered:
         held = ", ".join(f"±{torque:.3g}" for torque in flanks.skipped_nm)

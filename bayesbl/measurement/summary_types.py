@@ -142,8 +142,9 @@ class RampsSummary(TypedDict):
 class _FromRamps(TypedDict, total=False):
     """Of torque ramps with the output held, all at the output.
 
-    ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: there is no play, and
-    ``preload_torque_nm`` is what the joint bears at least before there is; 0 with play.
+    ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: no play is
+    seen, and ``preload_torque_nm`` is the torque at which one of both flanks lifts; 0 with play,
+    ``None`` where that is not seen.
     ``held_windup_rad``: what of δ is compliance that friction holds at zero torque.
     """
 
@@ -152,7 +153,7 @@ class _FromRamps(TypedDict, total=False):
     compliance_rad_per_nm: Interval
     friction_torque_nm: Interval
     held_windup_rad: Interval
-    preload_torque_nm: Interval
+    preload_torque_nm: Interval | None
     preloaded: bool
     probability_of_play: float
     relative_compliance: float

@@ -30,11 +30,17 @@ def no_play(part: SnapshotSummary) -> str | None:
     """The answer of a preloaded joint; ``None`` with play."""
     if not part.get("preloaded") or part["delta_rad"] is None:
         return None
-    carried = words.significant(part["preload_torque_nm"]["median"])
+    lifts = part["preload_torque_nm"]
+    up_to = (
+        "how far the preload reaches is not seen"
+        if lifts is None
+        else f"both flanks carry it up to {words.significant(lifts['median'])} N m "
+        f"({words.interval_kind(lifts)} {words.bounds(lifts)})"
+    )
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
-        f"No play: the joint is preloaded by at least about {carried} N m; a gap δ that this hides "
-        f"is below {most} mrad."
+        f"No play is seen: the joint is stiffer around zero torque than beyond; {up_to}. A gap δ "
+        f"that this hides is below {most} mrad."
     )
 
 
@@ -100,11 +106,12 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
         "compliance_rad_per_nm": ("compliance", 1e3, "mrad/N m"),
         "friction_torque_nm": ("friction", 1.0, "N m"),
         "held_windup_rad": ("held windup in δ", 1e3, "mrad"),
-        "preload_torque_nm": ("preload, at least", 1.0, "N m"),
+        "preload_torque_nm": ("torque at which a flank lifts", 1.0, "N m"),
     }
     rows = []
     for name, (label, scale, unit) in units.items():
-        found = part["parameters"][name]
+        if (found := part["parameters"].get(name)) is None:
+            continue
         rows.append((label, _median(found, scale), words.bounds(found, scale), unit))
     columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
     yield table(columns, rows)
@@ -113,7 +120,7 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
         "not known, without larger ramps" if relative != relative else words.significant(relative)
     )
     sure = words.probability(part["probability_of_play"])
-    yield Sentence(f"{shown}; probability of play {sure}", label="Relative compliance")
+    yield Sentence(f"{shown}; probability that it is above 1: {sure}", label="Relative compliance")
     yield Sentence(RELATIVE_EXPLAINED, "aside")
     stated = part["lost_motion_torque_nm"]
     if stated < first["median"]:

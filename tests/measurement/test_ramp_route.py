@@ -169,13 +169,23 @@ def test_files_of_positions_are_compared_with_dates_and_a_limit(tmp_path: Path) 
 
 
 def test_a_preloaded_joint_is_answered_by_no_play_and_a_bound(tmp_path: Path, capsys) -> None:
-    file = write(tmp_path / "a.csv", gap=-4.0 * COMPLIANCE)
+    file = write(tmp_path / "a.csv", gap=-2.0 * COMPLIANCE)
     code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
     assert code == 0
     assert summary["preloaded"]
     assert summary["delta_rad"]["high"] < COMPLIANCE * FRICTION
-    assert 1.0 < summary["preload_torque_nm"]["median"] < 4.0
-    assert "No play" in capsys.readouterr().out
+    assert summary["preload_torque_nm"]["median"] == pytest.approx(4.0, rel=0.05)
+    assert "both flanks carry it up to" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_preload_beyond_what_the_ramps_tell_has_no_torque(tmp_path: Path, capsys) -> None:
+    """One flank lifts at 12 N m, and the ramps go to 15."""
+    file = write(tmp_path / "a.csv", gap=-6.0 * COMPLIANCE)
+    code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
+    assert code == 0
+    assert summary["preloaded"]
+    assert summary["preload_torque_nm"] is None
+    assert "is not seen" in " ".join(capsys.readouterr().out.split())
 
 
 def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path: Path) -> None:
