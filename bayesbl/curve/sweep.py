@@ -15,11 +15,19 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import exchanged, find_optimum
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import FREQUENCY, START, DisturbanceModel
+
+LEAST_LEAP = 0.2
+"""Of ln ω: neighbours scatter by some per cent with the start angle, and leaps are to another mode
+of the joint, 40 % away on the benches that had one."""
+
+FEWEST_GAPS = 8
+"""What a polynomial of the highest degree takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +99,22 @@ class SweepRow:
 
         Below it another oscillation fits better, and A means another thing. Where it changes over,
         ω leaps; along one branch it follows the gap far less than proportionally.
+
+        Raises
+        ------
+        CurveError
+            If fewer than :data:`FEWEST_GAPS` are left.
         """
-        steps = np.diff(np.log(self.symbol(FREQUENCY, fixed)[:, 0]))
-        leaps = np.flatnonzero(np.abs(steps) > np.diff(np.log(self.gap_rad)))
+        steps = np.abs(np.diff(np.log(self.symbol(FREQUENCY, fixed)[:, 0])))
+        leaps = np.flatnonzero(steps > np.maximum(np.diff(np.log(self.gap_rad)), LEAST_LEAP))
         kept = slice(int(leaps[-1]) + 1 if leaps.size else 0, None)
+        if leaps.size and self.gap_rad[kept].size < FEWEST_GAPS:
+            raise CurveError(
+                "The best fit leaps from one ringing to another, and too few gaps lie beyond.",
+                where=f"δ = {self.gap_rad[leaps[-1]]:.3g} to {self.gap_rad[leaps[-1] + 1]:.3g} rad",
+                found=f"{self.gap_rad[kept].size} gaps",
+                expected=f"at least {FEWEST_GAPS}; larger gaps, or another bench",
+            )
         return SweepRow(
             self.gap_rad[kept],
             self.start_angle_rad[kept],

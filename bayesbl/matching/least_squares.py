@@ -152,8 +152,8 @@ def fit_simulated(
     if rough:
         least, share = ROUGHLY_CONVERGED, ROUGHLY_CONVERGED_SHARE
     jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
-    holds, value_there = False, value
-    for _ in range(MOST_ROUNDS):
+    holds, value_there, rounds = False, value, 1
+    while True:
         gradient = jacobian.T @ residual + _prior_pull(model, point)
         curvature = jacobian.T @ jacobian
         shape = curvature + normal
@@ -175,8 +175,10 @@ def fit_simulated(
         if gained < max(least, share * (value - residual.size)) and (was_new or holds):
             break
         if not holds:
+            if rounds == MOST_ROUNDS:
+                break
             jacobian, steps = _jacobian(model, point, residual, steps, one_sided=rough)
-            value_there = value
+            value_there, rounds = value, rounds + 1
     if not rough and value_there - value > NEAR:
         jacobian, steps = _jacobian(model, point, residual, steps)
         curvature = jacobian.T @ jacobian

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.sweep import SweepConfig
-from bayesbl.curve.sweep import SweepSettings
+from bayesbl.curve.sweep import SweepRow, SweepSettings
 from bayesbl.curve.swept_curve import swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.bench_sweep import SweepProblem
@@ -66,6 +67,15 @@ def describe(config: SweepConfig, plan: Plan) -> None:
     plan.add("gaps", partial(_gaps, config, bench))
 
 
+def _cut_off(nominal: SweepRow, settings: SweepSettings) -> Iterator[str]:
+    first = nominal.gap_rad[0]
+    if first > settings.gap_rad[0]:
+        yield (
+            f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing, and the curve "
+            "begins there."
+        )
+
+
 def _gaps(config: SweepConfig, bench: Bench) -> str:
     require_drawable(config, bench)
     _require_possible(config, bench)
@@ -112,7 +122,11 @@ def run_sweep(
         curve_seed,
         swept,
     )
-    curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
+    curve = replace(
+        curve,
+        reference_speed_rpm=nominal_speed_rpm(recording),
+        warnings=tuple(_cut_off(nominal, problem.settings)),
+    )
     tree = xr.DataTree.from_dict(
         {
             "sweep": sweep_group(nominal, problem.model),

@@ -391,6 +391,17 @@ def test_a_sampled_controller_keeps_the_promise(
     assert np.max(np.abs(channels[2] - exact[1])) < 1e-3
 
 
+def test_short_steps_between_ticks_heed_a_damping_faster_than_any_oscillation() -> None:
+    parameters = with_effects(np.random.default_rng(1), [])
+    parameters[[S.sampled_control__period_s, S.sampled_control__delay_periods]] = 3e-4, 0.5
+    parameters[S.shaft_damping_nm_s_per_rad] *= 100.0
+    parameters[S.start_angle_rad] = 3.0
+    samples = 700
+    channels = simulate_channels(parameters[None], samples, 1.0 / 3e-4)[0]
+    exact = sampled_reference(parameters, start_states(parameters[None])[0], samples)
+    assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+
+
 @pytest.mark.long
 def test_any_set_of_effects_keeps_the_promise() -> None:
     for seed in range(8):

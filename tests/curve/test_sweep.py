@@ -151,6 +151,28 @@ def test_a_curve_ends_where_the_optimum_leaps_to_another_ringing() -> None:
     np.testing.assert_allclose(curve.gap(amplitude), row.gap_rad, rtol=2e-3)
 
 
+@pytest.mark.parametrize(("leap", "kept"), [(10, 30), (None, 40)])
+def test_a_row_is_cut_at_a_leap_however_fine_its_gaps(leap: int | None, kept: int) -> None:
+    row = made_row(leap)
+    assert row.on_one_branch({}).gap_rad.size == kept
+
+
+def test_a_leap_that_leaves_too_few_gaps_is_told() -> None:
+    with pytest.raises(CurveError, match="leaps"):
+        made_row(38).on_one_branch({})
+
+
+def made_row(leap: int | None) -> SweepRow:
+    """Forty gaps close together; ω scatters by 3 % and is half as high again below the leap."""
+    gap = np.linspace(1e-3, 1.05e-3, 40)
+    frequency = 70.0 * np.exp(0.03 * np.random.default_rng(1).standard_normal(40))
+    frequency[: leap or 0] *= 1.5
+    searched = frequency[:, None, None]
+    amplitude = 5e4 * gap[:, None]
+    names = ("angular_frequency_rad_per_s",)
+    return SweepRow(gap, np.zeros((40, 1)), searched, amplitude, np.zeros((40, 1)), names)
+
+
 def test_a_sweep_finds_what_a_fit_finds_inside_the_same_ranges() -> None:
     bench, settings = reference_bench(), SweepSettings(5e-4, 2e-3, 6, start_angles=2, rotations=3.0)
     model = DisturbanceModel(ranges={"decay_rate_per_s": (5.0, 12.0)})  # free, 18 to 20

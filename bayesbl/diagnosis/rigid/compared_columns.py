@@ -15,7 +15,7 @@ from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.staying_columns import least_squares
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
-from bayesbl.diagnosis.rigid.view import View
+from bayesbl.diagnosis.rigid.view import View, noise_of
 from bayesbl.recording.types import FloatArray
 
 Values = dict[str, float]
@@ -48,8 +48,8 @@ class ComparedColumns:
         The motor position tells the load's angle, so gravity's direction; it is absolute, so one
         phase holds for all recordings. Without either, sine and cosine are free per recording.
     waves
-        Orders of the motor's turning that are allowed for, each with its own size and phase in
-        every recording.
+        Lines that are allowed for, each as an order of the motor's turning with its own size and
+        phase in every recording.
     seen, moved
         For every piece, what has been computed of it; its motion by the last skew that it had.
     """
@@ -155,13 +155,30 @@ class ComparedColumns:
 
         A ripple that the loop is too slow for is in the motion, not in the current. Of the
         acceleration up there little but noise is known, yet along one order little of that is left.
+        Where it is more than the noise of what is compared, nothing is taken.
         """
-        made = [self._waves(i, name, shapes) for name in effects if self._turns(name)]
+        made = [
+            self._waves(i, name, shapes)
+            for name in effects
+            if self._turns(name) and self._is_quiet(i, shapes[f"{name}.{ORDER}"])
+        ]
         if not made:
             return np.zeros_like(signal)
         matrix = np.column_stack([column for columns in made for column in columns])
         kept = self.pieces[i].kept
         return np.asarray(matrix @ least_squares(kept(matrix), kept(signal)))
+
+    def _is_quiet(self, i: int, order: float) -> bool:
+        """Whether J (n ω)² σ, by noise σ of the position, is below the noise of the torque."""
+        ratio, piece, view = self.bench.value("gear_ratio"), self.pieces[i], self.views[i]
+        inertia = self.bench.value("motor_inertia_kg_m2")
+        inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
+        frequency = order * np.abs(piece.kept(self.motions[i].speed[view.rows]))
+        shown = frequency[frequency > 2.0 * math.pi * view.low_pass.cutoff_hz]
+        if not shown.size:
+            return True
+        made = inertia * math.sqrt(float(np.mean(shown**4))) * view.position_noise_rad
+        return made < self.unit * noise_of(piece.kept(piece.measured))
 
     def _turns(self, name: str) -> bool:
         return self.terms[name].law.scanned == ORDER
@@ -189,7 +206,7 @@ class ComparedColumns:
 
     def _columns(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
         """Linear coefficients by name to what one of each adds."""
-        found = self._allowed_for(i, shapes) | self._nuisances(i, effects, shapes)
+        found = self._allowed_for(i, shapes) | self._nuisances(i, shapes)
         where = "" if self.phases_shared else f"@{self.pieces[i].name}"
         for name in effects:
             term = self.terms[name]
@@ -224,19 +241,18 @@ class ComparedColumns:
             for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi))
         }
 
-    def _nuisances(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
+    def _nuisances(self, i: int, shapes: Mapping[str, float]) -> Columns:
         """What is fitted of the bench itself."""
         ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
-        skew, above = _skew(shapes), self.views[i].above
+        skew = _skew(shapes)
         if self.load:
             ones = np.ones_like(self.motions[i].angle)
             return {f"offset@{where}": self._seen(i, "offset", lambda: ones)}
-        if above and not any(self._turns(name) for name in effects):
+        if self.views[i].above:
             return {}
 
         def of(name: str, make: Callable[[Motion], FloatArray]) -> FloatArray:
-            column = self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
-            return self._along(i, effects, shapes, column) if above else column
+            return self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
 
         found = {}
         for name in self.unknown:

@@ -49,7 +49,9 @@ def coherent_hz(resolved: InverseComparison) -> float | None:
     """The end of the highest third of an octave that the prediction explains more than half of.
 
     With T the spectrum of the measurement and R that of what a fit of all plain effects, and of the
-    motor orders that stand out, leaves of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that.
+    motor orders that stand out, leaves of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that. If
+    these orders lie higher where they are strongest, it is a third of an octave above them: of a
+    ripple that mostly lies above the cut-off, what is left below looks like a delay.
 
     Parameters
     ----------

@@ -301,17 +301,17 @@ def compared(
     # A bridge is no motion, and the filter spreads it.
     out = widened(recording.excluded, reach(recording, sharp))
     require_enough(recording, channel, out)
+    position = recording.channels.get(MOTOR_POSITION)
+    noise = 0.0 if position is None else noise_of(position)
     if channel != LOAD_POSITION:
-        position = recording.channels.get(MOTOR_POSITION)
-        resting = standstill(motion, noise_of(position) if position is not None else 0.0, cutoff_hz)
+        resting = standstill(motion, noise, cutoff_hz)
         out = resting if out is None else out if resting is None else out | resting
     window = None if out is None else np.where(out, 0.0, 1.0)
     low_pass = LowPass(cutoff_hz, period)
-    position = recording.channels.get(MOTOR_POSITION)
     step = 0.0 if position is None else step_of(position)
     views = [View(low_pass, window, thinned(recording, cutoff_hz), step_rad=step)]
     if channel != LOAD_POSITION:
-        views.append(View(low_pass, window, inside(recording, cutoff_hz), True, step))
+        views.append(View(low_pass, window, inside(recording, cutoff_hz), True, step, noise))
     compared_samples = len(range(*views[0].rows.indices(recording.samples)))
     if compared_samples < FEWEST_SAMPLES:
         raise RecordingError(

@@ -70,7 +70,7 @@ class View:
         What the filter holds back instead of what it passes. There the acceleration is mostly
         noise, but the angle is known: what turns with the motor can be compared, even beyond half
         the sampling rate, and nothing else.
-    step_rad
+    step_rad, position_noise_rad
         Of the motor's position as recorded; 0 where it has none.
     """
 
@@ -79,6 +79,7 @@ class View:
     rows: slice
     above: bool = False
     step_rad: float = 0.0
+    position_noise_rad: float = 0.0
 
     def __call__(self, signal: FloatArray) -> FloatArray:
         """The signal as it is compared."""
