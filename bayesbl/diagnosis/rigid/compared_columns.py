@@ -23,6 +23,9 @@ Columns = dict[str, FloatArray]
 
 WIDTH = "friction_width"
 
+QUIET = 0.5
+"""Of the torque's noise: so much in the motion makes a standard deviation an eighth too small."""
+
 
 @dataclass(frozen=True, slots=True)
 class ComparedColumns:
@@ -155,7 +158,7 @@ class ComparedColumns:
 
         A ripple that the loop is too slow for is in the motion, not in the current. Of the
         acceleration up there little but noise is known, yet along one order little of that is left.
-        Where it is more than the noise of what is compared, nothing is taken.
+        Where that is no small part of the noise of what is compared, nothing is taken.
         """
         made = [
             self._waves(i, name, shapes)
@@ -169,7 +172,7 @@ class ComparedColumns:
         return np.asarray(matrix @ least_squares(kept(matrix), kept(signal)))
 
     def _is_quiet(self, i: int, order: float) -> bool:
-        """Whether J (n ω)² σ, by noise σ of the position, is below the noise of the torque."""
+        """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
         ratio, piece, view = self.bench.value("gear_ratio"), self.pieces[i], self.views[i]
         inertia = self.bench.value("motor_inertia_kg_m2")
         inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
@@ -178,7 +181,7 @@ class ComparedColumns:
         if not shown.size:
             return True
         made = inertia * math.sqrt(float(np.mean(shown**4))) * view.position_noise_rad
-        return made < self.unit * noise_of(piece.kept(piece.measured))
+        return made < QUIET * self.unit * noise_of(piece.kept(piece.measured))
 
     def _turns(self, name: str) -> bool:
         return self.terms[name].law.scanned == ORDER
