@@ -312,7 +312,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed)
     posterior = found.posterior
     withheld = any(direct_verdict(found, place).outcome == "withheld" for place in (0, 1))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)

@@ -96,7 +96,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         *tolerance_unknowns(bench),
     ]
     fit = fit_aligned(bench, [observed(recording, bench)], unknowns)
-    fast = sample_direct(fit, FAST, fast_seed, corrected=False)
+    fast = sample_direct(fit, FAST, fast_seed)
     log_gap = np.log(fast.values(GAP)).ravel()
     truth = math.log(row.gap_rad)
     low, high = np.quantile(log_gap, [0.05, 0.95])

@@ -116,7 +116,7 @@ def _direct(
     """Bound on the sd of ln δ, and draws of ln δ."""
     unknowns = [gap_unknown(*RANGE_RAD), start_angle_unknown(recording.name)]
     fit = fit_aligned(bench, [observed(recording, bench)], unknowns)
-    draws = sample_direct(fit, FAST, seed, corrected=False)
+    draws = sample_direct(fit, FAST, seed)
     return float(fit.bound[fit.model.index(GAP)]), np.log(draws.values(GAP)).ravel()
 
 

@@ -169,7 +169,7 @@ def _matched(
     bench: Bench, recordings: Sequence[Recording], seed: np.random.SeedSequence
 ) -> DirectMatch:
     seen = [observed(recording, bench) for recording in recordings]
-    return fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+    return fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
 
 
 def _withheld(found: DirectMatch) -> bool:

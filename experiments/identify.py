@@ -168,7 +168,7 @@ def measured(
     prefix: str,
 ) -> dict[str, float]:
     """The second gap and the change, by this bench."""
-    match = fit_directly(bench, pair, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+    match = fit_directly(bench, pair, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
     gap, change = match.posterior.values(GAP, pair[1].name), match.change_rad
     return {
         f"{prefix or 'pair_'}withheld": float(is_withheld(match)),

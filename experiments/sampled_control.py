@@ -124,7 +124,7 @@ def _compared(
     seed: np.random.SeedSequence,
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
-    found = fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
     verdict = direct_verdict(found, 1, level=LEVEL)
     draws = np.log(found.posterior.values(GAP, recordings[1].name))
     undecided = undecided_change(found.joint, found.change_rad, LEVEL)

@@ -112,7 +112,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     gaps = (first, first * (1.0 + rng.uniform(0.0, LARGEST_GROWTH)))
     made = [_recorded(row, joint, gap, name, rng) for gap, name in zip(gaps, NAMES, strict=True)]
     seen = [observed(recording, believed) for recording in made]
-    found = fit_directly(believed, seen, RANGE_RAD, {}, FAST, fit_seed, corrected=False)
+    found = fit_directly(believed, seen, RANGE_RAD, {}, FAST, fit_seed)
     model = found.posterior.fit.model
     result = {"gap_rad": first}
     for i, (name, gap) in enumerate(zip(NAMES, gaps, strict=True)):

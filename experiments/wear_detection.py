@@ -328,7 +328,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.prior_rad, NO_DRIFT, FAST_DIRECT, seed, corrected=False)
+    found = fit_directly(bench, seen, row.prior_rad, NO_DRIFT, FAST_DIRECT, seed)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name) for name in SNAPSHOTS)

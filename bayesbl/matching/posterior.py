@@ -1,8 +1,9 @@
 """Posterior of the gap and everything else unknown, from the recordings' own simulation.
 
-emcee walks on a second-order surrogate of the whitened signals; full simulations of its draws then
-give each an importance weight, so that what is reported is the simulator's posterior. Where few
-draws carry the weight, the surrogate is fitted again around them.
+emcee walks on a second-order surrogate of the whitened signals. Full simulations of some draws tell
+how much an importance weight would change: less than the draws scatter by chance, and they stand as
+they are; else all are simulated and weighted, so that what is reported is the simulator's posterior
+in both cases. Where few draws carry the weight, the surrogate is fitted again around them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
-from bayesbl.matching.surrogate import Surrogate, points_needed, regress
+from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings, Walk, thinned, walk
@@ -31,7 +32,15 @@ from bayesbl.sampling.importance import effective_size, resampled
 from bayesbl.sampling.truncated_normal import truncated_normal
 
 DRAWS = 1000
-"""Draws over all ensembles; each is simulated in full."""
+"""Draws over all ensembles."""
+CHECKED = 100
+"""Of them simulated in full first: the spread of their weights is known to 7 %."""
+NEGLIGIBLE_SPREAD = DRAWS**-0.5
+"""Standard deviation of ln w below which weights move no mean by more than chance does.
+
+|E[wf] − E[f]| ≤ sd(w) sd(f) by Cauchy and Schwarz, and the mean of so many draws scatters by
+sd(f)/√DRAWS.
+"""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws from which on the surrogate is good enough to be corrected."""
@@ -56,11 +65,11 @@ class DirectPosterior:
     draws
         Coordinates as the model's ``unknowns`` have them, shape (chain, draw, d); chain = ensemble.
     chi_square
-        Of each draw, by full simulation where ``effective`` is a number, shape (chain, draw).
+        Of each draw, shape (chain, draw); by full simulation where all draws were simulated.
     effective
-        Effective sample size of the importance weights; nan if the surrogate was not corrected.
+        Effective sample size of the importance weights among those simulated.
     simulated
-        Number of draws that the weights were spread over.
+        Number of draws that were simulated in full.
     refits
         How often the surrogate was fitted again.
     """
@@ -121,16 +130,11 @@ def sample_direct(
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
-    *,
-    corrected: bool = True,
 ) -> DirectPosterior:
     """Posterior around the most probable point.
 
     Parameters
     ----------
-    corrected
-        Weigh the draws by full simulations; otherwise they are the surrogate's own, at a tenth of
-        the time.
     progress
         Called with (steps made, steps allowed) at every check; full simulations follow the last.
     """
@@ -146,11 +150,13 @@ def sample_direct(
         draws = np.stack([thinned(c, DRAWS // len(walked.chains)) for c in walked.chains])
         flat = draws.reshape(-1, draws.shape[-1])
         expected = surrogate.chi_square(flat)
-        if not corrected:
-            diagnostics = _judge(model, walked, draws, math.nan, failed)
-            return DirectPosterior(
-                fit, draws, expected.reshape(draws.shape[:2]), math.nan, 0, 0, diagnostics
-            )
+        checked = np.linspace(0, len(flat) - 1, CHECKED).astype(np.int64)
+        weights = _log_weights(expected[checked], simulated_chi_square(model, flat[checked]))
+        if np.all(np.isfinite(weights)) and float(np.std(weights)) < NEGLIGIBLE_SPREAD:
+            effective = effective_size(weights)
+            diagnostics = _judge(model, walked, draws, effective / CHECKED * len(flat), failed)
+            chi_square = expected.reshape(draws.shape[:2])
+            return DirectPosterior(fit, draws, chi_square, effective, CHECKED, 0, diagnostics)
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance)
         found = _Weighted.by(walked, draws, expected, chi_square, refits)
@@ -213,9 +219,7 @@ class _Weighted:
         refits: int,
     ) -> _Weighted:
         """``expected``: χ² by the surrogate."""
-        log_weights = np.where(
-            np.isfinite(chi_square), -0.5 * np.nan_to_num(chi_square - expected), -np.inf
-        )
+        log_weights = _log_weights(expected, chi_square)
         shape = draws.shape[:2]
         effective = effective_size(log_weights)
         return cls(
@@ -231,6 +235,11 @@ class _Weighted:
     def failed(self) -> float:
         """Share of simulations that failed."""
         return float(np.mean(~np.isfinite(self.chi_square)))
+
+
+def _log_weights(expected: FloatArray, chi_square: FloatArray) -> FloatArray:
+    """ln w of draws whose χ² (m,) is not what was expected (m,); −∞ where a simulation failed."""
+    return np.where(np.isfinite(chi_square), -0.5 * np.nan_to_num(chi_square - expected), -np.inf)
 
 
 def _walk(

@@ -22,6 +22,7 @@ from bayesbl.bench.effects import (
     effect_named,
     repeat_each_rotation,
     turn_with_the_motor,
+    without_ticks,
 )
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.learned import LearnedTerm
@@ -54,6 +55,9 @@ TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
 
 FEW_POINTS = 16
 """Below which recordings are simulated at once."""
+
+OF_THE_TICKS = "sampled_control__"
+"""Begins the names of the parameters of a sampled controller."""
 
 ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
@@ -210,6 +214,8 @@ class SimulatedSignals:
         What is known besides the bench, by name, such as ``gap_rad``.
     recent
         Simulations that another comparison of the same recordings has made.
+    continuous
+        Sampled controllers give way to continuous ones that are as late.
     white_recordings
         Whitened channels of each recording, from another comparison under the same noise.
     normal_prior
@@ -225,6 +231,7 @@ class SimulatedSignals:
     workers: int = field(default=1, compare=False)
     settings: Mapping[str, float] = field(default_factory=dict)
     recent: RecentSimulations = field(default_factory=RecentSimulations, compare=False)
+    continuous: bool = False
     white_recordings: InitVar[Sequence[FloatArray] | None] = None
 
     def __post_init__(self, white_recordings: Sequence[FloatArray] | None) -> None:
@@ -263,6 +270,22 @@ class SimulatedSignals:
             unknowns=(*self.unknowns, *unknowns),
             white_recordings=self._white_recordings,
         )
+
+    @property
+    def size(self) -> int:
+        """Whitened residuals of all recordings, N."""
+        return sum(seen.size for seen in self._white_recordings)
+
+    @property
+    def for_differences(self) -> SimulatedSignals:
+        """The same comparison, a tenth as long where the controller is sampled.
+
+        What it says of a point is off, of the difference between two points hardly.
+        """
+        sampled = self.bench.vector()[0, Slot.sampled_control__period_s] > 0.0
+        if not sampled and not any(u.name.startswith(OF_THE_TICKS) for u in self.unknowns):
+            return self
+        return replace(self, continuous=True, white_recordings=self._white_recordings)
 
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
@@ -311,7 +334,7 @@ class SimulatedSignals:
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
         matrix = self.bench.measurement.seen_by(matrix, seen.sampling_hz)
-        return _in_whole_ticks(matrix, seen)
+        return without_ticks(matrix) if self.continuous else _in_whole_ticks(matrix, seen)
 
     def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
         """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
@@ -339,7 +362,7 @@ class SimulatedSignals:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
         sizes = [seen.size for seen in self._white_recordings]
-        white = np.empty((len(points), sum(sizes)))
+        white = np.empty((len(points), self.size))
         parts = np.split(white, np.cumsum(sizes)[:-1], axis=1)
 
         def fill(recording: int) -> None:

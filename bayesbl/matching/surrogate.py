@@ -94,7 +94,7 @@ def regress(
         for begin in range(0, len(points), AT_ONCE):
             rows = slice(begin, begin + AT_ONCE)
             residual = model.whitened_of(points[rows], i)
-            own = np.einsum("mn,mn->m", residual, residual)
+            own = _sums_of_squares(residual)
             chi_square[rows] += own
             good = np.isfinite(own)
             phi = terms[rows][good]
@@ -107,6 +107,17 @@ def regress(
         reach = max(REACH * float(np.linalg.norm(u, axis=1).max()), LEAST_REACH)
         parts.append(_Part(index, centre[index], inverse_root, gram, reach))
     return chi_square, Surrogate(tuple(parts))
+
+
+def simulated_chi_square(model: SimulatedSignals, points: FloatArray) -> FloatArray:
+    """χ² at some points by full simulation, (m, d) to (m,); nan where it fails."""
+    pieces = np.array_split(points, -(-len(points) // AT_ONCE))
+    return np.concatenate([_sums_of_squares(model.whitened(piece)) for piece in pieces])
+
+
+def _sums_of_squares(residuals: FloatArray) -> FloatArray:
+    """Of each row, (m, N) to (m,)."""
+    return np.asarray(np.einsum("mn,mn->m", residuals, residuals))
 
 
 def _own(model: SimulatedSignals, recording: int) -> NDArray[np.int64]:

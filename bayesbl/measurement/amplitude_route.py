@@ -101,11 +101,9 @@ class AmplitudeMeasurer:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         found = [None] * len(fits) if curves is None else gaps_of_fits(task, curves, fits)
         of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
-        check = NOTHING_COMPARED
-        if not self.source.is_of_bench:
-            check = same_joint(
-                [fit.point for fit in fits], [entry.repaired for entry in task.config.recordings]
-            )
+        check = same_joint(
+            [fit.point for fit in fits], [entry.repaired for entry in task.config.recordings]
+        )
         return Measurement(
             "amplitude",
             [

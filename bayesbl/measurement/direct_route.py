@@ -260,14 +260,10 @@ def fit_directly(
     seed: np.random.SeedSequence,
     workers: int = 1,
     progress: StageProgress | None = None,
-    *,
-    corrected: bool = True,
 ) -> DirectMatch:
     """Optimum, posterior of all recordings together, and whether one joint made them.
 
     What changed in the joint between the recordings is freed where it is found.
-
-    ``corrected`` as :func:`bayesbl.matching.posterior.sample_direct` takes it.
     """
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
@@ -275,7 +271,7 @@ def fit_directly(
     begun = _believed(fit_aligned(bench, recordings, unknowns, workers))
     fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
     report = of_stage(progress, f"Sampling {name}")
-    posterior = sample_direct(fit, sampler, seed, report, corrected=corrected)
+    posterior = sample_direct(fit, sampler, seed, report)
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 
 

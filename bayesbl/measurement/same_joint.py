@@ -1,4 +1,4 @@
-"""Whether nothing but the gap changed between snapshots, where there is no bench to ask.
+"""Whether nothing but the gap changed between snapshots, asked of the recordings alone.
 
 Compared is what the gap moves little or not at all: the controller's gains, the mean current, the
 first two load orders of current and speed, the ringing's frequency and decay. How far a changed gap

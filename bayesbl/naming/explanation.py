@@ -12,7 +12,7 @@ import numpy as np
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.matching.signals import GAP, OF_THE_TICKS, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import (
     Candidate,
     amplitude_places,
@@ -184,7 +184,7 @@ def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArr
     """
     fit = base.fit
     rows = fit.model.normal_prior.rows
-    explained, _ = np.linalg.qr(np.concatenate([fit.derivatives(), rows]))
+    explained, _ = np.linalg.qr(np.concatenate([fit.derivatives(roughly=True), rows]))
     residual = np.concatenate([fit.residual, fit.deviations])
     gains = np.zeros(len(candidates))
     for place, candidate in enumerate(candidates):
@@ -234,7 +234,8 @@ def _difference(
     if phase is not None:
         for k in quadrant_phases(candidate):
             moved[:, point.size - len(candidate.unknowns) + k] = phase
-    z = model.whitened(moved)
+    own = any(u.name.startswith(OF_THE_TICKS) for u in candidate.unknowns)
+    z = (model if own else model.for_differences).whitened(moved)
     change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
         return []
@@ -290,7 +291,11 @@ def _nudged(model: SimulatedSignals, start: FloatArray, own: int) -> FloatArray:
         amounts += [-a for a in amounts]
     trials = np.repeat(start[None], len(amounts), axis=0)
     trials[:, own] = amounts
-    values = np.einsum("ij,ij->i", z := model.whitened(trials), z)
+    own = unknown.name.startswith(OF_THE_TICKS)
+    swift = model if own else model.for_differences
+    z = swift.whitened(np.concatenate([start[None], trials]))
+    z = model.whitened(start) + z[1:] - z[0]
+    values = np.einsum("ij,ij->i", z, z)
     return np.asarray(trials[int(np.nanargmin(np.where(np.isfinite(values), values, np.inf)))])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from bayesbl.runs.first_diagnosis import Choice
 
 
+_SHARE = re.compile(r"[\[(]\s*(%|‰|prozent|promille|per ?cent|per ?mille)", re.IGNORECASE)
+
+
 def guessed(guess: Guess) -> Iterator[Block]:
     """Columns with channel, unit and the reason for it."""
     yield Sentence("Guessed from the recording; please confirm:", "answer")
@@ -22,6 +26,14 @@ def guessed(guess: Guess) -> Iterator[Block]:
     yield table(map(text, ("Column", "Channel", "Unit", "Reason")), rows)
     if guess.unused:
         yield Sentence(", ".join(guess.unused), label="Not used")
+    for name in filter(_SHARE.search, guess.unused):
+        yield Sentence(
+            f"{name} is a share of a rated value. If it is the motor's current or torque, write "
+            "its A to the file: this column times the rated current. A current makes the gap "
+            "several times sharper and shows a changed joint.",
+            "warning",
+            "Check",
+        )
     for column in guess.columns:
         if column.doubted:
             yield Sentence(f"{column.name} is {column.reason}", "warning", "Check")

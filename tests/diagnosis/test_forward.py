@@ -174,12 +174,8 @@ def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> No
 def test_a_stored_diagnosis_says_with_what_the_residuals_repeat(
     friction: Found, tmp_path: Path
 ) -> None:
-    posterior = sample_direct(
-        friction.findings.final.fit,
-        SamplerSettings(ensembles=2),
-        np.random.SeedSequence(2),
-        corrected=False,
-    )
+    fit, settings = friction.findings.final.fit, SamplerSettings(ensembles=2)
+    posterior = sample_direct(fit, settings, np.random.SeedSequence(2))
     path = tmp_path / "result.nc"
     tree = diagnosis_tree(diagnosis_of(friction.findings, posterior), 0.9, "equal_tailed")
     write_tree(tree, path)

@@ -23,7 +23,8 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 NOISE = Measurement(
     encoder_counts=None, speed_noise=NoiseModel(1.5, (0.6,)), current_noise=NoiseModel(0.05)
@@ -78,6 +79,28 @@ def test_a_current_of_the_other_sign_is_refused_in_either_direction(
     turned = {MOTOR_CURRENT: -recording.channels[MOTOR_CURRENT]}
     with pytest.raises(RecordingError, match="rises with the speed"):
         observed(replace(recording, channels={**recording.channels, **turned}), bench)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_noise_of_the_encoder_that_is_answered_a_tick_later_turns_no_sign(sign: float) -> None:
+    """It rises and falls from tick to tick, and the current with the speed, later by one."""
+    bench = reference_bench()
+    recording = bench.simulate(8e-4, rotations=2.4)
+    gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
+    steps = np.diff(np.random.default_rng(2).standard_normal(recording.samples + 2))
+    current = recording.channels[MOTOR_CURRENT] - gain * steps[:-1]
+    noisy = {
+        MOTOR_SPEED: recording.motor_speed_rpm + RPM_PER_RAD_PER_S * steps[1:],
+        MOTOR_CURRENT: sign * current,
+    }
+    seen = replace(recording, channels={**recording.channels, **noisy})
+    slope = np.polyfit(seen.motor_speed_rpm, current, 1)[0]
+    assert slope > 0.0  # over all frequencies the current rises with the speed
+    if sign > 0.0:
+        observed(seen, bench)
+    else:
+        with pytest.raises(RecordingError, match="rises with the speed"):
+            observed(seen, bench)
 
 
 def test_a_fit_says_why_its_bench_cannot_be_simulated() -> None:

@@ -183,7 +183,7 @@ def test_a_reference_that_a_drive_holds_is_found_so() -> None:
     seen = observed(recorded(held, seed=11), BENCH)
     sampler = SamplerSettings(2, 1000, 0.9)
     seed = np.random.SeedSequence(1)
-    found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed, corrected=False)
+    found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed)
     assert abs(z_of(found.posterior.fit)) < 4.0
     assert any("held" in note for note in direct_verdict(found, 0).reasons)
 
@@ -217,7 +217,7 @@ def test_a_motion_without_a_change_of_flank_tells_no_gap() -> None:
     seen = observed(recorded(HELD_UP), BENCH)
     sampler = SamplerSettings(2, 1000, 0.9)
     seed = np.random.SeedSequence(1)
-    found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed, corrected=False)
+    found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed)
     assert not flank_changes(found.posterior.fit, 0)
     verdict = direct_verdict(found, 0)
     assert verdict.outcome == "withheld"

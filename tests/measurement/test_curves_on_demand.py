@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from places import CONFIGS
 
-from bayesbl.bench.bench import Bench
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.measurement.amplitude_route import prepare
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.curves import BenchCurves, _forget_oldest
 from bayesbl.measurement.task import Seeds, Task
@@ -118,3 +119,20 @@ def test_an_unknown_bench_cancels_in_the_change_between_two_speeds(tmp_path: Pat
     alone = math.hypot(*(float(np.std(draws)) for draws in apart))
     assert together < 0.5 * alone
     assert abs(float(np.mean(paired[1] - paired[0]))) < 4.0 * together
+
+
+def test_a_bench_does_not_keep_the_snapshots_from_being_compared(tmp_path: Path) -> None:
+    bench = load_bench(KNOWN)
+    friction = BenchEffect("motor_coulomb_friction", {"torque_nm": EffectParameterValue(0.3)})
+    recordings = [
+        recording(bench, 8e-4, "warm", seed=np.random.default_rng(1)),
+        recording(bench, 8e-4, "still warm", seed=np.random.default_rng(2)),
+        recording(bench.with_effects(friction), 8e-4, "cold", seed=np.random.default_rng(3)),
+    ]
+    store = WorkStore(tmp_path / "kept")
+    alike = task_of(recordings[:2], tmp_path, KNOWN, store)
+    assert prepare(alike.config).measure(alike).same_joint.agrees
+    other = task_of(recordings[::2], tmp_path, KNOWN, store)
+    found = prepare(other.config).measure(other)
+    assert found.same_joint.could_be[0] == "motor_coulomb_friction"
+    assert found.change_reason is not None

@@ -33,6 +33,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
+from bayesbl.matching.surrogate import simulated_chi_square
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -121,15 +122,17 @@ def test_the_posterior_is_that_of_full_simulations_on_a_grid():
 
 
 @pytest.mark.long
-def test_without_correction_the_surrogate_alone_agrees_with_full_simulation():
+def test_draws_that_are_not_weighted_would_not_be_moved_by_their_weights():
     known = bench(tolerances=True)
     fit = fitted(known, record(known, 8e-4, 4))
-    full = log_gap(sample_direct(fit, SETTINGS, np.random.SeedSequence(1)))
-    fast = sample_direct(fit, SETTINGS, np.random.SeedSequence(2), corrected=False)
-    assert math.isnan(fast.effective)
-    # Two sets of 1000 draws: means differ by 0.045 sd; four times that.
-    assert log_gap(fast).mean() == pytest.approx(full.mean(), abs=0.18 * full.std())
-    assert log_gap(fast).std() == pytest.approx(full.std(), rel=0.13)
+    posterior = sample_direct(fit, SETTINGS, np.random.SeedSequence(2))
+    draws = posterior.draws.reshape(-1, posterior.draws.shape[-1])
+    assert posterior.simulated < len(draws)
+    left = simulated_chi_square(fit.model, draws) - posterior.chi_square.ravel()
+    weights = np.exp(-0.5 * (left - left.min()))
+    moved = weights @ draws / weights.sum() - draws.mean(axis=0)
+    # The mean of 1000 draws scatters by 0.032 sd.
+    assert moved / draws.std(axis=0) == pytest.approx(0.0, abs=0.032)
 
 
 class Linear(SimulatedSignals):
@@ -165,7 +168,7 @@ def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
     assert fit.covariance == pytest.approx(covariance, rel=1e-6)
     assert fit.bound == pytest.approx(np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix))), rel=1e-6)
     draws = posterior.draws.reshape(-1, 2)
-    assert posterior.effective == pytest.approx(len(draws), rel=1e-6)
+    assert posterior.effective == pytest.approx(posterior.simulated, rel=1e-6)
     # Means of 1000 draws scatter by 0.032 sd; four times that.
     assert (draws.mean(axis=0) - mean) / sd == pytest.approx(0.0, abs=0.13)
     assert draws.std(axis=0) / sd == pytest.approx(1.0, abs=0.09)
@@ -205,7 +208,7 @@ def test_coverage_with_seven_parameters_off():
         gap = float(np.exp(generator.uniform(*np.log([2e-4, 3e-3]))))
         fit = fitted(known, record(known.draw(generator), gap, [8, case]))
         fast = SamplerSettings(ensembles=2, max_steps=500)
-        draws = log_gap(sample_direct(fit, fast, np.random.SeedSequence(case), corrected=False))
+        draws = log_gap(sample_direct(fit, fast, np.random.SeedSequence(case)))
         low, high = np.quantile(draws, [0.05, 0.95])
         inside += low < math.log(gap) < high
     assert inside >= 10

@@ -231,7 +231,7 @@ def test_what_is_freed_never_leaves_the_physics(independent):
     fit, found = find_changes(nominal_fit(independent, truth, seed=8, speed_alone=True))
     assert found.explained
     settings = SamplerSettings(ensembles=2, max_steps=500)
-    posterior = sample_direct(fit, settings, np.random.SeedSequence(8), corrected=False)
+    posterior = sample_direct(fit, settings, np.random.SeedSequence(8))
     assert np.all(np.isfinite(posterior.values(GAP, "after")))
 
 

@@ -136,6 +136,11 @@ FITTED: dict[str, tuple[Callable[[Path], Path], int, dict[str, ColumnSpec]]] = {
         3,
         {},
     ),
+    "lines lost and time jitters by 0.3 of a period": (
+        lambda p: write_csv(p / "a.csv", without(jittered(plain(), 0.3), random_rows(0.01))),
+        len(random_rows(0.01)),
+        {},
+    ),
     "turning the other way": (
         lambda p: write_csv(p / "a.csv", {k: v if k == TIME else -v for k, v in plain().items()}),
         0,

@@ -450,3 +450,31 @@ def test_a_file_in_the_folder_of_formats_is_a_format(tmp_path: Path) -> None:
         assert "JSON" in formats.names()
     np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
     assert ".json" not in formats.formats()
+
+
+ABOVE = "Trace V3.2;Achse 2;14.03.2026 08:12:33\nAbtastzeit;1 ms\n\n"
+GERMAN = "Zeit [ms];Drehzahlistwert [1/min];Lageistwert [°]\n"
+JAPANESE = "時間(s),モータ速度(r/min),速度指令(r/min)\n"
+
+
+def test_lines_that_a_drive_writes_above_the_header_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    body = "".join(f"{i},0;{n:.3f};{0.5 * i}\n".replace(".", ",") for i, n in enumerate(SPEED))
+    path.write_bytes((ABOVE + GERMAN + body).encode("latin-1"))
+    guess = guess_columns(path, read_table(path))
+    assert [c.channel for c in guess.columns] == ["time_s", "motor_speed_rpm", "motor_position_rad"]
+    columns = {c.channel: ColumnSpec(c.name, c.unit) for c in guess.columns}
+    recording = read_recording(path, columns=columns)
+    assert recording.motor_speed_rpm == pytest.approx(SPEED, abs=5e-4)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp932"])
+def test_a_japanese_trace_is_read_in_its_own_encoding(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "trace.csv"
+    body = "".join(f"{t:.3f},{n:.3f},2000.0\n" for t, n in zip(TIME, SPEED, strict=True))
+    path.write_bytes((JAPANESE + body).encode(encoding))
+    guess = guess_columns(path, read_table(path))
+    assert {c.channel: c.name for c in guess.columns} == {
+        "time_s": "時間(s)",
+        "motor_speed_rpm": "モータ速度(r/min)",
+    }

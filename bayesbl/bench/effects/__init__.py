@@ -111,6 +111,25 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
     return bool(np.all(whole | (variable == OVER_SPEED)))
 
 
+def without_ticks(matrix: FloatArray) -> FloatArray:
+    """These benches, shape (m, SLOTS), with a continuous controller as late as their sampled one.
+
+    Near enough for differences between benches, which then cost a tenth: ``sampled_control.py``
+    has what a period does to the loop. Those that are not sampled stay as they are.
+    """
+    matrix = matrix.copy()
+    period = matrix[:, Slot.sampled_control__period_s]
+    averaging = matrix[:, Slot.speed_averaging__time_s]
+    late = (1.0 + matrix[:, Slot.sampled_control__delay_periods]) * period
+    matrix[:, Slot.current_loop_lag__time_s] += late
+    matrix[:, Slot.speed_gain_nm_s_per_rad] += (
+        0.5 * period * matrix[:, Slot.integral_gain_nm_per_rad]
+    )
+    averaging[:] = np.where(averaging > 0.0, averaging, period)
+    period[:] = 0.0
+    return matrix
+
+
 def turn_with_the_motor(matrix: FloatArray) -> bool:
     """Whether anything is on in these benches, shape (m, SLOTS), that needs the motor's angle."""
     learned = matrix[:, Slot.learned_torque__side] != 0.0

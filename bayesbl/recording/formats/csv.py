@@ -32,6 +32,10 @@ _BYTE_ORDER_MARKS = (
 )
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
+_JAPANESE = re.compile("[\u3040-\u30ff\u4e00-\u9fff]{2}")
+"""Two such characters in a row; an umlaut and the letter after it may read as one."""
+MOST_ABOVE = 50
+"""Lines in which the header is looked for."""
 MOST_COLUMNS = 1000
 """A file may have more if it has as many lines."""
 
@@ -223,9 +227,10 @@ def read_csv(file: Path, data: bytes) -> Table:
     begins = array("q", [0])
     begins.extend(end + 1 for end in ends[:-1])
     lines = _Lines(text, begins, ends)
-    header_index = next((i for i, line in enumerate(lines) if line.strip()), None)
-    if header_index is None:
+    written = [i for i, line in enumerate(lines) if line.strip()]
+    if not written:
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
+    header_index = _header_index(lines, written)
     separator, columns = _header(file, lines, header_index)
     blank = f' "\t{separator}'
     rows = range(header_index + 1, len(lines))
@@ -246,18 +251,49 @@ def read_csv(file: Path, data: bytes) -> Table:
     )
 
 
+def _header_index(lines: _Lines, written: Sequence[int]) -> int:
+    """The first line with a name for each cell of the samples, and so the line after it.
+
+    Drives write lines of their own above. The first line of all where there is none such, for the
+    message. ``written``: lines that are not blank.
+    """
+    middle = lines[written[len(written) // 2]]
+    separator = next((mark for mark in _SEPARATORS if mark in middle), None)
+    if separator is None:
+        return written[0]
+    width = middle.count(separator) + 1
+    rows = [
+        re.sub(r'"[^"]*"', "name", lines[i]).split(separator) for i in written[: MOST_ABOVE + 1]
+    ]
+    for i, names, after in zip(written, rows, rows[1:], strict=False):
+        # Some loggers end each line of samples with a separator, but not the header.
+        named = len(names) + (len(names) < width and not after[-1].strip())
+        if named == len(after) == width and not any(map(_is_number, names)):
+            return i
+    return written[0]
+
+
 def _decode(file: Path, data: bytes) -> str:
     encodings = [name for mark, name in _BYTE_ORDER_MARKS if data.startswith(mark)] or ["utf-8"]
     try:
         text = data.decode(encodings[0])
     except UnicodeDecodeError:
-        # A degree sign in a header from an older program; any byte is a character there.
-        text = data.decode("latin-1")
+        text = _decode_old(data)
     if _CONTROL_CHARACTER.search(text):
         raise RecordingError(
             "This is not a CSV file.", file=file, found="binary data", expected=_EXPECTED
         )
     return text
+
+
+def _decode_old(data: bytes) -> str:
+    """Text of an older program: Japanese where it reads as such, else Latin."""
+    try:
+        text = data.decode("cp932")
+    except UnicodeDecodeError:
+        text = ""
+    # Any byte is a character of Latin-1.
+    return text if _JAPANESE.search(text) else data.decode("latin-1")
 
 
 def _picked(places: array[int], kept: Iterable[int]) -> array[int]:
@@ -273,7 +309,7 @@ def _ends_of_lines(text: str) -> Iterator[int]:
 
 
 def _header(file: Path, lines: _Lines, index: int) -> tuple[str, tuple[str, ...]]:
-    """Separator and column names of the header line, which is the first that is not blank."""
+    """Separator and column names of the header line."""
     line, where = lines[index], f"line {index + 1}"
     unquoted = re.sub(r'"[^"]*"', "", line)
     separator = next((mark for mark in _SEPARATORS if mark in unquoted), None)
