@@ -123,7 +123,8 @@ class InverseComparison(ComparedColumns):
         bench = {name: self.bench.value(name) + linear[name] for name in self.unknown}
         edges = frozenset(name for name in effects if self._at_edge(name, shapes))
         shared = {WIDTH: shapes[WIDTH]} if directional else {}
-        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared)
+        besides = {name: value for name, value in linear.items() if "." not in name.split("@")[0]}
+        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared, besides)
 
     def scan_orders(self, fit: EffectsFit) -> OrderScan:
         """Residuals of a fit on the used pieces, order by order of the motor's turning."""
