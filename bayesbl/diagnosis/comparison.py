@@ -170,6 +170,10 @@ class Learning(Protocol):
     def same(self) -> EffectsFit | None:
         """A fit with the names as they were, where they cannot be found again beside it."""
 
+    @property
+    def as_found(self) -> Learning | None:
+        """Where names stay as they were, to be taken if those found again leave more."""
+
     def answer(self, fit: EffectsFit) -> LearnedAnswer | None:
         """What is told of the torque beside what this fit names; ``None`` if none is needed."""
 
@@ -211,3 +215,12 @@ def residuals(comparison: Comparison, fit: EffectsFit, use: Use) -> list[FloatAr
 def sum_of_squares(parts: list[FloatArray]) -> float:
     """Over all pieces."""
     return float(sum(np.dot(part, part) for part in parts))
+
+
+def shown_squares(comparison: Comparison, fit: EffectsFit) -> float:
+    """Of what a fit leaves of the used pieces that the answer shows."""
+    return sum(
+        float(np.sum(piece.kept(piece.measured - prediction) ** 2))
+        for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
+        if piece.use == "used" and piece.shown
+    )

@@ -278,3 +278,17 @@ def test_a_gravity_of_another_size_and_direction_is_gravity_and_nothing_is_learn
     assert sizes(found)["gravity_phase"] == pytest.approx(360.0 * math.sin(0.2), rel=0.05)
     (wrong,) = (e for e in found.parameter_errors if e.name == "gravity_torque_nm")
     assert wrong.fitted.value == pytest.approx(360.0 * math.cos(0.2), rel=0.05)
+
+
+def test_drag_by_the_square_of_the_speed_is_no_stribeck_friction_and_leaves_the_others() -> None:
+    drag = 2e-5
+    found = axis_with(lambda angle, rpm: drag * np.abs(rpm * TURN / 60.0) * (rpm * TURN / 60.0))
+    told = sizes(found)
+    assert set(told) == {
+        "motor_coulomb_friction",
+        "motor_viscous_friction",
+        "motor_quadratic_drag",
+    }
+    assert told["motor_quadratic_drag"] == pytest.approx(drag, rel=0.1)
+    assert told["motor_coulomb_friction"] == pytest.approx(0.4, rel=0.05)
+    assert found.learned is None

@@ -59,6 +59,8 @@ class LearnedFromMotion:
         A fit of ``held`` with the names as they were, where they cannot be found again beside it.
     others
         Dependences that are not told from it.
+    as_found
+        The same where nothing is named again.
     """
 
     comparison: InverseComparison
@@ -67,6 +69,7 @@ class LearnedFromMotion:
     waves: LearnedWaves | None
     torque: LearnedTorque
     others: tuple[LearnedTerm, ...]
+    as_found: LearnedFromMotion | None = None
 
     def answer(self, fit: EffectsFit) -> LearnedAnswer:
         """What is told of the torque beside what a fit of the comparison names."""
@@ -147,13 +150,16 @@ def learning_of(
         return None
     best, *others = alike(trials, false_alarm)
     alternatives = tuple(t.hypothesis.term(t.coefficients) for t in others)
+    as_found = _as_found(comparison, fit, best.hypothesis, alternatives)
     if best.hypothesis.variable == "motor_speed":
-        return _over_speed(comparison, fit, best.hypothesis, alternatives)
+        # Beside a free torque over the speed no friction would be known.
+        return as_found
     without = _without_its_laws(comparison, best.hypothesis, gravity_nm)
     waves = _waves(without, best, tables[best.hypothesis])
     free = replace(without, learned=waves)
     torque = waves.torque(free.fit(tuple(e for e in every.effects if e in free.terms)).besides)
-    return LearnedFromMotion(free, _with(without, torque), None, waves, torque, alternatives)
+    held = _with(without, torque)
+    return LearnedFromMotion(free, held, None, waves, torque, alternatives, as_found)
 
 
 def _without_its_laws(
@@ -180,16 +186,13 @@ def _without_its_laws(
     )
 
 
-def _over_speed(
+def _as_found(
     comparison: InverseComparison,
     fit: EffectsFit,
     hypothesis: Hypothesis,
     others: tuple[LearnedTerm, ...],
 ) -> LearnedFromMotion:
-    """What a fit leaves over the speed; what is named keeps its size.
-
-    Beside a free torque over the speed no friction would be known.
-    """
+    """What a fit leaves over a variable; what is named keeps its size."""
     parts = _tables(comparison, fit, hypothesis)
     groups = _groups(parts, [ResidualNoise.of(part[:, -1]).strongest for part in parts])
     best = tried_orders(hypothesis, groups, _NOTHING_ELSE, 1)[0]

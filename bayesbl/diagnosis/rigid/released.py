@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bayesbl.diagnosis.comparison import EffectsFit, residuals, sum_of_squares
+from bayesbl.diagnosis.comparison import EffectsFit, residuals, shown_squares, sum_of_squares
 from bayesbl.diagnosis.fitted_parameters import impossible
 from bayesbl.diagnosis.residual_noise import ResidualNoise, distance
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
@@ -66,11 +66,7 @@ def with_released(comparison: InverseComparison) -> tuple[InverseComparison, tup
         fit = made.fit(tuple(c.name for c in made.candidates if c.is_plain), None)
         if any(impossible(fit, {})):
             return math.inf
-        return sum(
-            float(np.sum(piece.kept(piece.measured - prediction) ** 2))
-            for piece, prediction in zip(made.pieces, fit.predictions, strict=True)
-            if piece.use == "used" and piece.shown
-        )
+        return shown_squares(made, fit)
 
     sets = [names for size in range(len(free) + 1) for names in combinations(free, size)]
     squares = [left(names) for names in sets]
@@ -130,6 +126,10 @@ class GravityInstead:
     @property
     def same(self) -> None:
         """Names are found again."""
+
+    @property
+    def as_found(self) -> None:
+        """There is none."""
 
     def answer(self, fit: EffectsFit) -> None:
         """Nothing was learned."""
