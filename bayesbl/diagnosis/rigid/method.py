@@ -156,6 +156,14 @@ def inverse_problem(task: Task) -> Problem:
         + ("." if asked.cutoff_hz else ", beyond which the bench explains less than half.")
         for source in sorted({motion.source for motion in motions})
     ]
+    if load:
+        share = _above(recordings, bench.value("gear_ratio"), cutoff)
+        notes.append(
+            f"What is faster than {cutoff:.3g} Hz was not compared: {share[1]:.3g} rad of the "
+            f"{share[0]:.3g} rad by which the load's position departs from the motor's over the "
+            "gear ratio, noise of both included. An effect that shows there alone would not have "
+            "been seen."
+        )
     if any(motion.source == "speed" for motion in motions):
         notes.append(
             "Without position the motor angle is the integral of the speed: where it starts is "
@@ -303,6 +311,20 @@ def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], l
                 f"a recording without {MOTOR_POSITION}",
                 f"{MOTOR_POSITION} in every recording, or {name} left out",
             )
+
+
+def _above(
+    recordings: Sequence[Recording], gear_ratio: float, cutoff_hz: float
+) -> tuple[float, float]:
+    """RMS of the load's position less the motor's over the ratio, and of its part above, rad."""
+    every, above = [], []
+    for recording in recordings:
+        apart = recording.channels[LOAD_POSITION] - recording.channels[MOTOR_POSITION] / gear_ratio
+        apart = apart - apart.mean()
+        every.append(apart)
+        above.append(apart - LowPass(cutoff_hz, recording.sampling_period_s)(apart))
+    first, second = (math.sqrt(float(np.mean(np.concatenate(x) ** 2))) for x in (every, above))
+    return first, second
 
 
 def _one_way(pieces: tuple[Piece, ...], motions: tuple[Motion, ...]) -> Iterator[str]:
