@@ -130,8 +130,8 @@ def learning_of(
 ) -> LearnedFromMotion | None:
     """The torque that predicts most of what a fit leaves; ``None`` if none does.
 
-    Over a position it is then free in the comparison. Over the speed it is held as found: free, it
-    could take the place of every friction.
+    Over the load's angle it is then free in the comparison. Over the speed and the motor's angle it
+    is held as found: free, it could take the place of every friction or ripple.
 
     A position is taken as recorded: if it means another place in another recording, nothing over
     the position predicts. ``gravity_nm``: gravity beside which a torque over the load's angle is
@@ -151,8 +151,9 @@ def learning_of(
     best, *others = alike(trials, false_alarm)
     alternatives = tuple(t.hypothesis.term(t.coefficients) for t in others)
     as_found = _as_found(comparison, fit, best.hypothesis, alternatives)
-    if best.hypothesis.variable == "motor_speed":
-        # Beside a free torque over the speed no friction would be known.
+    if best.hypothesis.variable != "load_angle":
+        # Beside a free torque over the speed no friction would be known; over the motor's angle no
+        # ripple.
         return as_found
     without = _without_its_laws(comparison, best.hypothesis, gravity_nm)
     waves = _waves(without, best, tables[best.hypothesis])
