@@ -92,6 +92,7 @@ _DIMENSION_OF_SUFFIX = {
 
 
 _UNIT_OF_ENDING = {
+    "_nm_s2_per_rad2": "N m s²/rad²",
     "_nm_s_per_rad": "N m s/rad",
     "_nm_per_rad3": "N m/rad³",
     "_nm_per_rad": "N m/rad",

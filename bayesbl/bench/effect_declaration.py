@@ -189,6 +189,9 @@ class RigidLaw:
         It is named only with an amplitude of zero or above, whatever the simulator allows.
     bench_parameters
         What the bench file must give for the law to be known.
+    beside
+        It is tried beside what is named, against other laws of the same variable, though it is
+        linear in one amplitude: it and Stribeck friction are curved alike.
     """
 
     signal: Law
@@ -201,6 +204,7 @@ class RigidLaw:
     contains: str | None = None
     not_negative: bool = False
     bench_parameters: tuple[str, ...] = ()
+    beside: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -230,6 +234,8 @@ class Effect:
         A declared unknown that says the same: the effect is no candidate beside it.
     sought_alone
         Of parameters that recordings cannot show together, the one that a search frees.
+    sought_in_loop
+        Whether recordings at a few constant speeds could show that it is this one.
     in_bench_file
         A sentence: how a bench file states it in fewer words than under ``[[effects]]``.
     """
@@ -249,6 +255,7 @@ class Effect:
     free_motion: bool = False
     replaces: str | None = None
     sought_alone: str | None = None
+    sought_in_loop: bool = True
     in_bench_file: str = ""
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 

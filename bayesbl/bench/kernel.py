@@ -71,6 +71,7 @@ class Slot(IntEnum):
     motor_viscous_friction__coefficient_nm_s_per_rad = auto()
     motor_stribeck_friction__torque_nm = auto()
     motor_stribeck_friction__speed_rad_per_s = auto()
+    motor_quadratic_drag__coefficient_nm_s2_per_rad2 = auto()
     friction_asymmetry__coefficient_nm_s_per_rad = auto()
     motor_torque_offset__torque_nm = auto()
     load_coulomb_friction__torque_nm = auto()
@@ -553,6 +554,7 @@ def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped
     return (
         dry * direction
         + p[Slot.motor_viscous_friction__coefficient_nm_s_per_rad] * speed
+        + p[Slot.motor_quadratic_drag__coefficient_nm_s2_per_rad2] * abs(speed) * speed
         + p[Slot.motor_torque_offset__torque_nm]
         + ripple
     )

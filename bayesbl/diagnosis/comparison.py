@@ -122,6 +122,8 @@ class EffectsFit:
         Effects with a parameter at the end of its range: not an optimum, so not to be believed.
     shared
         Shapes that belong to no single effect.
+    besides
+        What else is linear (start, offset, a torque that is being learned), by name.
     """
 
     effects: Mapping[str, Mapping[str, float]]
@@ -132,6 +134,7 @@ class EffectsFit:
     trials: Mapping[str, float] = field(default_factory=dict)
     at_edge: frozenset[str] = frozenset()
     shared: Mapping[str, float] = field(default_factory=dict)
+    besides: Mapping[str, float] = field(default_factory=dict)
 
 
 class Comparison(Protocol):
@@ -152,24 +155,33 @@ class Comparison(Protocol):
         """The used pieces alone, some to fit on and some to predict, each predicted once."""
 
 
-class LearnedFit(Protocol):
-    """The comparison with a learned torque in its bench, and its fit."""
+class Learning(Protocol):
+    """A torque of no known law, found in what a fit leaves."""
 
     @property
     def comparison(self) -> Comparison:
-        """With the torque in its bench."""
+        """With the torque in it, as free as it is told."""
 
     @property
-    def fit(self) -> EffectsFit:
-        """With the same effects as before."""
+    def held(self) -> Comparison:
+        """With the torque as it was found: effects are named again beside it."""
 
     @property
-    def answer(self) -> LearnedAnswer:
-        """What is told of the torque."""
+    def same(self) -> EffectsFit | None:
+        """A fit with the names as they were, where they cannot be found again beside it."""
 
     @property
-    def bench(self) -> Bench | None:
-        """The bench with the torque and what was named, if a bench file can hold it."""
+    def as_found(self) -> Learning | None:
+        """Where names stay as they were, to be taken if those found again leave more."""
+
+    def answer(self, fit: EffectsFit) -> LearnedAnswer | None:
+        """What is told of the torque beside what this fit names; ``None`` if none is needed."""
+
+    def notes(self, fit: EffectsFit) -> tuple[str, ...]:
+        """Sentences on what could be behind it."""
+
+    def bench(self, fit: EffectsFit) -> Bench | None:
+        """The bench with the torque and what is named, if a bench file can hold it."""
 
 
 def residuals_of_pieces(
@@ -203,3 +215,12 @@ def residuals(comparison: Comparison, fit: EffectsFit, use: Use) -> list[FloatAr
 def sum_of_squares(parts: list[FloatArray]) -> float:
     """Over all pieces."""
     return float(sum(np.dot(part, part) for part in parts))
+
+
+def shown_squares(comparison: Comparison, fit: EffectsFit) -> float:
+    """Of what a fit leaves of the used pieces that the answer shows."""
+    return sum(
+        float(np.sum(piece.kept(piece.measured - prediction) ** 2))
+        for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
+        if piece.use == "used" and piece.shown
+    )

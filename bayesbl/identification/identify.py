@@ -59,7 +59,9 @@ Verdict = Literal["agrees", "missing_effect", "unexplained"]
 DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
 """Those of the drive: between the motor and the controller, and the recording."""
 
-STEADY_EFFECTS = tuple(e.name for e in EFFECTS if e.enters == "motor" and not e.is_periodic)
+STEADY_EFFECTS = tuple(
+    e.name for e in EFFECTS if e.enters == "motor" and e.sought_in_loop and not e.is_periodic
+)
 """Those that may be a constant torque at constant speed, or nearly."""
 
 

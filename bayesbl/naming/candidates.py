@@ -124,6 +124,8 @@ def candidates(
     for effect in EFFECTS:
         if effect.name in present or not (effects == "all" or effect.name in effects):
             continue
+        if effects == "all" and not effect.sought_in_loop:
+            continue
         if effect.replaces == GAP and gap_is_unknown:
             continue
         if "load_angle" in effect.depends_on and not load_angle_known:

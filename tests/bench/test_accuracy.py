@@ -137,6 +137,7 @@ def reference_slopes(t, y, p, piece, width):
     if p[S.motor_stribeck_friction__speed_rad_per_s] > 0.0:
         fading = math.exp(-((motor_speed / p[S.motor_stribeck_friction__speed_rad_per_s]) ** 2))
         losses += p[S.motor_stribeck_friction__torque_nm] * fading * turning
+    losses += p[S.motor_quadratic_drag__coefficient_nm_s2_per_rad2] * motor_speed * abs(motor_speed)
     losses += p[S.friction_asymmetry__coefficient_nm_s_per_rad] * motor_speed * turning
     losses += p[S.motor_torque_offset__torque_nm]
     losses += p[S.gear_mesh_friction__coefficient] * abs(shaft) / n * turning
@@ -278,6 +279,7 @@ EFFECT_RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "motor_coulomb_friction": {"torque_nm": (0.05, 1.0)},
     "motor_viscous_friction": {"coefficient_nm_s_per_rad": (1e-4, 5e-3)},
     "motor_stribeck_friction": {"torque_nm": (0.1, 1.0), "speed_rad_per_s": (50.0, 400.0)},
+    "motor_quadratic_drag": {"coefficient_nm_s2_per_rad2": (1e-6, 2e-5)},
     "friction_asymmetry": {"coefficient_nm_s_per_rad": (-2e-3, 2e-3)},
     "motor_torque_offset": {"torque_nm": (-1.0, 1.0)},
     "load_coulomb_friction": {"torque_nm": (5.0, 60.0)},

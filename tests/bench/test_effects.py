@@ -65,6 +65,11 @@ def mean_torque(**settings: float) -> float:
             -0.6 * math.exp(-((MOTOR_SPEED / 200.0) ** 2)),
         ),
         (
+            {"motor_quadratic_drag__coefficient_nm_s2_per_rad2": 1e-5},
+            1e-5 * MOTOR_SPEED**2,
+            -1e-5 * MOTOR_SPEED**2,
+        ),
+        (
             {"friction_asymmetry__coefficient_nm_s_per_rad": 1e-3},
             1e-3 * MOTOR_SPEED,
             1e-3 * MOTOR_SPEED,

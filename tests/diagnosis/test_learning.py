@@ -22,7 +22,8 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.learning import Group, Hypothesis, learn
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
+from bayesbl.diagnosis.rigid.learned_from_motion import learning_of
+from bayesbl.diagnosis.rigid.released import learned_or_gravity, with_released
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
@@ -64,7 +65,7 @@ def groups(
 
 
 def answer_with(comparison: InverseComparison) -> Diagnosis:
-    problem = Problem(comparison, lambda fit: (), learn=learned_fit)
+    problem = Problem(comparison, lambda fit: (), learn=learning_of)
     return diagnose(problem, comparison.bench, Settings(3))
 
 
@@ -216,3 +217,78 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     noise = np.array([1.5, 0.05])
     excess = [float(np.mean((x.T / noise) ** 2)) - 1.0 for x in (without, left)]
     assert excess[1] < 0.05 * excess[0]
+
+
+def axis_with(law) -> Diagnosis:
+    """The answer on four recordings with a further torque, N m, of the load's angle and speed."""
+    made = []
+    for seed in range(4):
+        seen = recording(f"r{seed}", seed, coulomb=0.4, viscous=2e-3, noise=0.05)
+        angle = seen.channels["motor_position_rad"] / 100.0
+        torque = seen.channels[MOTOR_TORQUE] + law(angle, seen.channels["motor_speed_rpm"])
+        made.append(replace(seen, channels={**seen.channels, MOTOR_TORQUE: torque}))
+    believed = bench()
+    comparison, _ = with_released(inverse(made, believed))
+    stated = believed.value("gravity_torque_nm")
+    problem = Problem(
+        comparison,
+        lambda fit: (),
+        learn=lambda made, fit, alarm: learned_or_gravity(made, fit, alarm, stated),
+    )
+    return diagnose(problem, believed, Settings())
+
+
+def sizes(found: Diagnosis) -> dict[str, float]:
+    return {e.name: next(iter(e.parameters.values())).value for e in found.effects}
+
+
+def test_friction_that_depends_on_the_position_is_a_mean_and_what_departs_from_it() -> None:
+    found = axis_with(lambda angle, speed: 0.3 * np.sin(4.0 * angle + 0.5) * np.sign(speed))
+    assert set(sizes(found)) == {"motor_coulomb_friction", "motor_viscous_friction"}
+    assert found.learned is not None
+    torque = found.learned.term
+    assert (torque.variable, torque.reverses) == ("load_angle", True)
+    x = found.learned.curve.variable
+    mean = float(np.mean(0.3 * np.sin(4.0 * x + 0.5)))
+    assert sizes(found)["motor_coulomb_friction"] == pytest.approx(0.4 + mean, abs=0.02)
+    assert sizes(found)["motor_viscous_friction"] == pytest.approx(2e-3, rel=0.05)
+    departs = 0.3 * np.sin(4.0 * x + 0.5) - mean
+    assert np.std(found.learned.curve.value - departs) < 0.15 * np.std(departs)
+
+
+def test_a_spring_is_learned_beside_the_gravity_that_the_bench_states() -> None:
+    found = axis_with(lambda angle, speed: 200.0 * (angle - 0.3) / 100.0)
+    assert set(sizes(found)) == {"motor_coulomb_friction", "motor_viscous_friction"}
+    assert sizes(found)["motor_coulomb_friction"] == pytest.approx(0.4, rel=0.05)
+    assert not found.parameter_errors
+    assert found.learned is not None
+    curve = found.learned.curve
+    slope, rest = np.polyfit(curve.variable, 100.0 * curve.value, 1)
+    assert slope == pytest.approx(200.0, rel=0.05)
+    assert -rest / slope == pytest.approx(0.3, abs=0.02)
+    assert any("straight line" in note for note in found.notes)
+
+
+def test_a_gravity_of_another_size_and_direction_is_gravity_and_nothing_is_learned() -> None:
+    def law(angle, speed):
+        return (360.0 * np.sin(angle + 0.2) - 300.0 * np.sin(angle)) / 100.0
+
+    found = axis_with(law)
+    assert found.learned is None
+    assert sizes(found)["gravity_phase"] == pytest.approx(360.0 * math.sin(0.2), rel=0.05)
+    (wrong,) = (e for e in found.parameter_errors if e.name == "gravity_torque_nm")
+    assert wrong.fitted.value == pytest.approx(360.0 * math.cos(0.2), rel=0.05)
+
+
+def test_drag_by_the_square_of_the_speed_is_no_stribeck_friction_and_leaves_the_others() -> None:
+    drag = 2e-5
+    found = axis_with(lambda angle, rpm: drag * np.abs(rpm * TURN / 60.0) * (rpm * TURN / 60.0))
+    told = sizes(found)
+    assert set(told) == {
+        "motor_coulomb_friction",
+        "motor_viscous_friction",
+        "motor_quadratic_drag",
+    }
+    assert told["motor_quadratic_drag"] == pytest.approx(drag, rel=0.1)
+    assert told["motor_coulomb_friction"] == pytest.approx(0.4, rel=0.05)
+    assert found.learned is None

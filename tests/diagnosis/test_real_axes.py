@@ -14,8 +14,9 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.method import around_fitted, compared, with_released
+from bayesbl.diagnosis.rigid.method import around_fitted, compared
 from bayesbl.diagnosis.rigid.motion import LowPass
+from bayesbl.diagnosis.rigid.released import with_released
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, within_turns, without_load_angle
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording

@@ -272,6 +272,20 @@ def test_what_repeats_beyond_the_effects_allowed_is_reported() -> None:
     assert found.remaining[0].amplitude == pytest.approx(0.15, rel=0.2)
 
 
+@pytest.mark.long
+def test_a_second_ripple_of_order_one_is_no_eccentric_encoder() -> None:
+    made = []
+    for i, name in enumerate("abc"):
+        seen = recording(name, 20 + i, coulomb=0.4, ripple=(0.5, 7.0, 0.2))
+        angle = seen.channels[MOTOR_POSITION]
+        torque = seen.channels[MOTOR_TORQUE] + 0.3 * np.sin(angle + 0.5)
+        made.append(replace(seen, channels={**seen.channels, MOTOR_TORQUE: torque}))
+    found = answer(inverse(made, bench()), most=5)
+    assert {"motor_coulomb_friction", "motor_torque_ripple"} <= named(found)
+    assert "encoder_eccentricity" not in named(found)
+    assert found.remaining[0].lowest_order == pytest.approx(1.0, abs=0.02)
+
+
 def test_a_line_in_time_is_told_as_one_and_is_no_ripple() -> None:
     # At three speeds in turn it is three orders; of lines as these one in a hundred is left open.
     recordings = []

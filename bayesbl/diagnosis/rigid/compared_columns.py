@@ -12,6 +12,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.rigid.learned_waves import LearnedWaves
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.staying_columns import least_squares
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
@@ -53,6 +54,8 @@ class ComparedColumns:
     waves
         Lines that are allowed for, each as an order of the motor's turning with its own size and
         phase in every recording.
+    learned
+        A torque that is being learned: its waves are fitted with everything else.
     seen, moved
         For every piece, what has been computed of it; its motion by the last skew that it had.
     """
@@ -70,6 +73,7 @@ class ComparedColumns:
     load_angle_known: bool = False
     phases_shared: bool = False
     waves: tuple[float, ...] = ()
+    learned: LearnedWaves | None = None
     seen: tuple[dict[Hashable, FloatArray], ...] = field(default=(), repr=False, compare=False)
     moved: tuple[dict[tuple[float, float], Motion], ...] = field(
         default=(), init=False, repr=False, compare=False
@@ -269,6 +273,9 @@ class ComparedColumns:
             sine = of("gravity sine", lambda motion: np.sin(motion.angle / ratio) / ratio)
             cosine = of("gravity cosine", lambda motion: np.cos(motion.angle / ratio) / ratio)
             found |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
+        if self.learned is not None:
+            for name, wave in self.learned.by_name(ratio).items():
+                found[name] = of(name, wave)
         return found
 
 

@@ -121,9 +121,14 @@ class InverseComparison(ComparedColumns):
             for i in self._used
         )
         bench = {name: self.bench.value(name) + linear[name] for name in self.unknown}
-        edges = frozenset(name for name in effects if self._at_edge(name, shapes))
+        edges = frozenset(
+            name
+            for name in effects
+            if self._at_edge(name, shapes) or self._is_rather_a_torque(name, effects, shapes)
+        )
         shared = {WIDTH: shapes[WIDTH]} if directional else {}
-        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared)
+        besides = {name: value for name, value in linear.items() if "." not in name.split("@")[0]}
+        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared, besides)
 
     def scan_orders(self, fit: EffectsFit) -> OrderScan:
         """Residuals of a fit on the used pieces, order by order of the motor's turning."""
@@ -216,6 +221,40 @@ class InverseComparison(ComparedColumns):
                 largest, float(np.abs(signal if window is None else window * signal).max())
             )
         return largest < 0.5
+
+    def _is_rather_a_torque(self, name: str, effects: tuple[str, ...], shapes: Values) -> bool:
+        """Whether what an error of the encoder makes is explained better by a torque that turns.
+
+        The one grows with the square of the speed, the other is the same at all. A ripple may be
+        named already, of another order: then nothing else would speak for the torque.
+        """
+        term = self.terms[name]
+        if self.load or not term.periodic or term.law.scanned is not None:
+            return False
+        others = tuple(e for e in effects if e != name)
+        left = []
+        for held, turning in ((effects, False), (others, True)):
+            tables = [
+                {
+                    **self._kept_columns(i, held, shapes),
+                    **(self._kept_turning(i, shapes) if turning else {}),
+                }
+                for i in self._used
+            ]
+            rests = [self._rest(i, held, shapes) for i in self._used]
+            along = Staying([{} for _ in tables])
+            explained = along.explained(tables, rests, along.along(rests))
+            left.append(sum(float(rest @ rest) for rest in rests) - explained)
+        return left[1] <= left[0]
+
+    def _kept_turning(self, i: int, shapes: Values) -> Columns:
+        """Sine and cosine of the motor's angle, with one phase for whatever shares it."""
+        where = "" if self.phases_shared else f"@{self.pieces[i].name}"
+        waves = replace(self, waves=(1.0,))._allowed_for(i, shapes)
+        return {
+            f"turning {k}{where}": self.pieces[i].kept(wave)
+            for k, wave in enumerate(waves.values())
+        }
 
     def _scan_width(self, effects: tuple[str, ...], shapes: Values) -> None:
         unit = self.speed_rad_per_s

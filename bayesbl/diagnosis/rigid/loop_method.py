@@ -19,6 +19,7 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.fitted_parameters import SURE_PARAMETER
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.loop_setting import (
     ECCENTRICITY,
@@ -41,7 +42,7 @@ from bayesbl.diagnosis.rigid.order_laws import (
 )
 from bayesbl.diagnosis.rigid.order_lines import OrderLine, Turning, find_orders, noise_sd
 from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS, torque_of_angle
-from bayesbl.diagnosis.selection import MOST_EFFECTS, SURE_PARAMETER
+from bayesbl.diagnosis.selection import MOST_EFFECTS
 from bayesbl.diagnosis.task import Task
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.progress import StageProgress

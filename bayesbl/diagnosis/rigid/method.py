@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from types import MappingProxyType
 
 import numpy as np
@@ -15,7 +14,6 @@ from bayesbl.diagnosis.comparison import EffectsFit, Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.learned_from_motion import learned_fit
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
 from bayesbl.diagnosis.rigid.order_scan import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
@@ -25,6 +23,11 @@ from bayesbl.diagnosis.rigid.preparation import (
     even_recordings,
     require_rigid,
     unknown_parameters,
+)
+from bayesbl.diagnosis.rigid.released import (
+    learned_or_gravity,
+    notes_on_released,
+    with_released,
 )
 from bayesbl.diagnosis.rigid.terms import (
     POSITION_TERMS,
@@ -44,7 +47,7 @@ from bayesbl.diagnosis.rigid.view import (
     thinned,
     turns_of,
 )
-from bayesbl.diagnosis.selection import BySelection, Problem, impossible
+from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.types import (
@@ -71,22 +74,6 @@ USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
     {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
 )
 """How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
-
-MOST = 0.5
-"""Share of the squares that a bench parameter must not leave, to be fitted unasked."""
-
-_RELEASED: Mapping[str, str] = MappingProxyType(
-    {
-        "inertia": "Most of what friction leaves goes with the acceleration, though the bench has "
-        "its inertia without a tolerance: it was fitted.",
-        "gravity": "Most of what friction leaves goes with the load's angle as gravity does, "
-        "though the bench has gravity_torque_nm without a tolerance: it was fitted. A balancer "
-        "that the bench lacks looks the same.",
-        "direction": "Most of what friction and inertia leave goes with the load's angle as "
-        "gravity does, though the bench has gravity_torque_nm = 0: it was fitted, with its "
-        "direction. Give it in the bench file; a spring that the bench lacks looks much the same.",
-    }
-)
 
 BENCH_ROUNDS = 2
 """Of fits, each with columns by the bench of the one before: it moves by per cents at most."""
@@ -169,13 +156,20 @@ def inverse_problem(task: Task) -> Problem:
         + ("." if asked.cutoff_hz else ", beyond which the bench explains less than half.")
         for source in sorted({motion.source for motion in motions})
     ]
+    if load:
+        share = _above(recordings, bench.value("gear_ratio"), cutoff)
+        notes.append(
+            f"What is faster than {cutoff:.3g} Hz was not compared: {share[1]:.3g} rad of the "
+            f"{share[0]:.3g} rad by which the load's position departs from the motor's over the "
+            "gear ratio, noise of both included. An effect that shows there alone would not have "
+            "been seen."
+        )
     if any(motion.source == "speed" for motion in motions):
         notes.append(
             "Without position the motor angle is the integral of the speed: where it starts is "
             "unknown, so a ripple has its own phase in every recording, and gravity's direction "
             "is fitted."
         )
-    notes += [_RELEASED[name] for name in released]
     if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
@@ -190,56 +184,18 @@ def inverse_problem(task: Task) -> Problem:
                 "together."
             )
     alarm = config.candidates.false_alarm
+    gravity = bench.value(GRAVITY)
     used = tuple(dict.fromkeys(piece.name for piece in pieces if piece.use == "used"))
     return Problem(
         comparison,
         lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
         tuple(notes),
-        learned_fit,
+        lambda made, fit: notes_on_released(made, fit, released, gravity),
+        lambda made, fit, alarm: learned_or_gravity(made, fit, alarm, gravity),
         scale_sd,
         lambda fit: around_fitted(comparison, fit),
         stated if released else None,
     )
-
-
-def with_released(comparison: InverseComparison) -> tuple[InverseComparison, tuple[str, ...]]:
-    """The comparison with those bench parameters free that the recordings contradict, and which.
-
-    Inertia and gravity, where the bench claims to know them: of the smallest sets of them beside
-    which no other would take most of what is left, with every effect in proportion to a size, the
-    first. A set that would need an inertia below zero is none.
-    """
-    free = {
-        "inertia": lambda made: replace(made, unknown=(*made.unknown, INERTIAS[0])),
-        "gravity": lambda made: replace(made, unknown=(*made.unknown, GRAVITY)),
-        "direction": lambda made: replace(made, gravity_free=True),
-    }
-    if comparison.load or set(comparison.unknown) & set(INERTIAS):
-        del free["inertia"]
-    if comparison.load or not comparison.load_angle_known or GRAVITY in comparison.unknown:
-        del free["gravity"]
-    if comparison.load or comparison.load_angle_known or comparison.gravity_free:
-        del free["direction"]
-
-    def left(names: Sequence[str]) -> float:
-        made = comparison
-        for name in names:
-            made = free[name](made)
-        fit = made.fit(tuple(c.name for c in made.candidates if c.is_plain), None)
-        if any(impossible(fit, {})):
-            return math.inf
-        return sum(
-            float(np.sum(piece.kept(piece.measured - prediction) ** 2))
-            for piece, prediction in zip(made.pieces, fit.predictions, strict=True)
-            if piece.use == "used" and piece.shown
-        )
-
-    sets = [names for size in range(len(free) + 1) for names in combinations(free, size)]
-    squares = [left(names) for names in sets]
-    chosen = next(s for s, own in zip(sets, squares, strict=True) if MOST * own <= min(squares))
-    for name in chosen:
-        comparison = free[name](comparison)
-    return comparison, chosen
 
 
 def around_fitted(
@@ -355,6 +311,20 @@ def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], l
                 f"a recording without {MOTOR_POSITION}",
                 f"{MOTOR_POSITION} in every recording, or {name} left out",
             )
+
+
+def _above(
+    recordings: Sequence[Recording], gear_ratio: float, cutoff_hz: float
+) -> tuple[float, float]:
+    """RMS of the load's position less the motor's over the ratio, and of its part above, rad."""
+    every, above = [], []
+    for recording in recordings:
+        apart = recording.channels[LOAD_POSITION] - recording.channels[MOTOR_POSITION] / gear_ratio
+        apart = apart - apart.mean()
+        every.append(apart)
+        above.append(apart - LowPass(cutoff_hz, recording.sampling_period_s)(apart))
+    first, second = (math.sqrt(float(np.mean(np.concatenate(x) ** 2))) for x in (every, above))
+    return first, second
 
 
 def _one_way(pieces: tuple[Piece, ...], motions: tuple[Motion, ...]) -> Iterator[str]:

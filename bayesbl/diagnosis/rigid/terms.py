@@ -60,7 +60,12 @@ def _term(effect: Effect, law: RigidLaw) -> Term:
         ),
         acts_above=law.scanned == ORDER,
         is_plain=not (
-            effect.is_periodic or law.scanned or law.linear or law.contains or effect.name == SKEW
+            effect.is_periodic
+            or law.scanned
+            or law.linear
+            or law.contains
+            or law.beside
+            or effect.name == SKEW
         ),
     )
     return Term(candidate, law, effect.is_periodic)

@@ -1,0 +1,50 @@
+"""Drag at the motor that grows with the square of its speed: churned grease, a fan, an open rotor.
+
+    J_m dω_m/dt = … − c |ω_m| ω_m
+
+Over a few constant speeds it is a viscous friction of another size, so it is not sought there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import (
+    Amplitude,
+    Effect,
+    Parameters,
+    RigidBench,
+    RigidLaw,
+    RigidMotion,
+)
+from bayesbl.recording.types import FloatArray
+
+
+def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
+    """c |ω_m| ω_m."""
+    return np.asarray(given["coefficient_nm_s2_per_rad2"] * np.abs(motion.speed) * motion.speed)
+
+
+EFFECT = Effect(
+    place=45,
+    name="motor_quadratic_drag",
+    sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
+    equation="J_m dω_m/dt: − c |ω_m| ω_m",
+    parameters=(
+        Amplitude(
+            "coefficient_nm_s2_per_rad2",
+            "N m s²/rad²",
+            "drag coefficient c",
+            low=0.0,
+            high=1e-4,
+            typical=5e-6,
+            repeats="always",
+            not_negative=True,
+        ),
+    ),
+    enters="motor",
+    depends_on=("speed",),
+    data="more current at high speed than viscous friction of the low speeds explains",
+    torque=RigidLaw(signal=torque_nm, amplitude="coefficient_nm_s2_per_rad2", beside=True),
+    sought_in_loop=False,
+)

@@ -1,0 +1,37 @@
+"""Bench parameters that a comparison fits: what no joint can have, and what the bench denies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.diagnosis.comparison import EffectsFit
+from bayesbl.diagnosis.diagnosis import Estimate, ParameterError
+
+SURE_PARAMETER = 3.0
+
+
+def impossible(fit: EffectsFit, sds: Mapping[str, float]) -> Iterator[str]:
+    """A sentence for each fitted parameter that no joint can have: then nothing is believed.
+
+    ``sds``: standard deviations, by which noise alone may carry a value below zero.
+    """
+    for name, value in fit.bench.items():
+        info = PARAMETER_INFO[name]
+        if info.positive and value + SURE_PARAMETER * sds.get(name, 0.0) <= 0.0:
+            yield (
+                f"The best fit with {name} free has {value:.3g} {info.unit} there, which nothing "
+                "has: what the recordings show follows no law that was tried, so nothing is named. "
+                "Faster motion shows the inertia, slow motion in both directions the friction."
+            )
+
+
+def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> tuple[ParameterError, ...]:
+    found = []
+    for name, fitted in estimates.items():
+        believed = bench.parameters[name]
+        beyond = abs(fitted.value - believed.value) - believed.tolerance
+        if beyond > SURE_PARAMETER * fitted.sd:
+            found.append(ParameterError(name, believed.value, believed.tolerance, fitted))
+    return tuple(found)
