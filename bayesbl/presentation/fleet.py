@@ -118,6 +118,8 @@ def _row(row: Mapping[str, Any], summary: FleetSummary) -> list[str]:
     date = month(row["limit_date_median"]) if row["limit_date_median"] else "not in sight"
     unlike = unlike_type(row, summary)
     state = "no rate" if row["reason"] else f"wears {unlike}" if unlike else "measured"
+    if not row["reason"] and row["probability_wear"] < words.SURE:
+        state = "not shown to grow"
     if row["alarm"]:
         state = "over its limit"
     return [
