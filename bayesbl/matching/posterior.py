@@ -130,11 +130,15 @@ def sample_direct(
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
+    *,
+    withheld: bool = False,
 ) -> DirectPosterior:
     """Posterior around the most probable point.
 
     Parameters
     ----------
+    withheld
+        The gap will not be told, whatever the draws: they are not worth full simulation.
     progress
         Called with (steps made, steps allowed) at every check; full simulations follow the last.
     """
@@ -152,7 +156,8 @@ def sample_direct(
         expected = surrogate.chi_square(flat)
         checked = np.linspace(0, len(flat) - 1, CHECKED).astype(np.int64)
         weights = _log_weights(expected[checked], simulated_chi_square(model, flat[checked]))
-        if np.all(np.isfinite(weights)) and float(np.std(weights)) < NEGLIGIBLE_SPREAD:
+        negligible = np.all(np.isfinite(weights)) and float(np.std(weights)) < NEGLIGIBLE_SPREAD
+        if withheld or negligible:
             effective = effective_size(weights)
             diagnostics = _judge(model, walked, draws, effective / CHECKED * len(flat), failed)
             chi_square = expected.reshape(draws.shape[:2])

@@ -129,9 +129,7 @@ def wear_of(
         return group
     found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
     if found is None:
-        group.attrs["reason"] = (
-            f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}"
-        )
+        group.attrs["reason"] = f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}"
         return group
     slope = trend(drawn, years)
     group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)

@@ -271,7 +271,8 @@ def fit_directly(
     begun = _believed(fit_aligned(bench, recordings, unknowns, workers))
     fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
     report = of_stage(progress, f"Sampling {name}")
-    posterior = sample_direct(fit, sampler, seed, report)
+    withheld = joint.against_bench or not joint.explained
+    posterior = sample_direct(fit, sampler, seed, report, withheld=withheld)
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 
 

@@ -55,6 +55,13 @@ def is_gross(explanation: Explanation) -> bool:
     return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
 
 
+def gross_recordings(explanation: Explanation) -> list[str]:
+    """Names of the recordings that are far off themselves."""
+    parts = explanation.fit.model.by_recording(explanation.fit.residual)
+    named = zip(explanation.fit.model.recordings, parts, strict=True)
+    return [seen.name for seen, part in named if float(np.sum(part**2)) > GROSS * part.size]
+
+
 def left(explanation: Explanation) -> float:
     """χ² beyond that of noise."""
     return explanation.fit.chi_square - explanation.fit.residual.size

@@ -15,6 +15,7 @@ from bayesbl.naming.criteria import (
     consistency,
     contends,
     explains,
+    gross_recordings,
     is_gross,
     least_ratio,
     left,
@@ -165,12 +166,19 @@ class _Search:
         """Candidates that move the gap, each sought in its whole range, most probable first.
 
         They are sought with a constant torque free in every recording, so that friction of the
-        motor does not draw the gap away, and then stand without it, not fitted again.
+        motor does not draw the gap away, and then stand without it, not fitted again. What acts in
+        one recording alone is sought where that one is far off and another is not.
         """
         model = nominal.fit.model
         steady = steady_torque(model.bench, model.recordings)
         free = (None if steady is None else self._fit(nominal, steady)) or nominal
-        found = [from_afar(free, c) for c in self._candidates if c.scanned]
+        off = gross_recordings(nominal)
+        alone = off if len(off) < len(model.recordings) else ()
+        sought = [c for c in self._candidates if c.scanned and c.recording in (None, *alone)]
+        found = []
+        for candidate in sought:
+            found.append(from_afar(free, candidate))
+            self._report(len(sought) - len(found))
         best = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
         return [last_alone(nominal, e) for e in best]
 
@@ -406,10 +414,14 @@ class _Search:
         key = id(base), id(candidate)
         if key not in self._fits:
             self._fits[key] = base, explain(base, candidate)
-            self._made += 1
-            if self._progress is not None:
-                self._progress(self._made, max(self._made, len(self._candidates)))
+            self._report()
         return self._fits[key][1]
+
+    def _report(self, surely_left: int = 0) -> None:
+        """One fit more; ``surely_left`` are known to follow."""
+        self._made += 1
+        if self._progress is not None:
+            self._progress(self._made, max(self._made + surely_left, len(self._candidates)))
 
     def _contenders(self, fits: Sequence[Explanation | None]) -> list[Explanation]:
         """Most probable first, the first few fitted to the end where they could be the best."""
