@@ -87,7 +87,7 @@ def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
     residuals = fit.model.by_recording(fit.residual)
     if all(seen.motion is not None for seen in fit.model.recordings):
         return [True] * len(residuals)
-    derivatives = fit.derivatives(roughly=True)
+    derivatives = fit.derivatives()
     alike: list[bool] = []
     for seen, rows in zip(fit.model.recordings, residuals, strict=True):
         place = len(alike)

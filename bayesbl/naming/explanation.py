@@ -184,7 +184,7 @@ def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArr
     """
     fit = base.fit
     rows = fit.model.normal_prior.rows
-    explained, _ = np.linalg.qr(np.concatenate([fit.derivatives(roughly=True), rows]))
+    explained, _ = np.linalg.qr(np.concatenate([fit.derivatives(), rows]))
     residual = np.concatenate([fit.residual, fit.deviations])
     gains = np.zeros(len(candidates))
     for place, candidate in enumerate(candidates):

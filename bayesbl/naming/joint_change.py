@@ -401,7 +401,7 @@ def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[Bli
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
     least += normal_isf(MISSED)
-    derivatives = fit.derivatives(roughly=True)
+    derivatives = fit.derivatives()
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)], one_by_one=True):
         if candidate.recording != last or len(amplitude_places(candidate)) != 1:

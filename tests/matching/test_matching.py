@@ -188,3 +188,32 @@ def test_the_oldest_simulations_are_forgotten() -> None:
     # More at once than are kept, known ones among them.
     many = np.repeat(np.array([[2.0], [4.0], [5.0], [1.0], [6.0]]), 5, axis=1)
     assert np.array_equal(recent.signals(many, None, simulate)[:, 0], many)
+
+
+@pytest.mark.parametrize("period_s", [2.5e-4, 1e-3])
+def test_differences_are_those_of_a_continuous_controller_as_late_as_the_sampled_one(
+    period_s: float,
+) -> None:
+    sampled = BenchEffect("sampled_control", {"period_s": EffectParameterValue(period_s)})
+    bench = replace(reference_bench(), measurement=NOISE).with_effects(sampled)
+    recording = bench.simulate(8e-4, rotations=3.0, name="one", seed=np.random.default_rng(1))
+    seen = observed(recording, bench)
+    names = ("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad", "speed_gain_nm_s_per_rad")
+    free = [Unknown(n, 0.5 * bench.value(n), 2.0 * bench.value(n)) for n in names]
+    unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown("one"), *free]
+    noise = estimate_channel_noise(seen.signals, seen.lag)
+    exact = SimulatedSignals(bench, [seen], unknowns, [noise])
+    point = np.array([math.log(8e-4), 0.0, *map(bench.value, names)])
+    steps = np.array([0.01, 0.01, *(0.01 * point[2:])])
+    ends = np.concatenate([point - np.diag(steps), point + np.diag(steps)])
+    columns, swift = (
+        np.subtract(*np.split(asked.whitened(ends), 2)).T
+        for asked in (exact, exact.for_differences)
+    )
+    along = np.sum(columns * swift, axis=0) / (
+        np.linalg.norm(columns, axis=0) * np.linalg.norm(swift, axis=0)
+    )
+    # An optimum found by such columns is off by the sine of this angle, in standard deviations.
+    assert np.all(along > math.cos(0.1))
+    plain = model(reference_bench())
+    assert plain.for_differences is plain
