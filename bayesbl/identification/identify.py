@@ -31,7 +31,7 @@ from bayesbl.identification.beyond_data_sheet import (
 )
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit, with_model
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import SimulatedSignals
@@ -115,7 +115,7 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     naming = of_stage(progress, "Naming what is missing")
-    nominal = _nominal(problem)
+    nominal = _nominal(problem, of_stage(progress, "Fitting the bench"))
     final = nominal
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
@@ -149,9 +149,9 @@ def identify(
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
 
 
-def _nominal(problem: Problem) -> Explanation:
+def _nominal(problem: Problem, progress: Progress | None) -> Explanation:
     """The bench within its tolerances, effects asked for by name added one after the other."""
-    fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers)
+    fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, progress)
     found = nominal_explanation(fit)
     if problem.effects in ("catalogue", ()):
         return found
@@ -184,15 +184,19 @@ def _delayed(
     """
     if all(seen.motion is not None for seen in problem.used):
         return nominal, ()
+    turning = _at_constant_speed(nominal)
     delays = _effects(problem, nominal.fit, DELAYS)
     found = []
-    for candidate, promise in zip(delays, linear_gains(nominal, delays), strict=True):
+    for candidate, promise in zip(delays, linear_gains(turning, delays), strict=True):
         asked = gain_threshold(len(candidate.unknowns), len(delays), FALSE_ALARM)
         if promise < WORTH_FITTING * asked:
             continue
-        rough = explain(nominal, candidate)
-        fitted = None if rough is None else polished(rough)
-        if fitted is not None and _gain_at_constant_speed(nominal, fitted) > asked:
+        fitted = _with(turning, candidate)
+        if fitted is None or turning.fit.chi_square - fitted.fit.chi_square <= asked:
+            continue
+        if turning is not nominal:
+            fitted = _with(nominal, candidate)
+        if fitted is not None:
             found.append(fitted)
     if not found:
         return nominal, ()
@@ -201,12 +205,28 @@ def _delayed(
     return with_noise(best, remaining_noise(best.fit)), ((best.candidates[-1].name, *alike),)
 
 
-def _gain_at_constant_speed(base: Explanation, more: Explanation) -> float:
-    """By how much χ² of the recordings that are of no motion falls."""
-    model = base.fit.model
-    parts = model.by_recording(base.fit.residual**2 - more.fit.residual**2)
-    pairs = zip(model.recordings, parts, strict=True)
-    return sum(float(part.sum()) for seen, part in pairs if seen.motion is None)
+def _with(base: Explanation, candidate: Candidate) -> Explanation | None:
+    """One candidate more, fitted to the end."""
+    rough = explain(base, candidate)
+    return None if rough is None else polished(rough)
+
+
+def _at_constant_speed(explanation: Explanation) -> Explanation:
+    """The same bench fitted to the recordings that are of no motion alone."""
+    fit, model = explanation.fit, explanation.fit.model
+    kept = [i for i, seen in enumerate(model.recordings) if seen.motion is None]
+    if len(kept) == len(model.recordings):
+        return explanation
+    recordings = [model.recordings[i] for i in kept]
+    names = (None, *(seen.name for seen in recordings))
+    own = [k for k, unknown in enumerate(model.unknowns) if unknown.recording in names]
+    turning = replace(
+        model,
+        recordings=recordings,
+        unknowns=[model.unknowns[k] for k in own],
+        noise=[model.noise[i] for i in kept],
+    )
+    return nominal_explanation(fit_simulated(turning, fit.point[own], fit.steps[own]))
 
 
 def _with_steady_torque(problem: Problem) -> Explanation | None:

@@ -19,6 +19,7 @@ from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, 
 from bayesbl.matching.observed import Observed, without_start
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
@@ -36,16 +37,22 @@ def fit_aligned(
     recordings: Sequence[Observed],
     unknowns: Sequence[Unknown],
     workers: int = 1,
+    progress: Progress | None = None,
 ) -> SimulatedFit:
     """The most probable point of all unknowns, from the recordings alone.
 
     The gap is scanned; for each the recordings, averaged over rotations, are shifted against the
     simulation by correlation; the best few are fitted, and the noise is estimated again from the
-    residuals.
+    residuals. ``progress``: called with (fits made, fits expected).
     """
     noise = [noise_of(seen, seen.signals) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
-    fits = [fit_simulated(model, start) for start in _each_settled(model, aligned_starts(model))]
+    starts = _each_settled(model, aligned_starts(model))
+    fits: list[SimulatedFit] = []
+    for start in starts:
+        if progress is not None:
+            progress(len(fits), len(starts) + NOISE_ROUNDS)
+        fits.append(fit_simulated(model, start))
     best = min(fits, key=lambda fit: fit.chi_square)
     best = replace(best, model=replace(model, noise=remaining_noise(best)))
     recordings = [_forgetful(best, i) for i in range(len(recordings))]

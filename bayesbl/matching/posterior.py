@@ -1,9 +1,9 @@
 """Posterior of the gap and everything else unknown, from the recordings' own simulation.
 
-emcee walks on a second-order surrogate of the whitened signals. Full simulations of some draws tell
-how much an importance weight would change: less than the draws scatter by chance, and they stand as
-they are; else all are simulated and weighted, so that what is reported is the simulator's posterior
-in both cases. Where few draws carry the weight, the surrogate is fitted again around them.
+emcee walks on a second-order surrogate of the whitened signals. Full simulations of some draws, the
+outermost among them, tell how much importance weights would change: less than the draws scatter by
+chance, and they stand as they are; else all are simulated and weighted. Where few draws carry the
+weight, the surrogate is fitted again around them.
 """
 
 from __future__ import annotations
@@ -34,16 +34,18 @@ from bayesbl.sampling.truncated_normal import truncated_normal
 DRAWS = 1000
 """Draws over all ensembles."""
 CHECKED = 100
-"""Of them simulated in full first: the spread of their weights is known to 7 %."""
+"""Of them simulated in full first: the spread of their weights is known to a tenth."""
 NEGLIGIBLE_SPREAD = DRAWS**-0.5
 """Standard deviation of ln w below which weights move no mean by more than chance does.
 
 |E[wf] − E[f]| ≤ sd(w) sd(f) by Cauchy and Schwarz, and the mean of so many draws scatters by
 sd(f)/√DRAWS.
 """
+FURTHEST_AT_ENDS = math.log(1.6)
+"""|ln w| at the outermost draws: a tail of 5 % is then one of 3 to 8 %."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
-"""Effective share of the draws from which on the surrogate is good enough to be corrected."""
+"""Effective share of the draws from which on weights correct the surrogate."""
 FEWEST_EFFECTIVE = 100.0
 """Below it the answer is withheld: the actual level of a 90 % interval is 90 ± 3 % at 100 draws.
 
@@ -67,7 +69,7 @@ class DirectPosterior:
     chi_square
         Of each draw, shape (chain, draw); by full simulation where all draws were simulated.
     effective
-        Effective sample size of the importance weights among those simulated.
+        Effective sample size of all draws by their importance weights, or by those of the checked.
     simulated
         Number of draws that were simulated in full.
     refits
@@ -154,16 +156,15 @@ def sample_direct(
         draws = np.stack([thinned(c, DRAWS // len(walked.chains)) for c in walked.chains])
         flat = draws.reshape(-1, draws.shape[-1])
         expected = surrogate.chi_square(flat)
-        checked = np.linspace(0, len(flat) - 1, CHECKED).astype(np.int64)
-        weights = _log_weights(expected[checked], simulated_chi_square(model, flat[checked]))
-        negligible = np.all(np.isfinite(weights)) and float(np.std(weights)) < NEGLIGIBLE_SPREAD
-        if withheld or negligible:
-            effective = effective_size(weights)
-            diagnostics = _judge(model, walked, draws, effective / CHECKED * len(flat), failed)
+        check = _Check.of(model, flat, expected)
+        if withheld or check.is_passed:
+            effective = check.effective_share * len(flat)
+            diagnostics = _judge(model, walked, draws, effective, failed)
             chi_square = expected.reshape(draws.shape[:2])
-            return DirectPosterior(fit, draws, chi_square, effective, CHECKED, 0, diagnostics)
+            return DirectPosterior(fit, draws, chi_square, effective, CHECKED, refits, diagnostics)
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance)
+        failed = float(np.mean(~np.isfinite(chi_square)))
         found = _Weighted.by(walked, draws, expected, chi_square, refits)
         if best is not None and found.effective <= best.effective:
             break  # made of draws that hardly weigh: no surrogate made of it can be better
@@ -198,6 +199,41 @@ class _Local:
         """Draws within a box, shape (count, d)."""
         generator = np.random.default_rng(seed)
         return truncated_normal(self.peak, self.covariance, self.centre, box, count, generator)
+
+
+@dataclass(frozen=True, slots=True)
+class _Check:
+    """ln w of some draws by full simulation.
+
+    ``evenly``: of the chains' draws; ``at_ends``: of the lowest and highest in each coordinate,
+    both less the mean of the former.
+    """
+
+    evenly: FloatArray
+    at_ends: FloatArray
+
+    @classmethod
+    def of(cls, model: SimulatedSignals, draws: FloatArray, expected: FloatArray) -> _Check:
+        """``draws``: shape (m, d); ``expected``: χ² by the surrogate, (m,)."""
+        ends = np.unique([*draws.argmin(axis=0), *draws.argmax(axis=0)])[: CHECKED // 2]
+        evenly = np.linspace(0, len(draws) - 1, CHECKED - ends.size).astype(np.int64)
+        place = np.concatenate([evenly, ends])
+        found = _log_weights(expected[place], simulated_chi_square(model, draws[place]))
+        found -= found[: evenly.size].mean() if np.all(np.isfinite(found)) else 0.0
+        return cls(found[: evenly.size], found[evenly.size :])
+
+    @property
+    def effective_share(self) -> float:
+        """Kish's effective share of the draws."""
+        return effective_size(self.evenly) / self.evenly.size
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether weights would change less than chance does, at the ends of the draws too."""
+        if not np.all(np.isfinite([*self.evenly, *self.at_ends])):
+            return False
+        furthest = float(np.max(np.abs(self.at_ends)))
+        return float(self.evenly.std()) < NEGLIGIBLE_SPREAD and furthest < FURTHEST_AT_ENDS
 
 
 @dataclass(frozen=True, slots=True)

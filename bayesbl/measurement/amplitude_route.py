@@ -101,8 +101,15 @@ class AmplitudeMeasurer:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         found = [None] * len(fits) if curves is None else gaps_of_fits(task, curves, fits)
         of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
+        entries = task.config.recordings
         check = same_joint(
-            [fit.point for fit in fits], [entry.repaired for entry in task.config.recordings]
+            [fit.point for fit in fits],
+            [entry.repaired for entry in entries],
+            [
+                # Another rate sees another part of the noise, and other differences of an encoder.
+                (f"{1.0 / recording.sampling_period_s:.3g}", *sorted(entry.bench.items()))
+                for recording, entry in zip(task.recordings, entries, strict=True)
+            ],
         )
         return Measurement(
             "amplitude",

@@ -268,7 +268,8 @@ def fit_directly(
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
     name = " and ".join(r.name for r in recordings)
-    begun = _believed(fit_aligned(bench, recordings, unknowns, workers))
+    aligning = of_stage(progress, f"Fitting the bench to {name}")
+    begun = _believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
     fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
     report = of_stage(progress, f"Sampling {name}")
     withheld = joint.against_bench or not joint.explained

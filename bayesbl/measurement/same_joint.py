@@ -9,7 +9,7 @@ Without a current a changed filter of the recorded speed shows in the colour of 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,23 +115,32 @@ class _Seen:
     noise: NoiseSpectrum | None
 
 
-def same_joint(points: Sequence[PointEstimate], repaired: Sequence[bool]) -> JointCheck:
-    """Every snapshot against the first one since the last repair.
+def same_joint(
+    points: Sequence[PointEstimate],
+    repaired: Sequence[bool],
+    stated: Sequence[Hashable] | None = None,
+) -> JointCheck:
+    """Every snapshot against the first one like it since the last repair.
 
     Parameters
     ----------
     repaired
         Whether each snapshot is the first one after a repair.
+    stated
+        What the user says of each snapshot: those of which another thing is said may differ.
     """
     if len(points) < 2:
         return NOTHING_COMPARED
     seen = [_seen(point) for point in points]
-    pairs, first = [], seen[0]
-    for snapshot, anew in zip(seen[1:], repaired[1:], strict=True):
+    pairs: list[tuple[_Seen, _Seen]] = []
+    first: dict[Hashable, _Seen] = {}
+    for snapshot, anew, said in zip(seen, repaired, stated or [None] * len(seen), strict=True):
         if anew:
-            first = snapshot
+            first.clear()
+        if said in first:
+            pairs.append((first[said], snapshot))
         else:
-            pairs.append((first, snapshot))
+            first[said] = snapshot
     compared = sum(len(_compared(*pair)) + (not _gains_seen(*pair)) for pair in pairs)
     if not compared:
         return NOTHING_COMPARED

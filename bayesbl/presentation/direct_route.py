@@ -49,7 +49,7 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
     lines = {
         "Noise": joint_noise(part),
         "Sampling": words.sampling(part),
-        "Full simulation": corrected(part),
+        "Full simulation": simulated(part),
     }
     for label, sentence in lines.items():
         yield Sentence(sentence, label=label)
@@ -63,12 +63,12 @@ def joint_noise(part: SnapshotSummary) -> str:
     return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
 
 
-def corrected(part: SnapshotSummary) -> str:
-    """How much the surrogate had to be corrected."""
+def simulated(part: SnapshotSummary) -> str:
+    """What full simulations say of the draws of the surrogate."""
     found = part["diagnostics"]
     return (
-        f"{found['effective_after_simulation']:.0f} effective of {found['simulated_draws']} draws, "
-        f"surrogate fitted again {found['surrogate_refits']} times"
+        f"{found['effective_after_simulation']:.0f} effective draws by {found['simulated_draws']} "
+        f"simulations, surrogate fitted again {found['surrogate_refits']} times"
     )
 
 

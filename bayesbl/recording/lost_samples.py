@@ -6,9 +6,9 @@ marked as excluded, so that a fit does not use it as a measurement.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -78,16 +78,19 @@ def sample_numbers(time_s: FloatArray) -> FloatArray | None:
     middle = float(np.median(steps))
     found: list[FloatArray] = []
     begins = middle, float(steps[steps <= 2.5 * middle].mean())
-    for counted, period in product((_step_by_step, _on_a_running_grid), begins):
-        for _ in range(3):
-            number = counted(time_s, period)
-            if not number[-1] <= _MOST_GROWTH * time_s.size:
-                break
-            deviation, period = deviation_from_grid(time_s, number)
-            if np.abs(deviation).max() <= GRID_TOLERANCE:
-                found.append(number)
-                break
-    return min(found, key=lambda number: float(number[-1]), default=None)
+    for counted in (_step_by_step, _on_a_running_grid):
+        for period in begins:
+            for _ in range(3):
+                number = counted(time_s, period)
+                if not number[-1] <= _MOST_GROWTH * time_s.size:
+                    break
+                deviation, period = deviation_from_grid(time_s, number)
+                if np.abs(deviation).max() <= GRID_TOLERANCE:
+                    found.append(number)
+                    break
+        if found:
+            return min(found, key=lambda number: float(number[-1]))
+    return None
 
 
 def _step_by_step(time_s: FloatArray, period: float) -> FloatArray:
@@ -98,9 +101,11 @@ def _step_by_step(time_s: FloatArray, period: float) -> FloatArray:
 
 def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:
     """Counted from a grid that follows the stamps: two stamps are off by more than either is."""
-    number = np.zeros(time_s.size)
+    number = np.full(time_s.size, np.nan)
     first = time_s[:_GRID_BEGINS]
     count, at = 0.0, float(np.median(first - period * np.arange(first.size)))
+    if not (math.isfinite(at) and 0.0 < period < math.inf):
+        return number
     for i, stamp in enumerate(time_s.tolist()):
         if i:
             passed = max(float(round((stamp - at) / period)), 1.0)

@@ -144,7 +144,7 @@ def test_the_surrogate_has_the_shape_of_the_posterior_along_what_no_recording_sh
     """All torques and K_t times one factor: a straight line of logarithms, 10 % long here."""
     found = identified()
     assert found.posterior.diagnostics.outcome != "withheld"
-    assert found.posterior.effective > 0.5 * found.posterior.simulated
+    assert found.posterior.effective > 500.0
 
 
 def test_what_cannot_be_told_apart_is_said() -> None:

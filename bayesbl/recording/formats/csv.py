@@ -13,12 +13,14 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.formats import Format
 from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
+from bayesbl.units import is_unit, spelled
 
 if TYPE_CHECKING:
     from bayesbl.recording.columns import Table
@@ -32,8 +34,10 @@ _BYTE_ORDER_MARKS = (
 )
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
-_JAPANESE = re.compile("[\u3040-\u30ff\u4e00-\u9fff]{2}")
-"""Two such characters in a row; an umlaut and the letter after it may read as one."""
+_KANA = re.compile("[\u3041-\u30fa]|[\uff66-\uff9d]{2}")
+_KANJI = re.compile("(?<![A-Za-z])[\u4e00-\u9fff]+(?![A-Za-z])")
+_KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
+"""An accented letter of Latin-1 and the one after it may read as a kanji within a word."""
 MOST_ABOVE = 50
 """Lines in which the header is looked for."""
 MOST_COLUMNS = 1000
@@ -227,10 +231,11 @@ def read_csv(file: Path, data: bytes) -> Table:
     begins = array("q", [0])
     begins.extend(end + 1 for end in ends[:-1])
     lines = _Lines(text, begins, ends)
-    written = [i for i, line in enumerate(lines) if line.strip()]
+    written = list(islice((i for i, line in enumerate(lines) if line.strip()), MOST_ABOVE))
     if not written:
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
-    header_index = _header_index(lines, written)
+    amid = next((i for i in range(len(lines) // 2, 0, -1) if lines[i].strip()), written[-1])
+    header_index = _header_index(lines, written, amid)
     separator, columns = _header(file, lines, header_index)
     blank = f' "\t{separator}'
     rows = range(header_index + 1, len(lines))
@@ -251,26 +256,39 @@ def read_csv(file: Path, data: bytes) -> Table:
     )
 
 
-def _header_index(lines: _Lines, written: Sequence[int]) -> int:
-    """The first line with a name for each cell of the samples, and so the line after it.
+def _header_index(lines: _Lines, written: Sequence[int], amid: int) -> int:
+    """The last line above the samples with a name for each of their cells.
 
-    Drives write lines of their own above. The first line of all where there is none such, for the
-    message. ``written``: lines that are not blank.
+    Drives write lines of their own above it; a row of units below it is left for the message. The
+    first line of all where there is none such. ``written``: the first lines that are not blank;
+    ``amid``: one of the samples.
     """
-    middle = lines[written[len(written) // 2]]
-    separator = next((mark for mark in _SEPARATORS if mark in middle), None)
+    separator = next((mark for mark in _SEPARATORS if mark in lines[amid]), None)
     if separator is None:
         return written[0]
-    width = middle.count(separator) + 1
-    rows = [
-        re.sub(r'"[^"]*"', "name", lines[i]).split(separator) for i in written[: MOST_ABOVE + 1]
-    ]
-    for i, names, after in zip(written, rows, rows[1:], strict=False):
-        # Some loggers end each line of samples with a separator, but not the header.
-        named = len(names) + (len(names) < width and not after[-1].strip())
-        if named == len(after) == width and not any(map(_is_number, names)):
-            return i
-    return written[0]
+    width = lines[amid].count(separator) + 1
+    # Some loggers end each line of samples with a separator, but not the header.
+    widths = (width - 1, width) if lines[amid].rstrip(" \r").endswith(separator) else (width,)
+    names: list[int] = []
+    for i in written:
+        line = re.sub(r'"([^"]*)"', lambda quoted: quoted[1].replace(separator, ""), lines[i])
+        cells = [cell.strip() for cell in line.split(separator)]
+        if len(cells) not in widths:
+            names.clear()
+        elif any(map(_is_cell, cells)):
+            break
+        elif all(cells[: widths[0]]):
+            names.append(i)
+    if not names:
+        return written[0]
+    last = [cell.strip(' "[]()') for cell in lines[names[-1]].split(separator)]
+    has_units = len(names) > 1 and any(is_unit(spelled(cell)) for cell in last)
+    return names[-2] if has_units else names[-1]
+
+
+def _is_cell(text: str) -> bool:
+    """Whether it may be a sample: a number, with either mark."""
+    return _is_number(text.strip().replace(",", "."))
 
 
 def _decode(file: Path, data: bytes) -> str:
@@ -292,8 +310,9 @@ def _decode_old(data: bytes) -> str:
         text = data.decode("cp932")
     except UnicodeDecodeError:
         text = ""
+    is_japanese = _KANA.search(text) or (_KANJI.search(text) and not _KANJI_IN_A_WORD.search(text))
     # Any byte is a character of Latin-1.
-    return text if _JAPANESE.search(text) else data.decode("latin-1")
+    return text if is_japanese else data.decode("latin-1")
 
 
 def _picked(places: array[int], kept: Iterable[int]) -> array[int]:
