@@ -280,7 +280,7 @@ def _jacobian(
     optimum found by these columns is off by the angle between them and the true ones, in standard
     deviations (a tenth at a period of 1 ms).
     """
-    swift = model.for_differences
+    swift = model.for_differences(point)
     d = point.size
     of_ticks = np.array([u.name.startswith(OF_THE_TICKS) for u in model.unknowns])
     columns = np.empty((d, model.size)).T

@@ -49,8 +49,9 @@ MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
 """Of the reference speed: as near simulated speeds are to those of an independent solver."""
 RINGING_BAND = 4.0
-"""Two octaves above the loop's corner. With an encoder of 16 bits and a trace of 1 kHz the current
-seems to rise by 0.22 of the gain over all frequencies, and falls by 0.44 to 0.80 of it in these."""
+"""Two octaves above the loop's corner, or up to twice the ringing where that is higher. With an
+encoder of 16 bits and a trace of 1 kHz the current seems to rise by 0.22 of the gain over all
+frequencies, and falls by 0.44 to 0.80 of it in these."""
 SURE_SLOPE, LEAST_SLOPE = 4.0, 0.02
 """Standard errors, and share of the controller's gain, by which a current that rises with the speed
 has the other sign: noise that the loop does not see makes the slope small, never of another sign.
@@ -267,7 +268,11 @@ def _require_current_sign(recording: Recording, bench: Bench) -> None:
     speed, current = (np.fft.rfft(taper * (row - row[kept > 0.0].mean())) for row in pair)
     rate = 2.0 * math.pi * np.fft.rfftfreq(taper.size, recording.sampling_period_s)
     corner = max(2.0 * integral / proportional, 3.0 * math.sqrt(outer * integral / proportional))
-    rings = (rate > corner) & (rate < RINGING_BAND * corner)
+    motor = bench.value("motor_inertia_kg_m2") * bench.value("gear_ratio") ** 2
+    soft = 1.0 / motor + 1.0 / bench.value("load_inertia_kg_m2")
+    ringing = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") * soft)
+    highest = max(RINGING_BAND * corner, 2.0 * ringing)
+    rings = (rate > corner) & (rate < highest)
     speed, current = speed[rings], current[rings]
     squares = max(float(np.sum(np.abs(speed) ** 2)), 1e-300)
     slope = float(np.real(np.vdot(speed, current))) / squares
@@ -281,7 +286,7 @@ def _require_current_sign(recording: Recording, bench: Bench) -> None:
         file=recording.place,
         where=MOTOR_CURRENT,
         found=f"{slope:+.3g} A for each rad/s at {corner / (2.0 * math.pi):.3g} to "
-        f"{RINGING_BAND * corner / (2.0 * math.pi):.3g} Hz",
+        f"{highest / (2.0 * math.pi):.3g} Hz",
         expected=f"down to {-gain:.3g}, as the bench's controller answers; reverse it under "
         "[columns]: motor_current_a = {name = …, reversed = true}",
     )

@@ -234,8 +234,8 @@ def _difference(
     if phase is not None:
         for k in quadrant_phases(candidate):
             moved[:, point.size - len(candidate.unknowns) + k] = phase
-    own = any(u.name.startswith(OF_THE_TICKS) for u in candidate.unknowns)
-    z = (model if own else model.for_differences).whitened(moved)
+    of_ticks = any(u.name.startswith(OF_THE_TICKS) for u in candidate.unknowns)
+    z = (model if of_ticks else model.for_differences(point)).whitened(moved)
     change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
         return []
@@ -291,10 +291,10 @@ def _nudged(model: SimulatedSignals, start: FloatArray, own: int) -> FloatArray:
         amounts += [-a for a in amounts]
     trials = np.repeat(start[None], len(amounts), axis=0)
     trials[:, own] = amounts
-    own = unknown.name.startswith(OF_THE_TICKS)
-    swift = model if own else model.for_differences
-    z = swift.whitened(np.concatenate([start[None], trials]))
-    z = model.whitened(start) + z[1:] - z[0]
+    of_ticks = unknown.name.startswith(OF_THE_TICKS)
+    swift = model if of_ticks else model.for_differences(start)
+    here, *z = swift.whitened(np.concatenate([start[None], trials]))
+    z = model.whitened(start) + z - here
     values = np.einsum("ij,ij->i", z, z)
     return np.asarray(trials[int(np.nanargmin(np.where(np.isfinite(values), values, np.inf)))])
 

@@ -208,7 +208,7 @@ def test_differences_are_those_of_a_continuous_controller_as_late_as_the_sampled
     ends = np.concatenate([point - np.diag(steps), point + np.diag(steps)])
     columns, swift = (
         np.subtract(*np.split(asked.whitened(ends), 2)).T
-        for asked in (exact, exact.for_differences)
+        for asked in (exact, exact.for_differences(point))
     )
     along = np.sum(columns * swift, axis=0) / (
         np.linalg.norm(columns, axis=0) * np.linalg.norm(swift, axis=0)
@@ -216,4 +216,4 @@ def test_differences_are_those_of_a_continuous_controller_as_late_as_the_sampled
     # An optimum found by such columns is off by the sine of this angle, in standard deviations.
     assert np.all(along > math.cos(0.1))
     plain = model(reference_bench())
-    assert plain.for_differences is plain
+    assert plain.for_differences(POINTS[0]) is plain
