@@ -35,6 +35,8 @@ function sort(heading) {
 }
 document.querySelectorAll("#joints th button").forEach(button =>
   button.addEventListener("click", () => sort(button.closest("th"))));
-[search, type, state].forEach(tool => tool.addEventListener("input", filter));
+[search, type, state].forEach(tool => ["input", "change"].forEach(event =>
+  tool.addEventListener(event, filter)));
 document.querySelector(".bar-of-tools").hidden = false;
-filter();
+// Coming back, a browser fills in what was asked for after this script has run.
+window.addEventListener("pageshow", filter);
