@@ -1,26 +1,20 @@
 """A row of ``recordings.parquet`` as a message: written by ``watch``, checked by ``collect``.
 
-Whatever may come from a network is checked here: what is not a row that ``watch`` can have written
-is refused with its reason.
+What is not a row that ``watch`` can have written is refused with its reason.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Callable, Mapping
-from datetime import date as Date
-from typing import Any, NoReturn
+from typing import Any
 
 from bayesbl.errors import shortened
-from bayesbl.fleet.inventory import is_joint_name
+from bayesbl.fleet.message import encoded, require_date, require_digest, require_joint
 from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 
-SCHEMA = 1
-
-LARGEST_MESSAGE_BYTES = 64_000
-"""A row takes some 1,200 bytes, and more where its reason is long."""
+ANSWER = "recording"
+"""Kind of a message that holds a row."""
 
 LONGEST_TEXT = 10_000
 
@@ -28,7 +22,6 @@ LARGEST_RPM = 1e6
 
 OUTCOMES = frozenset({"converged", "usable", "withheld", "no_curve", "refused", "failed"})
 
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _REQUIRED = ("joint", "date", "file", "outcome")
 
 _GAP = (
@@ -39,30 +32,20 @@ _AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
 
 
 def encoded_answer(row: Mapping[str, Any]) -> bytes:
-    """A row as JSON; columns without a value, or with none that is finite, are left out."""
-    given = {name: value for name, value in row.items() if _is_given(value)}
-    return json.dumps({"schema": SCHEMA, "recording": given}, allow_nan=False).encode()
+    """A row as a message; columns without a value, or with none that is finite, are left out."""
+    return encoded(ANSWER, {name: value for name, value in row.items() if _is_given(value)})
 
 
-def decoded_answer(message: bytes) -> dict[str, Any]:
-    """The row of a message, every column in it.
+def decoded_answer(given: Any) -> dict[str, Any]:
+    """The row that a message of this kind holds, every column in it.
 
     Raises
     ------
     ValueError
-        If it is not such a message, with a reason that may be printed.
+        If something in it cannot be, with a reason that may be printed.
     """
-    if len(message) > LARGEST_MESSAGE_BYTES:
-        raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
-    try:
-        content = json.loads(message, parse_constant=_no_number, object_pairs_hook=_once)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        raise ValueError("it is no JSON") from None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ValueError(f"it is no answer of schema {SCHEMA}")
-    given = content.get("recording")
-    if content.keys() != {"schema", "recording"} or not isinstance(given, dict):
-        raise ValueError("it has other parts than schema and recording")
+    if not isinstance(given, dict):
+        raise ValueError("it holds no row")
     unknown = sorted(given.keys() - RECORDING_COLUMNS.keys())
     if unknown:
         raise ValueError(f"there is no column {shortened(unknown[0])!r}")
@@ -76,17 +59,6 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
 
 def _is_given(value: object) -> bool:
     return value is not None and not (isinstance(value, float) and not math.isfinite(value))
-
-
-def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number")
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError("it gives a value twice")
-    return found
 
 
 def _text(name: str, value: object) -> str:
@@ -128,22 +100,16 @@ def _require_names(row: Mapping[str, Any]) -> None:
     for name in _REQUIRED:
         if not row[name]:
             raise ValueError(f"{name} is missing")
-    if not is_joint_name(row["joint"]):
-        raise ValueError(f"{shortened(row['joint'])!r} is no name of a joint")
+    require_joint(row["joint"])
     if row["outcome"] not in OUTCOMES:
         raise ValueError(f"{shortened(row['outcome'])!r} is no outcome")
-    if row["sha256"] is not None and not _SHA256.fullmatch(row["sha256"]):
-        raise ValueError("sha256 is no digest")
+    if row["sha256"] is not None:
+        require_digest(row["sha256"])
     if row["outcome"] == "refused":
         return  # perhaps just for its date
     if row["sha256"] is None:
         raise ValueError("sha256 is missing")
-    try:
-        day = Date.fromisoformat(row["date"]).isoformat()
-    except ValueError:
-        day = ""
-    if day != row["date"]:
-        raise ValueError(f"{shortened(row['date'])!r} is no date")
+    require_date(row["date"])
 
 
 def _require_gap(row: Mapping[str, Any]) -> None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.errors import BrokerError
-from bayesbl.fleet.answer_message import LARGEST_MESSAGE_BYTES, decoded_answer
+from bayesbl.errors import BrokerError, shortened
+from bayesbl.fleet.answer_message import ANSWER, decoded_answer
 from bayesbl.fleet.broker import (
     FIRST_WAIT_S,
     LONGEST_WAIT_S,
@@ -26,6 +26,13 @@ from bayesbl.fleet.broker import (
     stays_known_by,
     unreachable,
 )
+from bayesbl.fleet.mean_rotation import (
+    ROTATION_MESSAGE,
+    MeanRotation,
+    decoded_rotation,
+    store_rotation,
+)
+from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded
 from bayesbl.fleet.recording_table import RecordingTable
 
 if TYPE_CHECKING:
@@ -144,12 +151,15 @@ class _Collecting:
         rows = []
         for message in self.arrived:
             try:
-                row = decoded_answer(bytes(message.payload))
+                found = _content(bytes(message.payload))
             except ValueError as error:
                 # It is acknowledged too, or it would come again for ever.
                 self.say_always(f"A message of {len(message.payload)} bytes is left out: {error}.")
                 continue
-            rows += self.table.put(row)
+            if isinstance(found, MeanRotation):
+                store_rotation(found, self.table.path.parent)
+            else:
+                rows += self.table.put(found)
         self.table.save()
         for message in self.arrived:
             self.client.ack(message.mid, message.qos)
@@ -183,3 +193,19 @@ class _Collecting:
     def _refused(self, reason: str) -> None:
         self.refusal = reason
         self.say(f"The broker refuses {self.address.in_words}: {reason}. It is tried again.")
+
+
+def _content(message: bytes) -> dict[str, Any] | MeanRotation:
+    """A row, or a mean rotation.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+    """
+    kind, given = decoded(message)
+    if kind == ROTATION_MESSAGE:
+        return decoded_rotation(given)
+    if kind == ANSWER:
+        return decoded_answer(given)
+    raise ValueError(f"there is no message of the kind {shortened(kind)!r}")

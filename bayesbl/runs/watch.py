@@ -23,10 +23,12 @@ from bayesbl.fleet.answer_message import encoded_answer
 from bayesbl.fleet.broker import Address, Credentials, stays_known_by
 from bayesbl.fleet.inventory import Found, Joint, digest_of_file, find_recordings, read_joints
 from bayesbl.fleet.joint_job import REFUSED, JointJob, RecordingAnswer
+from bayesbl.fleet.mean_rotation import encoded_rotation
 from bayesbl.fleet.measured_joint import fits_beside, measure_recording
 from bayesbl.fleet.outbox import Outbox
 from bayesbl.fleet.plant_tables import Level, recording_row
 from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.reduced_recording import mean_rotation
 from bayesbl.fleet.sender import Sender
 from bayesbl.results.atomic import sibling
 from bayesbl.results.work import WorkStore
@@ -59,6 +61,8 @@ class Watched:
         End when everything that is there is measured, and sent.
     keep_latest
         Of each joint as many measured recordings stay, the others are deleted; ``None``: all stay.
+    mean_rotation
+        Send, beside each answer, the mean rotation of its recording with its noise.
     """
 
     folder: Path
@@ -68,6 +72,7 @@ class Watched:
     once: bool = False
     settled_s: float = SETTLED_S
     keep_latest: int | None = None
+    mean_rotation: bool = False
 
 
 def watch(
@@ -98,7 +103,7 @@ def watch(
             outbox = Outbox(table.beside / _OUTBOX)
             outbox.folder.mkdir(exist_ok=True)
         store = WorkStore(sibling(config.run.output, KEPT))
-        measuring = _Measuring(config, joints, table, outbox, store, tell)
+        measuring = _Measuring(config, joints, table, outbox, store, tell, asked.mean_rotation)
         with _sending(asked, table.beside, outbox, say):
             _watch(asked, config, list(joints.values()), measuring)
 
@@ -206,6 +211,7 @@ class _Measuring:
     outbox: Outbox | None
     store: WorkStore
     tell: Callable[[Mapping[str, Any]], None]
+    mean_rotation: bool
 
     def took(self, one: Found) -> bool:
         """Whether a recording has a row now; one that changes meanwhile is left for later."""
@@ -223,8 +229,11 @@ class _Measuring:
         self._put(one, sha256, answer)
         return True
 
+    def _job(self, one: Found, sha256: str) -> JointJob:
+        return job_maker(self.config)(self.joints[one.joint], [one], [sha256])
+
     def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
-        job = job_maker(self.config)(self.joints[one.joint], [one], [sha256])
+        job = self._job(one, sha256)
         before = self._before(job)
         answer = self.store.get(
             "recording",
@@ -255,7 +264,15 @@ class _Measuring:
             return
         if self.outbox is not None:
             self.outbox.put(encoded_answer(row))
+            if self.mean_rotation and sha256 is not None and answer.outcome != REFUSED:
+                self._send_rotation(one, sha256, answer)
         changed = self.table.put(row)
         self.table.save()
         for one_row in changed:
             self.tell(one_row)
+
+    def _send_rotation(self, one: Found, sha256: str, answer: RecordingAnswer) -> None:
+        rotation = mean_rotation(self._job(one, sha256), 0, answer)
+        message = None if rotation is None else encoded_rotation(rotation)
+        if message is not None and self.outbox is not None:
+            self.outbox.put(message)

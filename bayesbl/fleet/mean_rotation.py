@@ -1,0 +1,201 @@
+"""A recording reduced to its mean rotation and the noise about it, as a device sends it on request.
+
+Some 20 kB for a channel in place of a file of half a megabyte: made by
+:mod:`bayesbl.fleet.reduced_recording`, a message here, and a file where it is collected.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesbl.errors import shortened
+from bayesbl.fleet.message import (
+    LARGEST_MESSAGE_BYTES,
+    encoded,
+    require_date,
+    require_digest,
+    require_joint,
+)
+from bayesbl.recording.channels import MOTOR_CURRENT, MOTOR_SPEED, MOTOR_TORQUE, TIME
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.atomic import replacing
+
+ROTATION_MESSAGE = "mean_rotation"
+"""Kind of a message that holds a mean rotation."""
+
+FOLDER = "rotations"
+REPEATING = (MOTOR_SPEED, MOTOR_CURRENT, MOTOR_TORQUE)
+"""Channels that are the same in every rotation."""
+
+MOST_ROTATIONS, MOST_COEFFICIENTS = 1_000_000, 100
+"""Far more than ``watch`` sends."""
+
+_LITTLE_ENDIAN = np.dtype("<f4")
+_PARTS = {"joint", "date", "sha256", "rotation_s", "rotations", "channels"}
+_OF_A_CHANNEL = {"mean", "noise_sd", "noise_coefficients"}
+
+
+@dataclass(frozen=True, slots=True)
+class MeanChannel:
+    """A channel over one rotation, in its own unit.
+
+    Attributes
+    ----------
+    mean
+        Mean over the rotations, shape (n,), evenly over the rotation from the recording's start.
+    noise_sd
+        Of a single sample; that of ``mean`` is 1/√rotations of it.
+    noise_coefficients
+        φ of the autoregressive noise x_t = Σ φ_k x_{t−k} + ε_t at the recording's sampling, (p,).
+    """
+
+    mean: FloatArray
+    noise_sd: float
+    noise_coefficients: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MeanRotation:
+    """What repeats of a recording, by channel, and whose it is."""
+
+    joint: str
+    date: str
+    sha256: str
+    rotation_s: float
+    rotations: int
+    channels: Mapping[str, MeanChannel]
+
+    @property
+    def file(self) -> str:
+        """Where it is stored, below the table of recordings."""
+        return f"{FOLDER}/{self.joint}/{self.date}_{self.sha256[:12]}.parquet"
+
+
+def encoded_rotation(rotation: MeanRotation) -> bytes | None:
+    """As a message, single precision; ``None`` if it is too large to be sent."""
+    channels = {
+        name: {
+            "mean": base64.b64encode(own.mean.astype(_LITTLE_ENDIAN).tobytes()).decode(),
+            "noise_sd": own.noise_sd,
+            "noise_coefficients": own.noise_coefficients.tolist(),
+        }
+        for name, own in rotation.channels.items()
+    }
+    content = {
+        "joint": rotation.joint,
+        "date": rotation.date,
+        "sha256": rotation.sha256,
+        "rotation_s": rotation.rotation_s,
+        "rotations": rotation.rotations,
+        "channels": channels,
+    }
+    message = encoded(ROTATION_MESSAGE, content)
+    return message if len(message) <= LARGEST_MESSAGE_BYTES else None
+
+
+def decoded_rotation(given: Any) -> MeanRotation:
+    """The mean rotation that a message of this kind holds.
+
+    Raises
+    ------
+    ValueError
+        If something in it cannot be, with a reason that may be printed.
+    """
+    if not _has(given, _PARTS):
+        raise ValueError("it has other parts than a mean rotation")
+    require_joint(given["joint"])
+    require_date(given["date"])
+    require_digest(given["sha256"])
+    rotations = given["rotations"]
+    if type(rotations) is not int or not 2 <= rotations <= MOST_ROTATIONS:
+        raise ValueError("rotations is no number of rotations")
+    channels = given["channels"]
+    if not isinstance(channels, dict) or not channels or not channels.keys() <= set(REPEATING):
+        raise ValueError("it has no channels, or others than are known")
+    found = {name: _channel(name, own) for name, own in channels.items()}
+    if len({own.mean.size for own in found.values()}) > 1:
+        raise ValueError("its channels are not equally long")
+    return MeanRotation(
+        given["joint"],
+        given["date"],
+        given["sha256"],
+        _positive("rotation_s", given["rotation_s"]),
+        rotations,
+        found,
+    )
+
+
+def store_rotation(rotation: MeanRotation, output: Path) -> None:
+    """One Parquet file, durable: ``time_s`` and the channels, the noise in the file's metadata.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    size = next(iter(rotation.channels.values())).mean.size
+    columns = {TIME: rotation.rotation_s / size * np.arange(size)}
+    columns |= {name: own.mean for name, own in rotation.channels.items()}
+    noise = {
+        name: {"sd": own.noise_sd, "coefficients": own.noise_coefficients.tolist()}
+        for name, own in rotation.channels.items()
+    }
+    told = {
+        "joint": rotation.joint,
+        "date": rotation.date,
+        "sha256": rotation.sha256,
+        "rotations": str(rotation.rotations),
+        "noise": json.dumps(noise),
+    }
+    path = output / rotation.file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, durable=True) as temporary:
+        pyarrow.parquet.write_table(pyarrow.table(columns).replace_schema_metadata(told), temporary)
+
+
+def _has(content: Any, keys: set[str]) -> bool:
+    return isinstance(content, dict) and content.keys() == keys
+
+
+def _channel(name: str, given: Any) -> MeanChannel:
+    if not _has(given, _OF_A_CHANNEL) or not isinstance(given["mean"], str):
+        raise ValueError(f"{name} has other parts than a mean and its noise")
+    try:
+        mean = np.frombuffer(base64.b64decode(given["mean"], validate=True), _LITTLE_ENDIAN)
+    except (binascii.Error, ValueError):
+        raise ValueError(f"the mean of {name} is no row of numbers") from None
+    coefficients = given["noise_coefficients"]
+    if not isinstance(coefficients, list) or len(coefficients) > MOST_COEFFICIENTS:
+        raise ValueError(f"{name} has no such coefficients of its noise")
+    phi = np.array([_finite("a coefficient", value) for value in coefficients])
+    if mean.size < 2 or not np.all(np.isfinite(mean)):
+        raise ValueError(f"the mean of {name} is no row of numbers")
+    sd = _finite("noise_sd", given["noise_sd"])
+    if sd < 0.0:
+        raise ValueError(f"the noise of {name} is negative")
+    return MeanChannel(mean.astype(float), sd, phi)
+
+
+def _finite(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name} = {shortened(str(value))} is no number")
+    return float(value)
+
+
+def _positive(name: str, value: object) -> float:
+    number = _finite(name, value)
+    if not number > 0.0:
+        raise ValueError(f"{name} is not positive")
+    return number
