@@ -68,13 +68,15 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     for reason in dict.fromkeys(spot["reason"] for spot in known):
         own = [spot for spot in known if spot["reason"] == reason]
         told = _listed([f"{s['change']}, up to {_mrad(s['delta_error_rad'])}" for s in own])
-        text = f"{told} ({reason})."
-        yield Sentence(text[0].upper() + text[1:], "aside", "Could pass for wear")
+        yield Sentence(f"{_started(reason)}: {told}.", "aside", "Could pass for wear")
     others = [spot for spot in spots if spot["delta_error_rad"] is None]
     for reason in dict.fromkeys(spot["reason"] for spot in others):
         told = _listed([spot["change"] for spot in others if spot["reason"] == reason])
-        text = f"{told} ({reason})."
-        yield Sentence(text[0].upper() + text[1:], "aside", "Would pass unseen")
+        yield Sentence(f"{_started(reason)}: {told}.", "aside", "Would pass unseen")
+
+
+def _started(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _listed(told: list[str]) -> str:
