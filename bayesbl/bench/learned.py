@@ -36,13 +36,6 @@ SIDES: tuple[Side, ...] = ("motor", "load")
 VARIABLES: tuple[Variable, ...] = ("motor_angle", "load_angle", "motor_speed", "time")
 """In the order of the kernel's numbers."""
 
-UNIT_OF_VARIABLE = {
-    "motor_angle": "rad",
-    "load_angle": "rad",
-    "motor_speed": "rad/s",
-    "time": "s",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class LearnedTorque:
@@ -243,7 +236,6 @@ class EncoderError:
 
 LearnedTerm = LearnedTorque | EncoderError
 LEARNED_TERMS: tuple[type[LearnedTerm], ...] = (LearnedTorque, EncoderError)
-SHIFTS = frozenset(kind.shift_slot for kind in LEARNED_TERMS)
 
 
 def variable_of(variable: Variable, motion: RigidMotion, gear_ratio: float) -> FloatArray:

@@ -169,7 +169,7 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
             {**model.settings, **shared},
             model.recent,
         )
-        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own], 0)]
+        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own])]
         best = min(fits, key=lambda fit: fit.chi_square)
         for start in settled:
             start[own] = best.point

@@ -126,7 +126,7 @@ def start_angles(
     return tried[:, place], _rough_chi_square(model, tried, recording)
 
 
-def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) -> list[FloatArray]:
+def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray]:
     """Points to fit a motion alone from, best first: its gap and its start angle by scan.
 
     The angle is refined with the gap free over its whole range, for gravity moves the current by
@@ -135,12 +135,14 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
 
     Parameters
     ----------
+    model
+        Of this one recording.
     start
         Shape (d,): where everything else stands.
     """
-    name = model.recordings[recording].name
+    name = model.recordings[0].name
     gap = next(k for k, u in enumerate(model.unknowns) if (u.name, u.recording) == (GAP, name))
-    place = _angle_place(model, recording)
+    place = _angle_place(model, 0)
 
     def scanned(gaps: int, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         grid = np.linspace(model.low[gap], model.high[gap], gaps)
@@ -148,7 +150,7 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
         tried[:, gap] = np.tile(grid, angles.size)
         if place is not None:
             tried[:, place] = np.repeat(angles, gaps)
-        cost = _rough_chi_square(model, tried, recording)
+        cost = _rough_chi_square(model, tried, 0)
         return tried.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
 
     likely = [np.zeros(1)] if place is None else _likely_angles(scanned)
@@ -169,7 +171,7 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
         about[..., place] = step[place] * ABOUT
         for own in starts:
             points = np.clip(own + about, model.low, model.high)
-            cost = _rough_chi_square(model, points.reshape(-1, start.size), recording)
+            cost = _rough_chi_square(model, points.reshape(-1, start.size), 0)
             costs = cost.reshape(about.shape[:2])
             found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
         step[gap] /= 2.0

@@ -55,8 +55,6 @@ class Learned:
         Fitted, with standard deviations.
     alike
         Other variables or sides that the recordings do not tell from it.
-    predicted_gain
-        χ² by which it predicts recordings that it was not fitted on.
     gap_share
         Share of the information on ln δ that it leaves; 1 where the gap is known.
     reaches_ringing
@@ -67,7 +65,6 @@ class Learned:
     explanation: Explanation
     term: LearnedTerm
     alike: tuple[LearnedTerm, ...]
-    predicted_gain: float
     gap_share: float
     reaches_ringing: bool
 
@@ -106,7 +103,7 @@ def learned_term(
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
             term = _learned(fit, _kind_of(trial.hypothesis))
             reaches = _reaches(fit.model, term)
-            return Learned(explanation, term, others, trial.gain, gap_share(fit, term), reaches)
+            return Learned(explanation, term, others, gap_share(fit, term), reaches)
     return None
 
 
