@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from bayesbl.bench.kernel import CURRENT, SPEED, TWIST, Slot
+from bayesbl.bench.kernel import TWIST, Slot
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import FAST_S, Observed, begin_of
@@ -86,15 +86,14 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     """
     model, seen = fit.model, fit.model.recordings[index]
     assert seen.motion is not None
-    row = model.bench.vector(**model.settings_of(fit.point[None], seen))
+    row = model.vectors(fit.point[None], seen)
     size = seen.samples, seen.sampling_hz
     twist = np.abs(simulate_motions(row, seen.motion, *size, states=True)[0, TWIST])
     pressed = twist - row[0, Slot.gap_rad] - row[0, Slot.backlash__gap_rad]
     if pressed[0] > LOADED_SHARE * pressed.max():
         return np.zeros(seen.samples)
-    channels = [SPEED, CURRENT][: len(seen.signals)]
     forward, backward = (
-        simulate_motions(row, seen.motion, *size, start_flank=side)[0, channels]
+        simulate_motions(row, seen.motion, *size, start_flank=side)[0, seen.rows]
         for side in (1.0, -1.0)
     )
     apart = np.sum(((forward - backward) / model.noise[index].sd[:, None]) ** 2, axis=0)
@@ -223,10 +222,7 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
     scanned = begin_of(seen) + max(seen.cycle or 0, round(SCANNED_S * seen.sampling_hz))
     compared = np.ones(seen.samples) if seen.excluded is None else 1.0 - seen.excluded
     compared, signals = compared[:scanned], seen.signals[:, :scanned]
-    matrix = model.bench.vector(**model.settings_of(points, seen))
-    if len(matrix) < len(points):
-        matrix = np.repeat(matrix, len(points), axis=0)
-    matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
+    matrix = model.bench.measurement.seen_by(model.vectors(points, seen), seen.sampling_hz)
     cost = np.empty(len(points))
     for begin in range(0, len(points), AT_ONCE):
         rows = slice(begin, begin + AT_ONCE)
@@ -237,7 +233,7 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
             seen.sampling_hz,
             workers=model.workers,
             failures="nan",
-        )[:, [SPEED, CURRENT][: len(seen.signals)]]
+        )[:, seen.rows]
         left = (signals - simulated) ** 2
         cost[rows] = np.einsum("c,mcn,n->m", model.noise[recording].sd ** -2.0, left, compared)
     cost *= seen.samples / compared.size
@@ -265,7 +261,7 @@ def flank_changes(fit: SimulatedFit, recording: int) -> list[FlankChange]:
     """Every change of flank in the part of a motion that is compared, at the fit's optimum."""
     model, seen = fit.model, fit.model.recordings[recording]
     assert seen.motion is not None
-    row = model.bench.vector(**model.settings_of(fit.point[None], seen))
+    row = model.vectors(fit.point[None], seen)
     twist = simulate_motions(row, seen.motion, seen.samples, seen.sampling_hz, states=True)[
         0, TWIST
     ]

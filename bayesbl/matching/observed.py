@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import SIGN_WIDTH_SHARE
+from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
@@ -110,6 +110,11 @@ class Observed:
     def channels(self) -> tuple[str, ...]:
         """Names of the rows of ``signals``."""
         return ("motor_speed_rpm", "motor_current_a")[: len(self.signals)]
+
+    @property
+    def rows(self) -> list[int]:
+        """Of the simulator's channels, those that ``signals`` are of."""
+        return [SPEED, CURRENT][: len(self.signals)]
 
     @property
     def lag(self) -> int:

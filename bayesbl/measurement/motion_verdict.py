@@ -66,7 +66,7 @@ def largest_pull(fit: SimulatedFit, index: int) -> float:
     easiest in this motion: N |m g l sin(θ + φ_g)| / J_l at its smallest."""
     model, seen = fit.model, fit.model.recordings[index]
     assert seen.motion is not None
-    row = model.bench.vector(**model.settings_of(fit.point[None], seen))[0]
+    row = model.vectors(fit.point[None], seen)[0]
     time = np.arange(seen.samples) / seen.sampling_hz
     angle = row[Slot.start_angle_rad] + seen.motion.position_rad(time) / row[Slot.gear_ratio]
     pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
