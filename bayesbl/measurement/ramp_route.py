@@ -7,7 +7,7 @@ on either flank. See ``docs/design.md``, "Torque ramps".
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.measurement.held_compliance import held_alike
-from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
 from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
 from bayesbl.measurement.ramp_summary import summarise_ramps
 from bayesbl.measurement.ramp_words import against, notes_on
@@ -45,7 +45,7 @@ FILE_STARTS = "file_starts"
 """Entry of a recording's metadata: the first sample of each of its files."""
 
 
-class RampMeasurer:
+class RampMeasurer(Measurer):
     """The route of torque ramps."""
 
     def __init__(self, config: SnapshotConfig) -> None:
@@ -61,10 +61,6 @@ class RampMeasurer:
         ratio = self.config.joint.gear_ratio
         given = "1, of the output (no gear_ratio)" if ratio is None else f"{ratio:g}"
         yield "gear ratio", lambda: given
-
-    def notes(self) -> Iterator[str]:
-        """Nothing that only a run can find out."""
-        return iter(())
 
     def read(self, entry: SnapshotRecording) -> Recording:
         """All files of the snapshot one after another, position and torque as in the files."""
@@ -103,14 +99,10 @@ class RampMeasurer:
             "the joint on one flank and on the other",
         )
 
-    def doubts(self, recording: Recording) -> Iterator[str]:
+    def doubts(self, recording: Recording) -> Iterable[str]:
         """Why δ will be withheld."""
         why = against(self._flanks(recording))
-        return iter(()) if why is None else iter((why,))
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Snapshots may be of any ramps."""
-        return None
+        return () if why is None else (why,)
 
     def measure(self, task: Task) -> Measurement:
         """The play of all snapshots together."""
