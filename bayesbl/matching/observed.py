@@ -56,6 +56,9 @@ SURE_SLOPE, LEAST_SLOPE = 4.0, 0.02
 """Standard errors, and share of the controller's gain, by which a current that rises with the speed
 has the other sign: noise that the loop does not see makes the slope small, never of another sign.
 """
+ROUNDING = 0.02
+"""Of a rotation that a recording may lack of two: its own rounding, and the few samples that
+whitening takes."""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -196,11 +199,11 @@ def observed(
         return _motion(recording, bench, period)
     reference = reference_speed(recording, bench, reference_speed_rpm)
     rotation = bench.rotation_period_s(reference)
-    if speed.size * period < 1.9 * rotation:
+    if speed.size * period < (2.0 - ROUNDING) * rotation:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
             file=recording.name,
-            found=f"{speed.size * period / rotation:.2g} load rotations",
+            found=f"{speed.size * period / rotation:.3g} load rotations",
             expected="at least two",
         )
     _require_current_sign(recording, bench)
