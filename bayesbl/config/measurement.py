@@ -246,6 +246,10 @@ class SnapshotConfig(RecordedConfig):
             )
         return differently_named(recordings)
 
+    def entry_of(self, recording: str) -> SnapshotRecording:
+        """The entry of this name."""
+        return next(entry for entry in self.recordings if entry.name == recording)
+
     @field_validator("posterior")
     @classmethod
     def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:

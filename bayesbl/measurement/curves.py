@@ -238,7 +238,7 @@ class BenchCurves(CurveSource):
         return [made[need] for need in needs]
 
     def _need(self, recording: Recording) -> _Need:
-        entry = next(e for e in self.config.recordings if e.name == recording.name)
+        entry = self.config.entry_of(recording.name)
         speed = reference_speed(recording, self.bench, entry.reference_speed_rpm)
         turns = recording.duration_s / self.bench.rotation_period_s(speed)
         rotations = min(max(int(turns), 2), MOST_ROTATIONS)

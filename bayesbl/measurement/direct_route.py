@@ -52,7 +52,7 @@ from bayesbl.measurement.model_check import (
     undecided_gap,
 )
 from bayesbl.measurement.motion_verdict import motion_notes, unknown_start, unseen_gap
-from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.probabilities import normal_isf
@@ -147,7 +147,7 @@ class DirectMeasurer(Measurer):
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
             drifts_of(self.config, self.bench),
-            estimator_of(self.config).sampler,
+            sampler_of(self.config),
             task.seeds.direct,
         )
         found = task.work.get(
@@ -195,7 +195,7 @@ class DirectMeasurer(Measurer):
     def _counted_twice(self, recording: Recording) -> Iterator[str]:
         """A note where the bench was identified from this very recording."""
         joint = self.bench.identified
-        entry = next(e for e in self.config.recordings if e.name == recording.name)
+        entry = self.config.entry_of(recording.name)
         if joint is not None and file_sha256(entry.file) in joint.sources:
             yield (
                 f"The bench was identified from {entry.name} too, so this recording counts twice "
@@ -206,7 +206,7 @@ class DirectMeasurer(Measurer):
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
     """A recording as the simulator is compared with it, with what the config knows of it."""
     require_alive(recording, (MOTOR_CURRENT,))
-    entry = next(e for e in config.recordings if e.name == recording.name)
+    entry = config.entry_of(recording.name)
     known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
     seen = observed(recording, bench, entry.reference_speed_rpm)
     return replace(seen, known={**seen.known, **known})

@@ -19,7 +19,7 @@ from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapsh
 from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
 from bayesbl.measurement.ramp_summary import summarise_ramps
 from bayesbl.measurement.ramp_words import against, notes_on
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
@@ -36,7 +36,6 @@ from bayesbl.recording.types import (
     Recording,
     Source,
 )
-from bayesbl.sampling.chains import SamplerSettings
 
 LOST_MOTION_SHARE = 0.03
 """Of the rated torque: where makers of reducers state lost motion."""
@@ -116,15 +115,12 @@ class RampMeasurer(Measurer):
             for r, found in zip(task.recordings, flanks, strict=True)
             if found.level is not None
         ]
-        settings = SamplerSettings(
-            self.config.posterior.ensembles,
-            self.config.posterior.max_steps,
-            self.config.interval.level,
-        )
         report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, *seeds = task.seeds.direct.spawn(1 + len(files))
         elsewhere = _elsewhere(flanks)
-        play = sample_play(widths, settings, play_seed, report, round_the_turn=elsewhere)
+        play = sample_play(
+            widths, sampler_of(self.config), play_seed, report, round_the_turn=elsewhere
+        )
         answers = [
             self._answer(*each, play) for each in zip(task.names, files, flanks, seeds, strict=True)
         ]
