@@ -36,13 +36,6 @@ SIDES: tuple[Side, ...] = ("motor", "load")
 VARIABLES: tuple[Variable, ...] = ("motor_angle", "load_angle", "motor_speed", "time")
 """In the order of the kernel's numbers."""
 
-UNIT_OF_VARIABLE = {
-    "motor_angle": "rad",
-    "load_angle": "rad",
-    "motor_speed": "rad/s",
-    "time": "s",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class LearnedTorque:
@@ -243,7 +236,6 @@ class EncoderError:
 
 LearnedTerm = LearnedTorque | EncoderError
 LEARNED_TERMS: tuple[type[LearnedTerm], ...] = (LearnedTorque, EncoderError)
-SHIFTS = frozenset(kind.shift_slot for kind in LEARNED_TERMS)
 
 
 def variable_of(variable: Variable, motion: RigidMotion, gear_ratio: float) -> FloatArray:
@@ -267,11 +259,17 @@ def _by_name(
     return tuple(given.get(name, value) for name, value in zip(names, known, strict=True))
 
 
+def waves_over(x: FloatArray, period: float, orders: int) -> tuple[FloatArray, FloatArray]:
+    """Cosines and sines of the orders 1, 2, … at these values, each shape (…, orders)."""
+    phase = 2.0 * math.pi * np.multiply.outer(x, np.arange(1, 1 + orders)) / period
+    return np.cos(phase), np.sin(phase)
+
+
 def _series(
     x: FloatArray, period: float, cosine: Sequence[float], sine: Sequence[float]
 ) -> FloatArray:
-    phase = 2.0 * math.pi * np.multiply.outer(x, np.arange(1, 1 + len(cosine))) / period
-    return np.asarray(np.cos(phase) @ np.array(cosine) + np.sin(phase) @ np.array(sine))
+    cosines, sines = waves_over(x, period, len(cosine))
+    return np.asarray(cosines @ np.array(cosine) + sines @ np.array(sine))
 
 
 def _check_series(learned: LearnedTerm, cosine: Sequence[float], sine: Sequence[float]) -> None:

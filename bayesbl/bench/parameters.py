@@ -240,20 +240,6 @@ def _check_effects(matrix: FloatArray) -> None:
         _refuse_where(wrong, matrix, scale, "a number above zero")
 
 
-def cannot_be_negative(name: str) -> bool:
-    """Whether :func:`check_parameters` refuses values of a slot below zero."""
-    if name not in Slot.__members__:
-        return False
-    slot, info = Slot[name], PARAMETER_INFO.get(name)
-    return (
-        slot in _NOT_NEGATIVE
-        or slot in _SHARES
-        or slot == Slot.gap_rad
-        or any(slot == scale for scale, _ in _SCALES)
-        or (info is not None and not info.signed)
-    )
-
-
 def is_share(name: str) -> bool:
     """Whether :func:`check_parameters` refuses values of a slot beyond one."""
     return name in Slot.__members__ and Slot[name] in _SHARES

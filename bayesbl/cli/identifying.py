@@ -29,6 +29,14 @@ BelievedBench = Annotated[
     ),
 ]
 
+Inputs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="CONFIG | RECORDING …",
+        help="A configuration, or recordings: best in both directions and at two speeds.",
+    ),
+]
+
 Effects = Annotated[
     str | None,
     typer.Option(
@@ -40,13 +48,7 @@ Effects = Annotated[
 
 
 def identify_command(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="CONFIG | RECORDING …",
-            help="A configuration, or recordings: best in both directions and at two speeds.",
-        ),
-    ],
+    inputs: Inputs,
     bench: DataSheet = None,
     effects: Effects = None,
     dates: options.Dates = None,
@@ -76,13 +78,7 @@ def identify_command(
 
 
 def diagnose_command(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="CONFIG | RECORDING …",
-            help="A configuration, or recordings: best in both directions and at two speeds.",
-        ),
-    ],
+    inputs: Inputs,
     bench: BelievedBench = None,
     config: options.BaseConfig = None,
     out: options.Out = None,

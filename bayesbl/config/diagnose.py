@@ -9,14 +9,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from bayesbl.config.fields import (
     BenchSource,
     ChannelName,
+    GapBounds,
     Positive,
-    Range,
     Section,
     as_tuple,
     refuse,
-    require_different,
 )
-from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording
+from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording, differently_named
 from bayesbl.recording.channels import did_you_mean
 
 Method = Literal["forward", "inverse", "free_motion"]
@@ -86,7 +85,7 @@ class Compared(Section):
 class Unknowns(Section):
     """``[unknowns]``: what is fitted in any case."""
 
-    gap_rad: Range | None = None
+    gap_rad: GapBounds | None = None
     bench_parameters: Annotated[
         tuple[Annotated[str, AfterValidator(bench_parameter)], ...], BeforeValidator(as_tuple)
     ] = ()
@@ -116,18 +115,11 @@ class DiagnoseConfig(RecordedConfig):
     bench: BenchSource
     comparison: Compared = Field(default_factory=Compared)
     unknowns: Unknowns = Field(default_factory=Unknowns)
-    recordings: Annotated[tuple[DiagnosedRecording, ...], BeforeValidator(as_tuple)]
+    recordings: Annotated[
+        tuple[DiagnosedRecording, ...], BeforeValidator(as_tuple), AfterValidator(differently_named)
+    ]
     candidates: Candidates = Field(default_factory=Candidates)
     interval: Interval = Field(default_factory=Interval)
-
-    @field_validator("recordings")
-    @classmethod
-    def _different_names(
-        cls, recordings: tuple[DiagnosedRecording, ...]
-    ) -> tuple[DiagnosedRecording, ...]:
-        names = [recording.name for recording in recordings]
-        require_different(names, "Two recordings have the same name.")
-        return recordings
 
     @model_validator(mode="after")
     def _something_held_out(self) -> Self:

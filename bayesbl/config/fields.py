@@ -106,6 +106,12 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
+def _positive(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] <= 0.0:
+        refuse("A gap must be positive.", found=bounds[0], expected="greater than 0")
+    return bounds
+
+
 def _symbol(name: str) -> str:
     if name not in SYMBOLS:
         refuse(
@@ -165,6 +171,7 @@ ResultFile = Annotated[Path, BeforeValidator(_result_file)]
 BenchSource = ResultFile
 """A bench file, or the result of an identification: its folder or ``result.nc``."""
 Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
+GapBounds = Annotated[Range, AfterValidator(_positive)]
 SymbolName = Annotated[str, AfterValidator(_symbol)]
 ChannelName = Annotated[str, AfterValidator(_channel)]
 Name = Annotated[str, AfterValidator(_name)]

@@ -9,8 +9,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from bayesbl.config.fields import (
+    GapBounds,
     InputPath,
-    Range,
     Section,
     as_tuple,
     refuse,
@@ -98,7 +98,7 @@ class FleetEstimator(Section):
     """
 
     route: Literal["auto", "amplitude", "direct"] = "auto"
-    gap_rad: Range = (1e-4, 1e-2)
+    gap_rad: GapBounds = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
     noise: Noise = Field(default_factory=Noise)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from bayesbl.config.diagnose import bench_parameter, effect_names
-from bayesbl.config.fields import InputPath, Range, Section, as_tuple, refuse, require_different
-from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording
+from bayesbl.config.fields import GapBounds, InputPath, Section, as_tuple, refuse
+from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording, differently_named
 
 
 class IdentifiedRecording(SnapshotRecording):
@@ -46,14 +46,7 @@ class Identify(Section):
         "toleranced"
     )
     effects: Annotated[Literal["catalogue"] | tuple[str, ...], BeforeValidator(_effects)] = ()
-    gap_rad: Range = (1e-4, 1e-2)
-
-    @field_validator("gap_rad")
-    @classmethod
-    def _positive_gaps(cls, gap_rad: tuple[float, float]) -> tuple[float, float]:
-        if gap_rad[0] <= 0.0:
-            refuse("A gap must be positive.", found=gap_rad[0], expected="greater than 0")
-        return gap_rad
+    gap_rad: GapBounds = (1e-4, 1e-2)
 
 
 class IdentifyConfig(RecordedConfig):
@@ -65,22 +58,17 @@ class IdentifyConfig(RecordedConfig):
     kind: Literal["identify"]
     bench: InputPath
     identify: Identify = Field(default_factory=Identify)
-    recordings: Annotated[tuple[IdentifiedRecording, ...], BeforeValidator(as_tuple)]
+    recordings: Annotated[
+        tuple[IdentifiedRecording, ...],
+        BeforeValidator(as_tuple),
+        AfterValidator(differently_named),
+    ]
     interval: Interval = Field(default_factory=Interval)
 
     @property
     def shares_gap(self) -> bool:
         """Whether all recordings are of one date, or of none."""
         return len({entry.date for entry in self.recordings}) == 1
-
-    @field_validator("recordings")
-    @classmethod
-    def _different_names(
-        cls, recordings: tuple[IdentifiedRecording, ...]
-    ) -> tuple[IdentifiedRecording, ...]:
-        names = [recording.name for recording in recordings]
-        require_different(names, "Two recordings have the same name.")
-        return recordings
 
     @model_validator(mode="after")
     def _something_to_fit(self) -> Self:

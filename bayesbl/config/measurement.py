@@ -11,15 +11,20 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 from bayesbl.config.fields import (
     BenchSource,
     CurveSource,
+    GapBounds,
     Positive,
-    Range,
     ResultFile,
     Section,
     as_tuple,
     refuse,
-    require_different,
 )
-from bayesbl.config.sections import Interval, Model, RecordedConfig, SnapshotRecording
+from bayesbl.config.sections import (
+    Interval,
+    Model,
+    RecordedConfig,
+    SnapshotRecording,
+    differently_named,
+)
 
 LARGEST_LIMIT_RAD = 0.05
 """Nearly 3°: more than any joint whose gap can be measured by its ringing."""
@@ -138,7 +143,7 @@ class Estimator(Section):
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp"] = "amplitude"
     bench: BenchSource | None = None
-    gap_rad: Range = (1e-4, 1e-2)
+    gap_rad: GapBounds = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)
     noise: Noise = Field(default_factory=Noise)
@@ -149,13 +154,6 @@ class Estimator(Section):
         if isinstance(value, dict) and "bench" in value:
             return {"route": "auto", **value}
         return value
-
-    @field_validator("gap_rad")
-    @classmethod
-    def _positive_gaps(cls, gap_rad: tuple[float, float]) -> tuple[float, float]:
-        if gap_rad[0] <= 0.0:
-            refuse("A gap must be positive.", found=gap_rad[0], expected="greater than 0")
-        return gap_rad
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -246,9 +244,11 @@ class SnapshotConfig(RecordedConfig):
                 found=f"{count} recording{'' if count == 1 else 's'}",
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
-        names = [recording.name for recording in recordings]
-        require_different(names, "Two recordings have the same name.")
-        return recordings
+        return differently_named(recordings)
+
+    def entry_of(self, recording: str) -> SnapshotRecording:
+        """The entry of this name."""
+        return next(entry for entry in self.recordings if entry.name == recording)
 
     @field_validator("posterior")
     @classmethod

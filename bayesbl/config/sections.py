@@ -12,7 +12,7 @@ import os
 import re
 from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -154,6 +154,16 @@ class SnapshotRecording(Section):
     def every_file(self) -> tuple[Path, ...]:
         """All files of the snapshot."""
         return self.files or (self.file,)
+
+
+R = TypeVar("R", bound=SnapshotRecording)
+
+
+def differently_named(recordings: tuple[R, ...]) -> tuple[R, ...]:
+    """Refuse recordings of which two have the same name."""
+    names = [recording.name for recording in recordings]
+    require_different(names, "Two recordings have the same name.")
+    return recordings
 
 
 class RecordedConfig(RunConfig):

@@ -20,6 +20,9 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.naming.naming import RankedCandidate
 from bayesbl.recording.types import FloatArray
 
+CURVE_POINTS = 181
+"""Of a :class:`LearnedCurve`: one for every two degrees of a turn."""
+
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 
 

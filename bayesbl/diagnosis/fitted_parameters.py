@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 from bayesbl.bench.bench import Bench
@@ -10,6 +11,7 @@ from bayesbl.diagnosis.comparison import EffectsFit
 from bayesbl.diagnosis.diagnosis import Estimate, ParameterError
 
 SURE_PARAMETER = 3.0
+"""Standard deviations beyond which a value is told: three in a thousand by chance."""
 
 
 def impossible(fit: EffectsFit, sds: Mapping[str, float]) -> Iterator[str]:
@@ -28,10 +30,12 @@ def impossible(fit: EffectsFit, sds: Mapping[str, float]) -> Iterator[str]:
 
 
 def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> tuple[ParameterError, ...]:
+    """Those that lie beyond their tolerance by more than their standard deviations explain."""
     found = []
     for name, fitted in estimates.items():
         believed = bench.parameters[name]
-        beyond = abs(fitted.value - believed.value) - believed.tolerance
-        if beyond > SURE_PARAMETER * fitted.sd:
+        value = math.exp(fitted.value) if fitted.logarithmic else fitted.value
+        sd = value * fitted.sd if fitted.logarithmic else fitted.sd
+        if abs(value - believed.value) - believed.tolerance > SURE_PARAMETER * sd:
             found.append(ParameterError(name, believed.value, believed.tolerance, fitted))
     return tuple(found)

@@ -54,6 +54,9 @@ JUMP_SPREAD = (2.0, 4.0)
 """Range of t: joints share the order of magnitude of their jumps, or, at 4, no more than the prior
 of a lone joint says."""
 
+FALSE_CALLS = 0.05
+"""Of the joints that are called over their limit."""
+
 OWN_RATE = 3.0
 """Scale of the rates of joints that wear in their own way, over the type's median."""
 
@@ -211,16 +214,16 @@ def pooled(
     )
 
 
-def alarms(probability: Sequence[float | None], rate: float = 0.05) -> list[bool]:
-    """Which joints to call over their limit so that of those called at most ``rate`` are not.
+def alarms(probability: Sequence[float | None]) -> list[bool]:
+    """Which joints to call over their limit so that of those called at most 5 % are not.
 
-    The largest set whose mean probability of a false call stays below the rate (Müller, Parmigiani
-    and Rice 2007); a joint without a probability is not called.
+    The largest set whose mean probability of a false call stays below that (Müller, Parmigiani and
+    Rice 2007); a joint without a probability is not called.
     """
     false = np.array([1.0 if p is None else 1.0 - p for p in probability])
     order = np.argsort(false, kind="stable")
     mean = np.cumsum(false[order]) / np.arange(1, false.size + 1)
-    count = int(np.flatnonzero(mean <= rate)[-1]) + 1 if np.any(mean <= rate) else 0
+    count = int(np.flatnonzero(mean <= FALSE_CALLS)[-1]) + 1 if np.any(mean <= FALSE_CALLS) else 0
     called = np.zeros(false.size, dtype=bool)
     called[order[:count]] = True
     return [bool(one) and false[n] < 0.5 for n, one in enumerate(called)]

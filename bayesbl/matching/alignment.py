@@ -101,7 +101,7 @@ def aligned_starts(
         Other unknowns start at their prior's centre, or the middle of their range.
     """
     names = [(u.name, u.recording) for u in model.unknowns]
-    start = np.array([_middle(u) for u in model.unknowns])
+    start = np.array([u.middle for u in model.unknowns])
     starts = np.repeat(start[None], STARTS_FITTED, axis=0)
     by_gap: dict[int | None, list[int]] = {}
     for i, seen in enumerate(model.recordings):
@@ -169,7 +169,7 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
             {**model.settings, **shared},
             model.recent,
         )
-        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own], 0)]
+        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own])]
         best = min(fits, key=lambda fit: fit.chi_square)
         for start in settled:
             start[own] = best.point
@@ -212,14 +212,6 @@ def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:
     return any(abs(int(i) - int(j)) > 1 for i, j in zip(a, b, strict=True))
 
 
-def _middle(unknown: Unknown) -> float:
-    if math.isfinite(unknown.sd):
-        return unknown.centre
-    if math.isfinite(unknown.low) and math.isfinite(unknown.high):
-        return 0.5 * (unknown.low + unknown.high)
-    return 0.0
-
-
 def _aligned(
     model: SimulatedSignals, points: FloatArray, members: Sequence[int]
 ) -> list[tuple[FloatArray, FloatArray]]:
@@ -242,9 +234,7 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     seen = model.recordings[recording]
     folded = _folded(seen)
     weight = 1.0 / model.noise[recording].sd ** 2
-    matrix = model.bench.vector(**(model.settings_of(points, seen) | {START_ANGLE: 0.0}))
-    if len(matrix) < len(points):
-        matrix = np.repeat(matrix, len(points), axis=0)
+    matrix = model.vectors(points, seen, **{START_ANGLE: 0.0})
     matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
     # Points often differ only in the unknowns of other recordings, and candidates only in whose.
     matrix, place = np.unique(matrix, axis=0, return_inverse=True)

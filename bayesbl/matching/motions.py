@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from bayesbl.bench.kernel import CURRENT, SPEED, TWIST, Slot
+from bayesbl.bench.kernel import TWIST, Slot
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import FAST_S, Observed, begin_of
@@ -86,15 +86,14 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     """
     model, seen = fit.model, fit.model.recordings[index]
     assert seen.motion is not None
-    row = model.bench.vector(**model.settings_of(fit.point[None], seen))
+    row = model.vectors(fit.point[None], seen)
     size = seen.samples, seen.sampling_hz
     twist = np.abs(simulate_motions(row, seen.motion, *size, states=True)[0, TWIST])
     pressed = twist - row[0, Slot.gap_rad] - row[0, Slot.backlash__gap_rad]
     if pressed[0] > LOADED_SHARE * pressed.max():
         return np.zeros(seen.samples)
-    channels = [SPEED, CURRENT][: len(seen.signals)]
     forward, backward = (
-        simulate_motions(row, seen.motion, *size, start_flank=side)[0, channels]
+        simulate_motions(row, seen.motion, *size, start_flank=side)[0, seen.rows]
         for side in (1.0, -1.0)
     )
     apart = np.sum(((forward - backward) / model.noise[index].sd[:, None]) ** 2, axis=0)
@@ -126,7 +125,7 @@ def start_angles(
     return tried[:, place], _rough_chi_square(model, tried, recording)
 
 
-def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) -> list[FloatArray]:
+def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray]:
     """Points to fit a motion alone from, best first: its gap and its start angle by scan.
 
     The angle is refined with the gap free over its whole range, for gravity moves the current by
@@ -135,12 +134,14 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
 
     Parameters
     ----------
+    model
+        Of this one recording.
     start
         Shape (d,): where everything else stands.
     """
-    name = model.recordings[recording].name
+    name = model.recordings[0].name
     gap = next(k for k, u in enumerate(model.unknowns) if (u.name, u.recording) == (GAP, name))
-    place = _angle_place(model, recording)
+    place = _angle_place(model, 0)
 
     def scanned(gaps: int, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         grid = np.linspace(model.low[gap], model.high[gap], gaps)
@@ -148,7 +149,7 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
         tried[:, gap] = np.tile(grid, angles.size)
         if place is not None:
             tried[:, place] = np.repeat(angles, gaps)
-        cost = _rough_chi_square(model, tried, recording)
+        cost = _rough_chi_square(model, tried, 0)
         return tried.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
 
     likely = [np.zeros(1)] if place is None else _likely_angles(scanned)
@@ -169,7 +170,7 @@ def motion_starts(model: SimulatedSignals, start: FloatArray, recording: int) ->
         about[..., place] = step[place] * ABOUT
         for own in starts:
             points = np.clip(own + about, model.low, model.high)
-            cost = _rough_chi_square(model, points.reshape(-1, start.size), recording)
+            cost = _rough_chi_square(model, points.reshape(-1, start.size), 0)
             costs = cost.reshape(about.shape[:2])
             found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
         step[gap] /= 2.0
@@ -221,10 +222,7 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
     scanned = begin_of(seen) + max(seen.cycle or 0, round(SCANNED_S * seen.sampling_hz))
     compared = np.ones(seen.samples) if seen.excluded is None else 1.0 - seen.excluded
     compared, signals = compared[:scanned], seen.signals[:, :scanned]
-    matrix = model.bench.vector(**model.settings_of(points, seen))
-    if len(matrix) < len(points):
-        matrix = np.repeat(matrix, len(points), axis=0)
-    matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
+    matrix = model.bench.measurement.seen_by(model.vectors(points, seen), seen.sampling_hz)
     cost = np.empty(len(points))
     for begin in range(0, len(points), AT_ONCE):
         rows = slice(begin, begin + AT_ONCE)
@@ -235,7 +233,7 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
             seen.sampling_hz,
             workers=model.workers,
             failures="nan",
-        )[:, [SPEED, CURRENT][: len(seen.signals)]]
+        )[:, seen.rows]
         left = (signals - simulated) ** 2
         cost[rows] = np.einsum("c,mcn,n->m", model.noise[recording].sd ** -2.0, left, compared)
     cost *= seen.samples / compared.size
@@ -263,7 +261,7 @@ def flank_changes(fit: SimulatedFit, recording: int) -> list[FlankChange]:
     """Every change of flank in the part of a motion that is compared, at the fit's optimum."""
     model, seen = fit.model, fit.model.recordings[recording]
     assert seen.motion is not None
-    row = model.bench.vector(**model.settings_of(fit.point[None], seen))
+    row = model.vectors(fit.point[None], seen)
     twist = simulate_motions(row, seen.motion, seen.samples, seen.sampling_hz, states=True)[
         0, TWIST
     ]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import SIGN_WIDTH_SHARE
+from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
@@ -56,6 +56,9 @@ SURE_SLOPE, LEAST_SLOPE = 4.0, 0.02
 """Standard errors, and share of the controller's gain, by which a current that rises with the speed
 has the other sign: noise that the loop does not see makes the slope small, never of another sign.
 """
+ROUNDING = 0.02
+"""Of a rotation that a recording may lack of two: its own rounding, and the few samples that
+whitening takes."""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -110,6 +113,11 @@ class Observed:
     def channels(self) -> tuple[str, ...]:
         """Names of the rows of ``signals``."""
         return ("motor_speed_rpm", "motor_current_a")[: len(self.signals)]
+
+    @property
+    def rows(self) -> list[int]:
+        """Of the simulator's channels, those that ``signals`` are of."""
+        return [SPEED, CURRENT][: len(self.signals)]
 
     @property
     def lag(self) -> int:
@@ -191,11 +199,11 @@ def observed(
         return _motion(recording, bench, period)
     reference = reference_speed(recording, bench, reference_speed_rpm)
     rotation = bench.rotation_period_s(reference)
-    if speed.size * period < 1.9 * rotation:
+    if speed.size * period < (2.0 - ROUNDING) * rotation:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
             file=recording.name,
-            found=f"{speed.size * period / rotation:.2g} load rotations",
+            found=f"{speed.size * period / rotation:.3g} load rotations",
             expected="at least two",
         )
     _require_current_sign(recording, bench)

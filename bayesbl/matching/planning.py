@@ -235,10 +235,7 @@ def _told(
         *effect_unknowns(bench, [NAME]),
         *tolerance_unknowns(bench),
     ]
-    point = np.array([u.centre for u in unknowns])
-    for i, unknown in enumerate(unknowns):
-        if math.isfinite(unknown.high - unknown.low) and not math.isfinite(unknown.sd):
-            point[i] = 0.5 * (unknown.low + unknown.high)
+    point = np.array([u.middle for u in unknowns])
     point[:2] = math.log(gap_rad), start_angle_rad
     model = SimulatedSignals(bench, [seen], unknowns, [noise_of_bench(bench)], workers)
     fit = fit_at(model, point)

@@ -23,8 +23,6 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings, Walk, thinned, walk
 from bayesbl.sampling.convergence import (
     Diagnostics,
-    judge,
-    rank_r_hat_and_ess,
 )
 from bayesbl.sampling.edges import chance_at_edge
 from bayesbl.sampling.ensemble import Ensembles, walkers_needed
@@ -318,17 +316,7 @@ def _judge(
     model: SimulatedSignals, walked: Walk, draws: FloatArray, effective: float, failed: float
 ) -> Diagnostics:
     """The usual checks of sampling, and those special to this route, which withhold the answer."""
-    r_hat, ess = rank_r_hat_and_ess({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
-    found = judge(
-        r_hat,
-        ess,
-        walked.autocorrelation_steps,
-        walked.steps,
-        walked.acceptance,
-        walked.stable,
-        math.inf,
-        {},
-    )
+    found = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
     failures = [*_at_bound(model, draws)]
     if effective < FEWEST_EFFECTIVE:
         failures.append(

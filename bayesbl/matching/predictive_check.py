@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import begin_of
+from bayesbl.matching.observed import ROUNDING, Observed, begin_of
 from bayesbl.matching.signals import START_ANGLE
 from bayesbl.probabilities import chi2_sf, f_sf
 from bayesbl.recording.types import FloatArray
@@ -32,10 +32,6 @@ IMPACTS_DIFFER = (
     "moves or the speed varies. Simulated rotations are all alike, so δ cannot be read by them. "
     "Record again with all other axes at rest, at constant speed."
 )
-
-ROUNDING = 0.02
-"""Of a rotation that a recording may lack of two: its own rounding, and the few samples that
-whitening takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +60,18 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     parts = fit.model.by_recording(fit.residual)
     for seen, noise, part in zip(fit.model.recordings, fit.model.noise, parts, strict=True):
         for channel, row in zip(seen.channels, part, strict=True):
-            part = row[begin_of(seen) :]
-            entries = (
-                _repeating(part, seen.lag, scatters=not noise.repeats)
-                if seen.motion is None or seen.cycle is not None
-                else _slow(part, seen.lag, scatters=not noise.repeats)
-            )
+            entries = _by_band(row[begin_of(seen) :], seen, scatters=not noise.repeats)
             found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
     return found
+
+
+def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[int, float, float]]:
+    """Of what repeats; of what is slow in a motion of which less than two cycles are compared."""
+    if seen.motion is not None and seen.cycle is None:
+        return _slow(row, seen.lag, scatters=scatters)
+    if len(whole_rotations(row, seen.lag)) < 2:
+        return _slow(row, row.size // 4, scatters=scatters)
+    return _repeating(row, seen.lag, scatters=scatters)
 
 
 def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:

@@ -111,6 +111,13 @@ class Unknown:
         return np.exp(coordinate) if self.logarithmic else coordinate
 
     @property
+    def middle(self) -> float:
+        """Centre of the prior, or the middle of the range; 0 of what has neither."""
+        if math.isfinite(self.sd) or not math.isfinite(self.high - self.low):
+            return self.centre
+        return 0.5 * (self.low + self.high)
+
+    @property
     def prior_sd(self) -> float:
         """Standard deviation of the prior, a flat one's included.
 
@@ -282,7 +289,7 @@ class SimulatedSignals:
 
     def for_differences(self, point: FloatArray) -> SimulatedSignals:
         """The same without the ticks of a sampled controller, where points near (d,) allow it."""
-        matrix = self.bench.vector(**self.settings_of(point[None], self.recordings[0]))
+        matrix = self.vectors(point[None], self.recordings[0])
         if 0.0 < lateness_rad(matrix)[0] < LATEST_RAD:
             return replace(self, continuous=True, white_recordings=self._white_recordings)
         return self
@@ -302,14 +309,7 @@ class SimulatedSignals:
         samples = seen.lag if _repeats(matrix, seen) else seen.samples
         found = self.recent.signals(
             matrix,
-            (
-                len(seen.signals),
-                samples,
-                seen.sampling_hz,
-                accuracy,
-                seen.motor_start_rad,
-                seen.motion,
-            ),
+            (*seen.rows, samples, seen.sampling_hz, accuracy, seen.motor_start_rad, seen.motion),
             partial(_simulated, seen, samples, accuracy, self.workers, "nan"),
         )
         return found[place.ravel()]
@@ -326,11 +326,14 @@ class SimulatedSignals:
             matrix = self._benches(point[None], seen)
             _simulated(seen, seen.samples, _accuracy_rpm(noise, seen), 1, "raise", matrix)
 
+    def vectors(self, points: FloatArray, seen: Observed, **given: float) -> FloatArray:
+        """Parameters of a recording's bench at points, (m, d) to (m, SLOTS), these values given."""
+        matrix = self.bench.vector(**(self.settings_of(points, seen) | given))
+        return matrix if len(matrix) == len(points) else np.repeat(matrix, len(points), axis=0)
+
     def _benches(self, points: FloatArray, seen: Observed) -> FloatArray:
         """What a recording's simulations run with, (m, d) to (m, SLOTS)."""
-        matrix = self.bench.vector(**self.settings_of(points, seen))
-        if len(matrix) < len(points):
-            matrix = np.repeat(matrix, len(points), axis=0)
+        matrix = self.vectors(points, seen)
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
         matrix = self.bench.measurement.seen_by(matrix, seen.sampling_hz)
@@ -396,12 +399,9 @@ class SimulatedSignals:
         white = out.reshape(len(points), *observed.shape)
         length = simulated.shape[2]
         for first in range(0, observed.shape[1], length):
-            turn = observed[:, first : first + length]
-            np.subtract(
-                turn,
-                simulated[:, :, : turn.shape[1]],
-                out=white[:, :, first : first + length],
-            )
+            here = slice(first, first + length)
+            turn = observed[:, here]
+            np.subtract(turn, simulated[:, :, : turn.shape[1]], out=white[:, :, here])
         if seen.excluded is not None:
             touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
             white[..., touched] = 0.0
@@ -437,8 +437,8 @@ def _simulated(
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
     rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": failures}
     if seen.motion is not None:
-        rows = [SPEED, CURRENT][: len(seen.signals)]
-        return simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)[:, rows]  # type: ignore[arg-type]
+        made = simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)  # type: ignore[arg-type]
+        return made[:, seen.rows]
     if seen.motor_start_rad is not None:
         matrix = _begun_at(matrix, seen.motor_start_rad, workers)
     size = samples, seen.sampling_hz

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import RecordingError
 from bayesbl.measurement.amplitude_groups import GROUPS, amplitude_groups
@@ -25,10 +24,10 @@ from bayesbl.measurement.fits import (
     run_fits,
 )
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
-from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
 from bayesbl.measurement.ringing_check import ringing_check
 from bayesbl.measurement.same_joint import change_reason, same_joint
-from bayesbl.measurement.task import Task, estimator_of, recording_of
+from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import Recording
@@ -36,7 +35,7 @@ from bayesbl.ringing.estimator import Fit
 from bayesbl.ringing.second_sampler import require_second_sampler
 
 
-class AmplitudeMeasurer:
+class AmplitudeMeasurer(Measurer):
     """The amplitude route with its estimator and where its gap curves come from."""
 
     def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
@@ -68,10 +67,6 @@ class AmplitudeMeasurer:
                 "which refuses a recording of fewer than two."
             )
 
-    def read(self, entry: SnapshotRecording) -> Recording:
-        """With one constant speed and enough rotations."""
-        return recording_of(entry, self.config)
-
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
         if moves(recording):
@@ -84,7 +79,7 @@ class AmplitudeMeasurer:
             )
         self.source.require_usable(recording)
 
-    def doubts(self, recording: Recording) -> Iterator[str]:
+    def doubts(self, recording: Recording) -> Iterable[str]:
         """Why δ would be withheld whatever the fit finds."""
         return self.source.doubts(recording)
 

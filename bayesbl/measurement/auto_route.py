@@ -8,21 +8,20 @@ bench too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
 from bayesbl.measurement.joint_check import JointCheck
-from bayesbl.measurement.measurement import Measurement, Snapshot
+from bayesbl.measurement.measurement import Measurement, Measurer, Snapshot
 from bayesbl.measurement.other_route import OTHER, other_route
-from bayesbl.measurement.task import Task, recording_of
+from bayesbl.measurement.task import Task
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.moving import moves
@@ -41,7 +40,7 @@ WITHOUT_DRIFT = (
 
 
 @dataclass(frozen=True, slots=True)
-class AutoMeasurer:
+class AutoMeasurer(Measurer):
     """Both routes of one bench."""
 
     config: SnapshotConfig
@@ -58,13 +57,9 @@ class AutoMeasurer:
         yield from self.direct.describe()
         yield from self.amplitude.describe()
 
-    def notes(self) -> Iterator[str]:
+    def notes(self) -> Iterable[str]:
         """Those of the amplitude."""
         return self.amplitude.notes()
-
-    def read(self, entry: SnapshotRecording) -> Recording:
-        """With one constant speed and enough rotations."""
-        return recording_of(entry, self.config)
 
     def require_usable(self, recording: Recording) -> None:
         """The amplitude can be measured; where only the direct route cannot, it is left out.
@@ -72,10 +67,6 @@ class AutoMeasurer:
         Motions are the direct route's alone.
         """
         (self.direct if moves(recording) else self.amplitude).require_usable(recording)
-
-    def doubts(self, recording: Recording) -> Iterator[str]:
-        """None: what cannot be compared with the bench is refused or left to the amplitude."""
-        return iter(())
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """What holds for the amplitude; the direct route takes any."""

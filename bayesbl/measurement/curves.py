@@ -8,10 +8,11 @@ and rates too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -59,36 +60,48 @@ MOST_KEPT = 5000
 """Rows in the store, some 10 kB each; the oldest go first."""
 
 
-class CurveSource(Protocol):
-    """Gives the curve of each recording."""
+class CurveSource(ABC):
+    """Gives the curve of each recording.
+
+    ``is_of_bench``: the curves are those of the configured bench.
+    """
+
+    is_of_bench: ClassVar[bool] = False
 
     @property
     def gap_range_rad(self) -> tuple[float, float] | None:
         """Gaps that the curves reach; ``None`` without one."""
-
-    @property
-    def is_of_bench(self) -> bool:
-        """Whether the curves are those of the configured bench."""
+        return None
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What every reader of its gaps must know."""
+        return ()
 
+    @abstractmethod
     def describe(self) -> str:
         """Which curve this is."""
 
     def require_usable(self, recording: Recording) -> None:
         """Raises where no curve means the same amplitude as a fit of this recording."""
+        return
 
-    def doubts(self, recording: Recording) -> Iterator[str]:
+    def doubts(self, recording: Recording) -> Iterable[str]:
         """Why δ would be withheld whatever the fit finds."""
+        return ()
 
     def question(self, recording: Recording) -> str | None:
         """What to ask the user first where δ is withheld."""
+        return None
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Raises where these cannot be compared; what they share, where that is worth saying."""
+        if len(recordings) < 2:
+            return None
+        require_one_speed_of_all(recordings)
+        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
 
+    @abstractmethod
     def curves(self, task: Task) -> list[GapCurve] | None:
         """The curve of each recording, in order; ``None`` without one."""
 
@@ -110,44 +123,23 @@ def curve_source(config: SnapshotConfig, bench: Bench | None) -> CurveSource:
     return NoCurve()
 
 
-@dataclass(frozen=True, slots=True)
-class NoCurve:
+class NoCurve(CurveSource):
     """No curve: the ringing alone."""
-
-    gap_range_rad: None = None
-    is_of_bench: bool = False
-    warnings: tuple[str, ...] = ()
 
     def describe(self) -> str:
         """That there is none, and what gives one."""
         return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
-
-    def require_usable(self, recording: Recording) -> None:
-        """Every recording will do."""
-
-    def doubts(self, recording: Recording) -> Iterator[str]:
-        """None."""
-        return iter(())
-
-    def question(self, recording: Recording) -> str | None:
-        """None."""
-        return None
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """All recordings are of one speed, which is said where there are several."""
-        return _one_speed(recordings)
 
     def curves(self, task: Task) -> None:
         """None."""
 
 
 @dataclass(frozen=True, slots=True)
-class NamedCurve:
+class NamedCurve(CurveSource):
     """One curve for all recordings: the published one, or that of a sweep."""
 
     curve: GapCurve
     config: SnapshotConfig
-    is_of_bench: bool = False
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:
@@ -178,10 +170,6 @@ class NamedCurve:
         """Whether the speed is in another unit."""
         return speed_in_another_unit(recording, self.curve.reference_speed_rpm)
 
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """All recordings are of one speed, which is said where there are several."""
-        return _one_speed(recordings)
-
     def curves(self, task: Task) -> list[GapCurve]:
         """The same for all."""
         return [self.curve] * len(task.recordings)
@@ -204,13 +192,13 @@ class _Need:
 
 
 @dataclass(frozen=True, slots=True)
-class BenchCurves:
+class BenchCurves(CurveSource):
     """Curves of the configured bench, swept for what each recording needs."""
 
     bench: Bench
     config: SnapshotConfig
-    is_of_bench: bool = True
-    warnings: tuple[str, ...] = ()
+
+    is_of_bench: ClassVar[bool] = True
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:
@@ -225,14 +213,6 @@ class BenchCurves:
     def require_usable(self, recording: Recording) -> None:
         """The recording is of the speed that is given for it, or of the bench's."""
         self._need(recording)
-
-    def doubts(self, recording: Recording) -> Iterator[str]:
-        """None: the curve is made for the recording."""
-        return iter(())
-
-    def question(self, recording: Recording) -> str | None:
-        """None: another unit is refused."""
-        return None
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Recordings may be of any speeds and rates: each has its own curve."""
@@ -258,7 +238,7 @@ class BenchCurves:
         return [made[need] for need in needs]
 
     def _need(self, recording: Recording) -> _Need:
-        entry = next(e for e in self.config.recordings if e.name == recording.name)
+        entry = self.config.entry_of(recording.name)
         speed = reference_speed(recording, self.bench, entry.reference_speed_rpm)
         turns = recording.duration_s / self.bench.rotation_period_s(speed)
         rotations = min(max(int(turns), 2), MOST_ROTATIONS)
@@ -309,13 +289,6 @@ class BenchCurves:
 def _report(progress: StageProgress | None, label: str, made: int, total: int) -> None:
     if progress is not None:
         progress(label, made, total)
-
-
-def _one_speed(recordings: Sequence[Recording]) -> str | None:
-    if len(recordings) < 2:
-        return None
-    require_one_speed_of_all(recordings)
-    return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
 
 
 def _forget_oldest(store: WorkStore) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import SnapshotRecording
 from bayesbl.matching.alignment import fit_aligned, refitted
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed, with_held_reference, without_standstill
@@ -41,7 +40,7 @@ from bayesbl.measurement.bench_of import bench_of, drifts_of
 from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
-from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
 from bayesbl.measurement.model_check import (
     UNEXPLAINED,
     against_the_bench,
@@ -53,7 +52,7 @@ from bayesbl.measurement.model_check import (
     undecided_gap,
 )
 from bayesbl.measurement.motion_verdict import motion_notes, unknown_start, unseen_gap
-from bayesbl.measurement.task import Task, estimator_of, recording_of
+from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.probabilities import normal_isf
@@ -120,7 +119,7 @@ class DirectMatch:
         )
 
 
-class DirectMeasurer:
+class DirectMeasurer(Measurer):
     """The direct route with its bench."""
 
     def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
@@ -137,25 +136,9 @@ class DirectMeasurer:
         file, form = self.config.estimator.bench, self.bench.gap_form
         yield "bench", lambda: f"{file}, gap form {form}"
 
-    def notes(self) -> Iterator[str]:
-        """Nothing that only a run can find out."""
-        return iter(())
-
-    def read(self, entry: SnapshotRecording) -> Recording:
-        """With one constant speed and enough rotations."""
-        return recording_of(entry, self.config)
-
     def require_usable(self, recording: Recording) -> None:
         """The bench can be compared with it."""
         observed_of(self.config, self.bench, recording)
-
-    def doubts(self, recording: Recording) -> Iterator[str]:
-        """None: what cannot be compared is refused."""
-        return iter(())
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Recordings may be of any speeds: each is simulated at its own."""
-        return None
 
     def measure(self, task: Task) -> Measurement:
         """Match the bench with all recordings at once."""
@@ -164,7 +147,7 @@ class DirectMeasurer:
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
             drifts_of(self.config, self.bench),
-            estimator_of(self.config).sampler,
+            sampler_of(self.config),
             task.seeds.direct,
         )
         found = task.work.get(
@@ -212,7 +195,7 @@ class DirectMeasurer:
     def _counted_twice(self, recording: Recording) -> Iterator[str]:
         """A note where the bench was identified from this very recording."""
         joint = self.bench.identified
-        entry = next(e for e in self.config.recordings if e.name == recording.name)
+        entry = self.config.entry_of(recording.name)
         if joint is not None and file_sha256(entry.file) in joint.sources:
             yield (
                 f"The bench was identified from {entry.name} too, so this recording counts twice "
@@ -223,7 +206,7 @@ class DirectMeasurer:
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
     """A recording as the simulator is compared with it, with what the config knows of it."""
     require_alive(recording, (MOTOR_CURRENT,))
-    entry = next(e for e in config.recordings if e.name == recording.name)
+    entry = config.entry_of(recording.name)
     known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
     seen = observed(recording, bench, entry.reference_speed_rpm)
     return replace(seen, known={**seen.known, **known})

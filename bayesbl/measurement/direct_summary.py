@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.other_route import summarised_routes
+from bayesbl.measurement.shared_groups import DELTA
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import (
     MotionSummary,
@@ -13,8 +14,6 @@ from bayesbl.measurement.summary_types import (
     PredictiveCheckEntry,
     SnapshotSummary,
 )
-
-DELTA = "delta_rad"
 
 
 def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
@@ -29,7 +28,7 @@ def summarise_direct(stored: StoredSnapshot) -> SnapshotSummary:
         "routes": routes,
         "delta_rad": stored.delta_rad,
         "amplitude_rpm": amplitude,
-        "parameters": {n: stored.interval("posterior", n) for n in names if n != DELTA},
+        "parameters": {n: stored.interval("posterior", n) for n in names if n != DELTA.name},
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
         "posterior_sd": {n: float(posterior[n].std()) for n in names},

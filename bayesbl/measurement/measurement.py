@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import xarray as xr
 
 from bayesbl.config.fields import PUBLISHED
+from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import SnapshotSummary
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.task import Task, recording_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group
@@ -121,31 +123,41 @@ class Measurement:
         return " ".join([*sentences, *filter(None, [self.change_reason])])
 
 
-class Measurer(Protocol):
+class Measurer(ABC):
     """A route with what a configuration gives it; raises where it cannot use that."""
 
+    config: SnapshotConfig
+
     @property
+    @abstractmethod
     def gap_range_rad(self) -> tuple[float, float] | None:
         """Gaps that can be measured; ``None`` where none can."""
 
+    @abstractmethod
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """What it needs beside recordings and curve, as label and text, which may raise."""
 
-    def notes(self) -> Iterator[str]:
+    def notes(self) -> Iterable[str]:
         """Sentences for a user who asks what a run would do."""
+        return ()
 
     def read(self, entry: SnapshotRecording) -> Recording:
         """The recording of a snapshot as this route takes it; raises where it cannot."""
+        return recording_of(entry, self.config)
 
+    @abstractmethod
     def require_usable(self, recording: Recording) -> None:
         """Raises where this recording cannot be measured."""
 
     def doubts(self, recording: Recording) -> Iterable[str]:
         """Why δ of this recording would be withheld, where that is known before it is measured."""
+        return ()
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Raises where these cannot be compared; what they share, where that is worth saying."""
+        return None
 
+    @abstractmethod
     def measure(self, task: Task) -> Measurement:
         """Measure all recordings of one joint."""
 

@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from bayesbl.bench.kernel import RPM, Slot
+from bayesbl.bench.kernel import Slot
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes, remembered_start
 from bayesbl.matching.observed import begin_of
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 EXCLUDED_END = 0.1
 EXCLUDED_SHARE = 0.01
@@ -65,11 +66,12 @@ def largest_pull(fit: SimulatedFit, index: int) -> float:
     easiest in this motion: N |m g l sin(θ + φ_g)| / J_l at its smallest."""
     model, seen = fit.model, fit.model.recordings[index]
     assert seen.motion is not None
-    row = model.bench.vector(**model.settings_of(fit.point[None], seen))[0]
+    row = model.vectors(fit.point[None], seen)[0]
     time = np.arange(seen.samples) / seen.sampling_hz
     angle = row[Slot.start_angle_rad] + seen.motion.position_rad(time) / row[Slot.gear_ratio]
     pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
-    return float(row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2] * RPM)
+    least = row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2]
+    return float(least * RPM_PER_RAD_PER_S)
 
 
 def _bound(posterior: DirectPosterior, index: int) -> str | None:

@@ -8,13 +8,12 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.measurement.measurement import Snapshot
+from bayesbl.measurement.shared_groups import DELTA
 from bayesbl.measurement.stored_snapshot import StoredSnapshot
 from bayesbl.measurement.summary_types import RouteSummary
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.ringing.symbols import AMPLITUDE
-
-DELTA = "delta_rad"
 
 AMPLITUDE_ROUTE = Group(
     "amplitude_route",
@@ -64,7 +63,7 @@ def summarised_routes(stored: StoredSnapshot) -> dict[str, RouteSummary]:
 
 
 def _answer(stored: StoredSnapshot, group: str, reason: str | None) -> RouteSummary:
-    delta = None if reason else _interval(stored, group, DELTA)
+    delta = None if reason else _interval(stored, group, DELTA.name)
     result: RouteSummary = {"delta_rad": delta, "reason": reason}
     if AMPLITUDE in stored.groups[group]:
         result["amplitude_rpm"] = _interval(stored, group, AMPLITUDE)

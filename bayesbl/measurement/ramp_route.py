@@ -7,7 +7,7 @@ on either flank. See ``docs/design.md``, "Torque ramps".
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.measurement.held_compliance import held_alike
-from bayesbl.measurement.measurement import Measurement, Route, Snapshot
+from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
 from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
 from bayesbl.measurement.ramp_summary import summarise_ramps
 from bayesbl.measurement.ramp_words import against, notes_on
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
@@ -36,7 +36,6 @@ from bayesbl.recording.types import (
     Recording,
     Source,
 )
-from bayesbl.sampling.chains import SamplerSettings
 
 LOST_MOTION_SHARE = 0.03
 """Of the rated torque: where makers of reducers state lost motion."""
@@ -45,7 +44,7 @@ FILE_STARTS = "file_starts"
 """Entry of a recording's metadata: the first sample of each of its files."""
 
 
-class RampMeasurer:
+class RampMeasurer(Measurer):
     """The route of torque ramps."""
 
     def __init__(self, config: SnapshotConfig) -> None:
@@ -61,10 +60,6 @@ class RampMeasurer:
         ratio = self.config.joint.gear_ratio
         given = "1, of the output (no gear_ratio)" if ratio is None else f"{ratio:g}"
         yield "gear ratio", lambda: given
-
-    def notes(self) -> Iterator[str]:
-        """Nothing that only a run can find out."""
-        return iter(())
 
     def read(self, entry: SnapshotRecording) -> Recording:
         """All files of the snapshot one after another, position and torque as in the files."""
@@ -103,14 +98,10 @@ class RampMeasurer:
             "the joint on one flank and on the other",
         )
 
-    def doubts(self, recording: Recording) -> Iterator[str]:
+    def doubts(self, recording: Recording) -> Iterable[str]:
         """Why δ will be withheld."""
         why = against(self._flanks(recording))
-        return iter(()) if why is None else iter((why,))
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Snapshots may be of any ramps."""
-        return None
+        return () if why is None else (why,)
 
     def measure(self, task: Task) -> Measurement:
         """The play of all snapshots together."""
@@ -124,15 +115,12 @@ class RampMeasurer:
             for r, found in zip(task.recordings, flanks, strict=True)
             if found.level is not None
         ]
-        settings = SamplerSettings(
-            self.config.posterior.ensembles,
-            self.config.posterior.max_steps,
-            self.config.interval.level,
-        )
         report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, *seeds = task.seeds.direct.spawn(1 + len(files))
         elsewhere = _elsewhere(flanks)
-        play = sample_play(widths, settings, play_seed, report, round_the_turn=elsewhere)
+        play = sample_play(
+            widths, sampler_of(self.config), play_seed, report, round_the_turn=elsewhere
+        )
         answers = [
             self._answer(*each, play) for each in zip(task.names, files, flanks, seeds, strict=True)
         ]

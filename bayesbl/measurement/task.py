@@ -92,7 +92,11 @@ def estimator_of(config: SnapshotConfig) -> Estimator:
         search=section.search.method,
         noise_kind=section.noise.kind,
         noise_order=section.noise.order,
-        sampler=SamplerSettings(
-            config.posterior.ensembles, config.posterior.max_steps, config.interval.level
-        ),
+        sampler=sampler_of(config),
     )
+
+
+def sampler_of(config: SnapshotConfig) -> SamplerSettings:
+    """How a configuration has posteriors sampled."""
+    sampling = config.posterior
+    return SamplerSettings(sampling.ensembles, sampling.max_steps, config.interval.level)

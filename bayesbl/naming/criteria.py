@@ -47,7 +47,7 @@ SLACK = 100.0
 rivals are those within 25."""
 
 CHANCE_LOSS = 6.6
-"""χ² that a recording may lose by chance: once in a hundred, with one degree of freedom."""
+"""χ² that one recording may lose by chance: once in a hundred, with one degree of freedom."""
 
 
 def is_gross(explanation: Explanation) -> bool:

@@ -74,12 +74,9 @@ def nominal_explanation(fit: SimulatedFit) -> Explanation:
 
 def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Explanation:
     """The same explanation, fitted again under another noise."""
-    old = explanation.fit.model
-    model = SimulatedSignals(
-        old.bench, old.recordings, old.unknowns, noise, old.workers, old.settings, old.recent
-    )
-    fit = fit_simulated(model, explanation.fit.point, explanation.fit.steps)
-    return replace(explanation, fit=fit)
+    fit = explanation.fit
+    model = replace(fit.model, noise=noise)
+    return replace(explanation, fit=fit_simulated(model, fit.point, fit.steps))
 
 
 def distance(a: Explanation, b: Explanation) -> float:

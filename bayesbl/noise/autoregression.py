@@ -10,6 +10,9 @@ from scipy import fft
 from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 
+FEWEST_DIFFERENCES = 200
+"""Samples from which noise is estimated."""
+
 Fits = list[tuple[float, FloatArray]]
 """For the orders 0, 1, 2 …: variance of the innovations ε, and φ_1 … φ_p of shape (p,)."""
 

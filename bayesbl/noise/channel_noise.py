@@ -14,11 +14,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.autoregression import bic
+from bayesbl.noise.autoregression import FEWEST_DIFFERENCES, bic
 from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10
-FEWEST_DIFFERENCES = 200
 
 NEGLIGIBLE = 0.01
 """Of a channel's variance: what cannot be seen of its error is not counted if it is less."""
@@ -150,8 +149,8 @@ def estimate_fast_noise(
 def _noise_of(
     noise: FloatArray,
     share: float,
-    kept: BoolArray | None = None,
-    rounding: FloatArray | None = None,
+    kept: BoolArray | None,
+    rounding: FloatArray | None,
     rotations: float = 1.0,
 ) -> ChannelNoise:
     """The process with this share of the power of a stretch, shape (c, n), by the samples kept."""
@@ -228,7 +227,7 @@ def _yule_walker(d: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _autoregression(
-    d: FloatArray, order: int, whole: BoolArray | None = None
+    d: FloatArray, order: int, whole: BoolArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
 

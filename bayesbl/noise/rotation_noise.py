@@ -18,7 +18,14 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.autoregression import bic, burg, correlated, innovations, log_variances
+from bayesbl.noise.autoregression import (
+    FEWEST_DIFFERENCES,
+    bic,
+    burg,
+    correlated,
+    innovations,
+    log_variances,
+)
 from bayesbl.noise.quantisation import SpeedSteps
 from bayesbl.noise.tails import tails
 from bayesbl.recording.types import FloatArray
@@ -26,7 +33,6 @@ from bayesbl.recording.types import FloatArray
 NoiseKind = Literal["auto", "white", "ar", "student_t"]
 
 HIGHEST_ORDER = 15
-FEWEST_DIFFERENCES = 200
 WRAPPED = 20
 """Samples at the end of a shifted residual that its start has leaked into."""
 

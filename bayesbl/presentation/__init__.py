@@ -1,1 +1,1 @@
-"""What the user reads on the terminal: every sentence in :mod:`bayesbl.presentation.words`."""
+"""What the user reads and sees of a result: sentences, terminal, page, figures."""

@@ -90,7 +90,8 @@ def headline(summary: MeasuredSummary) -> str:
         if change is not None and growth is not None:
             if (cause := joint_check.other_cause(summary)) is not None:
                 return f"{by}{if_nothing_else(change, growth, cause)}"
-            return f"{by}{change_in_words(change)}; {grew(growth)}."
+            told = words.change_of("The gap", change, "mrad", 1e3)
+            return f"{by}{told}; {grew(growth)}."
     elif summary["delta_rad"] is not None:
         if (preloaded := torque_ramps.no_play(summary)) is not None:
             return preloaded
@@ -99,18 +100,9 @@ def headline(summary: MeasuredSummary) -> str:
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
 
 
-def change_in_words(change: Interval) -> str:
-    """Whether the gap grew, shrank, or may have done neither."""
-    if change["low"] > 0.0:
-        return f"The gap grew by {words.in_mrad(change)}"
-    if change["high"] < 0.0:
-        return f"The gap shrank by {words.in_mrad(change, -1.0)}"
-    return f"The gap may not have changed: the change is {words.in_mrad(change)}"
-
-
 def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
     """A change of the gap that another one, unseen, could make: never told as shown."""
-    told = change_in_words(change).replace("The gap", "it", 1)
+    told = words.change_of("it", change, "mrad", 1e3)
     return (
         f"It is not shown that the gap changed: {told} if nothing else in the joint changed "
         f"({grew(growth)}), but a change of {cause} could do as much."
@@ -196,7 +188,7 @@ def budget(summary: MeasuredSummary) -> Iterator[str]:
             if share >= words.RAREST
         ]
         if each:
-            yield f"Variance of the gap{of(name)}, by source: {', '.join(each)}."
+            yield f"Variance of the gap{words.of(name)}, by source: {', '.join(each)}."
 
 
 def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
@@ -221,8 +213,8 @@ def outliers(summary: MeasuredSummary) -> Iterator[str]:
         evidence = part["noise"].get("student_t_evidence")
         if freedom is not None and evidence is not None:
             yield (
-                f"The noise{of(name)} has outliers: Student-t with {freedom:g} degrees of freedom "
-                f"(log evidence against normal noise: {number(evidence, 0)})."
+                f"The noise{words.of(name)} has outliers: Student-t with {freedom:g} degrees of "
+                f"freedom (log evidence against normal noise: {number(evidence, 0)})."
             )
 
 
@@ -234,11 +226,6 @@ def sampler_check(check: SamplerCheckSummary) -> str:
     )
     verdict = "agrees with" if check["agrees"] else "disagrees with"
     return f"Nested sampling {verdict} emcee (difference, width over emcee's): {each}."
-
-
-def of(name: str) -> str:
-    """Whose, as part of a sentence; nothing for a fit's only snapshot."""
-    return f" of {name}" if name else ""
 
 
 def _probability_or_withheld(part: SnapshotSummary) -> str:
@@ -276,10 +263,9 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
 
 
 def _cells(part: SnapshotSummary, places: int, beside: str | None, alone: bool) -> Iterator[str]:
-    delta, amplitude = part["delta_rad"], part["amplitude_rpm"]
+    amplitude = part["amplitude_rpm"]
     if not alone:
-        yield "withheld" if delta is None else number(1e3 * delta["median"], places)
-        yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+        yield from words.gap_cells(part["delta_rad"], places)
     if beside:
         other = part["routes"][beside]["delta_rad"]
         yield "withheld" if other is None else words.bounds(other, 1e3)

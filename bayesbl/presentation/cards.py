@@ -46,7 +46,7 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[Card]:
         labelled.append(("Change", summary["change_rad"]))
     places = words.common_decimals(found for _, found in labelled)
     for label, found in labelled:
-        yield _of_interval(label, found, places)
+        yield of_interval(label, found, places)
 
 
 def _of_ringing(summary: MeasuredSummary) -> Iterator[Card]:
@@ -77,10 +77,11 @@ def of_diagnosis(summary: DiagnosisSummary) -> Iterator[Card]:
         yield Card("Model error after", words.significant(found["after"], 3), unit, note)
     gap = summary["delta_rad_after"]
     if gap is not None or "gap_withheld" in summary:
-        yield _of_interval("Gap δ", gap, words.common_decimals([gap]))
+        yield of_interval("Gap δ", gap, words.common_decimals([gap]))
 
 
-def _of_interval(label: str, found: Interval | None, places: int) -> Card:
+def of_interval(label: str, found: Interval | None, places: int) -> Card:
+    """A gap, or its change, in rad; ``places``: decimals in mrad."""
     if found is None:
         return Card(label, "withheld", "", "")
     value = number(1e3 * found["median"], places)
@@ -93,9 +94,9 @@ def _of_wear(summary: ComparisonSummary, found: WearSummary) -> Iterator[Card]:
     last = summary["snapshots"][-1]["delta_rad"]
     change, rate = summary["change_rad"], found["rate"]
     places = words.common_decimals([last, change])
-    yield _of_interval("Gap δ now", last, places)
+    yield of_interval("Gap δ now", last, places)
     if not wear.spans_repair(summary, found):
-        yield _of_interval("Change", change, places)  # across a repair it is no sign of wear
+        yield of_interval("Change", change, places)  # across a repair it is no sign of wear
     yield Card(
         "Wear", wear.median_in_mrad(rate), "mrad a year", _note(rate, words.bounds(rate, 1e3))
     )

@@ -68,7 +68,7 @@ def headline(summary: DiagnosisSummary) -> str:
             missing = (
                 "is missing from the bench" if len(names) == 1 else "are missing from the bench"
             )
-            return f"{listed[0].upper()}{listed[1:]} {missing}{_effect_of_naming(summary)}."
+            return words.capitalised(f"{listed} {missing}{_effect_of_naming(summary)}.")
         case "parameter_error" if "gap_withheld" in summary:
             return (
                 "The bench is wrong by more than was searched, or lacks an effect that is not in "
@@ -142,7 +142,7 @@ def effects(summary: DiagnosisSummary) -> Iterator[str]:
         alike = effect["indistinguishable_from"]
         if alike:
             text += f" Cannot be told apart from {', '.join(in_words(name) for name in alike)}."
-        yield text[0].upper() + text[1:]
+        yield words.capitalised(text)
 
 
 def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
@@ -152,7 +152,7 @@ def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
         tolerance = f" ± {_digits(error['tolerance'])}" if error["tolerance"] else ""
         believed = _with_unit(f"{_digits(error['believed'])}{tolerance}", unit)
         text = f"{in_words(name)} is {_value(error['fitted'], unit)}, not {believed}."
-        yield text[0].upper() + text[1:]
+        yield words.capitalised(text)
 
 
 def learned_of(summary: DiagnosisSummary) -> LearnedSummary | None:

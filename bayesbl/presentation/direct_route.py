@@ -97,11 +97,7 @@ def other_route(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
         ):
             reasons.setdefault(reason, []).append(name)
     for reason, names in reasons.items():
-        yield f"No answer by {route}{_of(names)}: {reason}"
-
-
-def _of(names: Sequence[str]) -> str:
-    return f" of {', '.join(names)}" if any(names) else ""
+        yield f"No answer by {route}{words.of(*names)}: {reason}"
 
 
 def _by(route: str, found: RouteSummary) -> str:

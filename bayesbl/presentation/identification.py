@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from bayesbl.presentation import words
 from bayesbl.presentation.advice import Advice
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.cards import Card
+from bayesbl.presentation.cards import Card, of_interval
 from bayesbl.presentation.diagnosis import disagreement_table, sized
-from bayesbl.units import in_words, number
+from bayesbl.units import in_words
 
 if TYPE_CHECKING:
     from bayesbl.identification.summary import (
@@ -44,7 +44,7 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
         found = ", ".join(sized(name, value) for name, value in effect["parameters"].items())
         alike = effect["indistinguishable_from"]
         told = f" Cannot be told apart from {', '.join(map(in_words, alike))}." if alike else ""
-        yield Sentence(_sentence(f"{in_words(effect['name'])}: {found}.{told}"))
+        yield Sentence(words.capitalised(f"{in_words(effect['name'])}: {found}.{told}"))
     for together in summary["not_told_apart"]:
         yield Sentence(_together(together))
     unlearned = [n for n, p in summary["parameters"].items() if p["learned"] < LITTLE]
@@ -113,11 +113,7 @@ def cards(summary: IdentificationSummary) -> Iterator[Card]:
     places = words.common_decimals(gap for _, gap in shown)
     for name, gap in shown:
         label = "Gap δ" if summary["gap_shared"] else f"Gap δ, {name}"
-        if gap is None:
-            yield Card(label, "withheld", "", "")
-        else:
-            note = f"{100.0 * gap['level']:g} %: {words.bounds(gap, 1e3, places)}"
-            yield Card(label, number(1e3 * gap["median"], places), "mrad", note)
+        yield of_interval(label, gap, places)
 
 
 def _parameters(summary: IdentificationSummary) -> Table:
@@ -157,7 +153,7 @@ def _together(found: TogetherSummary) -> str:
         )
     listed = " / ".join(names) if len(names) == 2 else ", ".join(names)
     ratio = "only the ratio" if len(names) == 2 else "only the ratios"
-    return _sentence(
+    return words.capitalised(
         f"{ratio} of {listed} {'is' if len(names) == 2 else 'are'} known well: to {together} % or "
         f"better, each value alone to {alone} %. A factor common to all of them changes little in "
         "these recordings."
@@ -166,7 +162,3 @@ def _together(found: TogetherSummary) -> str:
 
 def _percent(sd: float) -> str:
     return f"{100.0 * sd:.2g}"
-
-
-def _sentence(words_: str) -> str:
-    return words_[0].upper() + words_[1:]

@@ -6,10 +6,15 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation.blocks import Block, Sentence
+from bayesbl.presentation.words import capitalised
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import ComparisonSummary, MeasuredSummary
+    from bayesbl.measurement.summary_types import (
+        BlindSpotSummary,
+        ComparisonSummary,
+        MeasuredSummary,
+    )
 
 MOST_TOLD = 3
 """Blind spots that are told; all are stored."""
@@ -64,19 +69,11 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         for sentence in (s for s in check["sentences"] if s not in (summary["reason"] or "")):
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
-    known = [spot for spot in spots if spot["delta_error_rad"] is not None]
-    for reason in dict.fromkeys(spot["reason"] for spot in known):
-        own = [spot for spot in known if spot["reason"] == reason]
-        told = _listed([f"{s['change']}, up to {_mrad(s['delta_error_rad'])}" for s in own])
-        yield Sentence(f"{_started(reason)}: {told}.", "aside", "Could pass for wear")
-    others = [spot for spot in spots if spot["delta_error_rad"] is None]
-    for reason in dict.fromkeys(spot["reason"] for spot in others):
-        told = _listed([spot["change"] for spot in others if spot["reason"] == reason])
-        yield Sentence(f"{_started(reason)}: {told}.", "aside", "Would pass unseen")
-
-
-def _started(text: str) -> str:
-    return text[0].upper() + text[1:]
+    for label, known in (("Could pass for wear", True), ("Would pass unseen", False)):
+        own = [spot for spot in spots if (spot["delta_error_rad"] is not None) == known]
+        for reason in dict.fromkeys(spot["reason"] for spot in own):
+            told = _listed([_told(spot) for spot in own if spot["reason"] == reason])
+            yield Sentence(f"{capitalised(reason)}: {told}.", "aside", label)
 
 
 def _listed(told: list[str]) -> str:
@@ -84,5 +81,7 @@ def _listed(told: list[str]) -> str:
     return "; ".join([*told[:MOST_TOLD], *more])
 
 
-def _mrad(error_rad: float | None) -> str:
-    return f"{number(1e3 * (error_rad or 0.0), 3)} mrad"
+def _told(spot: BlindSpotSummary) -> str:
+    error_rad = spot["delta_error_rad"]
+    up_to = "" if error_rad is None else f", up to {number(1e3 * error_rad, 3)} mrad"
+    return spot["change"] + up_to

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.presentation.words import significant
+from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS
 from bayesbl.units import unit_of
 
@@ -31,7 +31,7 @@ def residual_sentences(stored: xr.Dataset) -> list[str]:
     offsets = [o for o in json.loads(stored.attrs["offsets"]) if o["channel"] in shown]
     if len(names) > 1:
         sentences += filter(None, map(_offset_sentence, offsets))
-    return [text[0].upper() + text[1:] for text in sentences]
+    return [capitalised(text) for text in sentences]
 
 
 def unexplained_phrase(entry: RemainingSummary) -> str:

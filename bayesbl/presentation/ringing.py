@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import MeasuredSummary
-    from bayesbl.results.intervals import Interval
 
 EXPLAINED = "The amplitude A is that of the ringing after each impact, in the motor's speed."
 
@@ -29,30 +27,12 @@ def headline(summary: MeasuredSummary) -> str:
         change, grew = summary["ringing_change"], summary["probability_ringing_grew"]
         if change is None or grew is None:
             return "The change of the ringing is withheld."
-        told = f"{_change_in_words(change)}; probability that it grew: {words.probability(grew)}"
+        told = words.change_of("The ringing", change, "%", 100.0)
+        told += f"; probability that it grew: {words.probability(grew)}"
         if not summary["same_joint"]["agrees"]:
             told += ". Something other than the gap changed, so this says nothing of wear"
         return f"{told}."
     found = summary["amplitude_rpm"]
     if found is None:
         return "The ringing is withheld."
-    places = words.decimals(found)
-    return (
-        f"The ringing has an amplitude of {number(found['median'], places)} rpm "
-        f"({words.interval_kind(found)} {words.bounds(found, places=places)} rpm)."
-    )
-
-
-def _change_in_words(change: Interval) -> str:
-    """Whether the ringing grew, shrank, or may have done neither, in percent."""
-    if change["low"] > 0.0:
-        return f"The ringing grew by {_in_percent(change, 1.0)}"
-    if change["high"] < 0.0:
-        return f"The ringing shrank by {_in_percent(change, -1.0)}"
-    return f"The ringing may not have changed: the change is {_in_percent(change, 1.0)}"
-
-
-def _in_percent(change: Interval, sign: float) -> str:
-    scale = 100.0 * sign
-    middle = number(scale * change["median"], words.decimals(change, scale))
-    return f"{middle} % ({words.interval_kind(change)} {words.bounds(change, scale)} %)"
+    return f"The ringing has an amplitude of {words.with_bounds(found, 'rpm')}."

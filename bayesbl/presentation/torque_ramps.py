@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
@@ -64,9 +63,7 @@ def snapshot_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) ->
 
 
 def _cells(part: SnapshotSummary, places: int) -> Iterator[str]:
-    delta = part["delta_rad"]
-    yield "withheld" if delta is None else number(1e3 * delta["median"], places)
-    yield "withheld" if delta is None else words.bounds(delta, 1e3, places)
+    yield from words.gap_cells(part["delta_rad"], places)
     yield _median(part["lost_motion_rad"], 1e3)
     yield _median(part["compliance_rad_per_nm"], 1e3)
     yield _median(part["friction_torque_nm"])
@@ -80,19 +77,18 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             continue
         found = part["ramps"]
         each = ", ".join(words.significant(500.0 * w, 3) for w in found["width_rad"])
-        whose = f" of {name}" if name else ""
         where = "1 position" if found["positions"] == 1 else f"{found['positions']} positions"
         yield (
-            f"Half the width at zero torque{whose}, at {where} round the turn: {each} mrad "
-            f"({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
+            f"Half the width at zero torque{words.of(name)}, at {where} round the turn: {each} "
+            f"mrad ({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
         )
     for name, part in parts:
         held = part["held_windup_rad"]["median"]
         if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
-            whose = f" of {name}" if name else ""
             yield (
-                f"Of the gap{whose}, about {words.significant(1e3 * held)} mrad may be compliance "
-                "that friction holds at zero torque, more if the flanks are softer at small torque."
+                f"Of the gap{words.of(name)}, about {words.significant(1e3 * held)} mrad may be "
+                "compliance that friction holds at zero torque, more if the flanks are softer at "
+                "small torque."
             )
 
 

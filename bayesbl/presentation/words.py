@@ -73,11 +73,41 @@ def short_kind(interval: Interval) -> str:
     return f"{100.0 * interval['level']:g} % {kind}"
 
 
-def in_mrad(interval: Interval, sign: float = 1.0) -> str:
-    """``0.25 mrad (90 % interval 0.21 to 0.28 mrad)`` for an interval in rad."""
-    scale = 1e3 * sign
+def with_bounds(interval: Interval, unit: str, scale: float = 1.0) -> str:
+    """``12.1 rpm (90 % interval 11.9 to 12.3 rpm)``."""
     middle = number(scale * interval["median"], decimals(interval, scale))
-    return f"{middle} mrad ({interval_kind(interval)} {bounds(interval, scale)} mrad)"
+    return f"{middle} {unit} ({interval_kind(interval)} {bounds(interval, scale)} {unit})"
+
+
+def in_mrad(interval: Interval) -> str:
+    """``0.25 mrad (90 % interval 0.21 to 0.28 mrad)`` for an interval in rad."""
+    return with_bounds(interval, "mrad", 1e3)
+
+
+def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
+    """Whether it grew, shrank, or may have done neither, and by how much."""
+    if change["low"] > 0.0:
+        return f"{what} grew by {with_bounds(change, unit, scale)}"
+    if change["high"] < 0.0:
+        return f"{what} shrank by {with_bounds(change, unit, -scale)}"
+    return f"{what} may not have changed: the change is {with_bounds(change, unit, scale)}"
+
+
+def gap_cells(gap: Interval | None, places: int) -> tuple[str, str]:
+    """A gap and its bounds in mrad, as a table has them."""
+    if gap is None:
+        return "withheld", "withheld"
+    return number(1e3 * gap["median"], places), bounds(gap, 1e3, places)
+
+
+def of(*names: str) -> str:
+    """Whose, as part of a sentence; nothing for a fit's only snapshot."""
+    return f" of {', '.join(names)}" if any(names) else ""
+
+
+def capitalised(sentence: str) -> str:
+    """With a capital letter at its begin."""
+    return sentence[0].upper() + sentence[1:]
 
 
 def median_of(interval: Interval | None, places: int) -> str:

@@ -25,7 +25,7 @@ import numpy as np
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings, thinned, walk
-from bayesbl.sampling.convergence import Diagnostics, judge, rank_r_hat_and_ess
+from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.sampling.ensemble import Ensembles
 
 SCATTER = (0.01, 1.0 / np.sqrt(2.0))
@@ -188,15 +188,7 @@ def sample_play(
     flat = kept.reshape(-1, kept.shape[-1])
     drawn = target.widths(flat, np.random.default_rng(widths_seed)).reshape(*kept.shape[:2], -1)
     widths = {s.name: drawn[..., i] for i, s in enumerate(snapshots)}
-    diagnostics = judge(
-        *rank_r_hat_and_ess({f"play of {name}": draws for name, draws in widths.items()}),
-        found.autocorrelation_steps,
-        found.steps,
-        found.acceptance,
-        found.stable,
-        np.inf,
-        {},
-    )
+    diagnostics = found.judged({f"play of {name}": draws for name, draws in widths.items()})
     return PlayPosterior(
         widths,
         {s.name: np.exp(kept[..., i]) for i, s in enumerate(snapshots)},

@@ -24,8 +24,6 @@ from bayesbl.sampling.chains import SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import (
     Contender,
     Diagnostics,
-    judge,
-    rank_r_hat_and_ess,
 )
 from bayesbl.sampling.ensemble import Ensembles
 
@@ -111,16 +109,10 @@ def sample_posterior(
     generator = np.random.default_rng(linear_seed)
     points = np.stack([thinned(chain) for chain in walked.chains])
     draws, baseline, log_likelihood = complete(objective, optimum, spread, points, generator)
-    r_hat, ess = rank_r_hat_and_ess(draws)
     if contenders is None:
         contenders = weighed_by_likelihood(target, optimum)
-    diagnostics = judge(
-        r_hat,
-        ess,
-        walked.autocorrelation_steps,
-        walked.steps,
-        walked.acceptance,
-        walked.stable,
+    diagnostics = walked.judged(
+        draws,
         signal_to_noise(optimum, spread),
         _at_bound(objective, points),
         _other_answer(contenders, optimum, spread),

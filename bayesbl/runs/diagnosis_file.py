@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
@@ -16,10 +15,14 @@ from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.results.identified import bench_from
 from bayesbl.results.store import write_text
-from bayesbl.runs.first_configuration import column_lines, quoted, relative, require_writable
+from bayesbl.runs.first_configuration import (
+    column_lines,
+    commented,
+    quoted,
+    relative,
+    require_writable,
+)
 from bayesbl.runs.first_diagnosis import Choice, completed, guess_diagnosis, toml
-
-WIDTH = 98
 
 DEFAULT_FILE = "diagnose.toml"
 
@@ -129,8 +132,7 @@ output = {quoted(f"results/{path.stem}")}
 def _lines(guess: Sequence[Choice], section: str) -> str:
     """Every value of a section below its reason."""
     return "".join(
-        f"{textwrap.fill(choice.reason, WIDTH, initial_indent='# ', subsequent_indent='# ')}\n"
-        f"{choice.place[1]} = {toml(choice.value)}\n"
+        f"{commented(choice.reason)}\n{choice.place[1]} = {toml(choice.value)}\n"
         for choice in guess
         if choice.place[0] == section
     )

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.results.store import write_text
-from bayesbl.runs.first_configuration import require_new
-
-WIDTH = 98
+from bayesbl.runs.first_configuration import commented, require_new
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +170,7 @@ def first_bench(file: str) -> str:
 
 def _entry(name: str, source: Source) -> str:
     told = f"{source.told} Usual: {source.usual}." if source.usual else source.told
-    comment = textwrap.fill(told, WIDTH, initial_indent="# ", subsequent_indent="# ")
     unit = PARAMETER_INFO[name].unit
     without = "" if "unit" in source.example or not unit else f"    # {unit}"
     sign = "" if source.given else "# "
-    return f"{comment}\n{sign}{name} = {source.example}{without}\n"
+    return f"{commented(told)}\n{sign}{name} = {source.example}{without}\n"

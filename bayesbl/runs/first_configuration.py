@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -171,6 +172,11 @@ def column_lines(guess: Guess) -> str:
     if guess.unused:
         lines.append(f"# Not used: {', '.join(quoted(name) for name in guess.unused)}\n")
     return "".join(lines)
+
+
+def commented(text: str) -> str:
+    """Text as a comment of a TOML file, in lines of its usual width."""
+    return textwrap.fill(text, 98, initial_indent="# ", subsequent_indent="# ")
 
 
 def quoted(text: str) -> str:

@@ -19,7 +19,7 @@ from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
-from bayesbl.matching.predictive_check import ROUNDING
+from bayesbl.matching.observed import ROUNDING
 from bayesbl.recording.checks import is_constant
 from bayesbl.recording.moving import is_one_speed, moves
 from bayesbl.recording.types import (

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.convergence import STEPS_PER_AUTOCORRELATION, integrated_time
+from bayesbl.sampling.convergence import (
+    STEPS_PER_AUTOCORRELATION,
+    Contender,
+    Diagnostics,
+    integrated_time,
+    judge,
+    rank_r_hat_and_ess,
+)
 from bayesbl.sampling.ensemble import Ensembles
 
 STEPS_BETWEEN_CHECKS = 100
@@ -21,6 +29,9 @@ BURN_IN_AUTOCORRELATIONS = 5.0
 DRAWS_KEPT = 1000
 BOUND_TOLERANCE_SD = 0.05
 """Interval bounds count as stable when they move less than this many standard deviations."""
+
+
+NOTHING_AT_BOUND: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +76,25 @@ class Walk:
     steps: int
     acceptance: FloatArray
     stable: bool
+
+    def judged(
+        self,
+        draws: Mapping[str, FloatArray],
+        signal_to_noise: float = math.inf,
+        at_bound: Mapping[str, float] = NOTHING_AT_BOUND,
+        other_answer: Contender | None = None,
+    ) -> Diagnostics:
+        """Whether draws by name, (chain, draw), that were made of it can be trusted."""
+        return judge(
+            *rank_r_hat_and_ess(draws),
+            self.autocorrelation_steps,
+            self.steps,
+            self.acceptance,
+            self.stable,
+            signal_to_noise,
+            at_bound,
+            other_answer,
+        )
 
 
 def walk(

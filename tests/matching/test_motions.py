@@ -107,6 +107,12 @@ def test_only_a_reference_that_varies_is_a_motion() -> None:
     assert not moves(replace(steady, channels={**steady.channels, REFERENCE_POSITION: ramp}))
 
 
+def test_a_little_less_than_two_rotations_is_refused() -> None:
+    short = BENCH.simulate(GAP_RAD, rotations=1.95, seed=np.random.default_rng(1))
+    with pytest.raises(RecordingError, match="too short to tell noise"):
+        observed(short, BENCH)
+
+
 def test_a_cycle_is_found_where_two_are_recorded() -> None:
     time = np.arange(7000) / 1000.0
     speed = SWINGING.speed_rpm(time)
@@ -126,6 +132,7 @@ RECORDINGS = {
     "cut in a stroke": (cut(recorded(seed=4), 180), BENCH),
     "cut while the stop rings": (cut(recorded(seed=5), 500), BENCH),
     "one cycle": (cut(recorded(seed=6), 0, 1100), BENCH),
+    "two cycles, fewer compared": (cut(recorded(seed=10), 0, 4200), BENCH),
     "sine": (recorded(sine(120.0, (-0.5, 0.5), 2.0, 7.0), seed=7), BENCH),
 }
 VERTICAL = BENCH.with_parameters(gravity_torque_nm=0.0)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesbl.bench.kernel import LEARNED_HARMONICS, RPM
-from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
+from bayesbl.bench.kernel import LEARNED_HARMONICS
+from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, waves_over
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.augment import learned_terms
-from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
+from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
 from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
 from bayesbl.errors import BenchError
@@ -28,13 +28,12 @@ from bayesbl.naming.candidates import Candidate, amplitude_places
 from bayesbl.naming.criteria import ENOUGH_CLOSED
 from bayesbl.naming.explanation import Explanation, gain_threshold, with_noise
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 LONGEST_PERIOD = 5.0
 """Turns of the motor: what repeats more rarely belongs to the load or to time."""
 
 MOST_BASES = 3
-
-CURVE_POINTS = 181
 
 WHOLE = 0.02
 """Of an order: lines this close to a whole multiple of another belong to it."""
@@ -55,8 +54,6 @@ class Learned:
         Fitted, with standard deviations.
     alike
         Other variables or sides that the recordings do not tell from it.
-    predicted_gain
-        χ² by which it predicts recordings that it was not fitted on.
     gap_share
         Share of the information on ln δ that it leaves; 1 where the gap is known.
     reaches_ringing
@@ -67,7 +64,6 @@ class Learned:
     explanation: Explanation
     term: LearnedTerm
     alike: tuple[LearnedTerm, ...]
-    predicted_gain: float
     gap_share: float
     reaches_ringing: bool
 
@@ -106,7 +102,7 @@ def learned_term(
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
             term = _learned(fit, _kind_of(trial.hypothesis))
             reaches = _reaches(fit.model, term)
-            return Learned(explanation, term, others, trial.gain, gap_share(fit, term), reaches)
+            return Learned(explanation, term, others, gap_share(fit, term), reaches)
     return None
 
 
@@ -282,7 +278,7 @@ def _typical_size(fit: SimulatedFit, hypothesis: Hypothesis) -> float:
     if len(left) > 1:
         torque = float(left[1]) * model.bench.value("torque_constant_nm_per_a")
     else:
-        torque = float(left[0]) / RPM * model.bench.value("speed_gain_nm_s_per_rad")
+        torque = float(left[0]) / RPM_PER_RAD_PER_S * model.bench.value("speed_gain_nm_s_per_rad")
     return torque * (model.bench.value("gear_ratio") if hypothesis.side == "load" else 1.0)
 
 
@@ -345,8 +341,7 @@ def gap_share(fit: SimulatedFit, term: LearnedTerm) -> float:
 
 def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A term at these values of its variable and its standard deviation, each as ``x``."""
-    phase = 2.0 * math.pi * np.outer(x, np.arange(1, term.orders + 1)) / term.period
-    basis = np.hstack([np.ones((x.size, 1)), np.cos(phase), np.sin(phase)])
+    basis = np.hstack([np.ones((x.size, 1)), *waves_over(x, term.period, term.orders)])
     basis = basis[:, -len(term.names) :]  # an encoder has no constant
     places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
     free = [k for k, name in enumerate(term.names) if name in places]

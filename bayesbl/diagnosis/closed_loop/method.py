@@ -22,9 +22,8 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.rigid.loop_method import METHOD as RIGID
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.observed import ROUNDING, Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
-from bayesbl.matching.predictive_check import ROUNDING
 from bayesbl.matching.signals import (
     START_ANGLE,
     Unknown,

@@ -41,7 +41,7 @@ class SimulatedPair:
 
 
 def simulated_pairs(
-    nominal: Explanation, final: Explanation, held_out: Sequence[Observed] = ()
+    nominal: Explanation, final: Explanation, held_out: Sequence[Observed]
 ) -> list[SimulatedPair]:
     """All recordings with both simulations; of held-out ones only start and phases are fitted."""
     found = []

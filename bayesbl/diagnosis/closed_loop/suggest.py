@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
 from bayesbl.diagnosis.diagnosis import Suggestion
@@ -77,7 +76,7 @@ def _seen(
     matrix = bench.vector(**{START_ANGLE: np.array([0.0, ANGLE_STEP])}, **settings)
     samples = round(bench.rotation_period_s(speed_rpm) * first.sampling_hz)
     everything = simulate_channels(matrix, samples, first.sampling_hz, failures="nan")
-    both = everything[:, [SPEED, CURRENT][: len(first.signals)]]
+    both = everything[:, first.rows]
     if not np.all(np.isfinite(both)):
         return None
     return both[0], (both[1] - both[0]) / ANGLE_STEP

@@ -19,6 +19,7 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import EffectsFit, Piece, TestedEffect
+from bayesbl.diagnosis.rigid.compared_columns import WIDTH
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
@@ -32,7 +33,6 @@ The simulation's steps change with the parameters, so its error jumps: at 1e-5 a
 differences see of an effect, and searches ended early, each elsewhere.
 """
 
-WIDTH = "friction_width"
 WIDTHS = (1e-3, 0.01, 0.3)
 """Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
 

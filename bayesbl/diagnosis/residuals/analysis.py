@@ -211,7 +211,7 @@ def _recording(
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
             file=seen.name,
-            found=f"{seen.samples / rotation:.2g} load rotations",
+            found=f"{seen.samples / rotation:.3g} load rotations",
             expected="at least two",
         )
     whole = WholeRotations(

@@ -20,9 +20,9 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import PHASE
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned import LearnedTerm, LearnedTorque, variable_of
+from bayesbl.bench.learned import LearnedTerm, LearnedTorque, variable_of, waves_over
 from bayesbl.diagnosis.comparison import EffectsFit, residuals
-from bayesbl.diagnosis.diagnosis import LearnedAnswer, LearnedCurve
+from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import (
     LEAST_OF_ITS_OWN,
     Group,
@@ -38,7 +38,6 @@ from bayesbl.diagnosis.rigid.learned_waves import LearnedWaves, wave_of
 from bayesbl.diagnosis.rigid.preparation import GRAVITY
 from bayesbl.recording.types import FloatArray
 
-CURVE_POINTS = 181
 MEAN_POINTS = 1000
 
 _NOTHING_ELSE = np.zeros((0, 0))
@@ -365,8 +364,7 @@ def _over(torque: LearnedTorque, comparison: InverseComparison) -> FloatArray:
 
 def _curve(torque: LearnedTorque, comparison: InverseComparison) -> LearnedCurve:
     x = _over(torque, comparison)
-    phase = 2.0 * math.pi * np.outer(x, np.arange(1, len(torque.cosine_nm) + 1)) / torque.period
-    basis = np.hstack([np.ones((x.size, 1)), np.cos(phase), np.sin(phase)])
+    basis = np.hstack([np.ones((x.size, 1)), *waves_over(x, torque.period, torque.orders)])
     return LearnedCurve(x, torque.over(x), np.sqrt(basis**2 @ np.square(torque.sd_nm)))
 
 

@@ -19,7 +19,7 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
-from bayesbl.diagnosis.fitted_parameters import SURE_PARAMETER
+from bayesbl.diagnosis.fitted_parameters import parameter_errors
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.loop_setting import (
     ECCENTRICITY,
@@ -301,12 +301,7 @@ class _Answer:
                 errors.append(
                     ParameterError(name, believed.value, believed.tolerance, estimate, rivals)
                 )
-        for name, estimate in _fitted(fit, self.setting.free.priors).items():
-            believed = self.task.bench.parameters[name]
-            fitted = math.exp(estimate.value)
-            beyond = abs(fitted - believed.value) - believed.tolerance
-            if beyond > SURE_PARAMETER * fitted * estimate.sd:
-                errors.append(ParameterError(name, believed.value, believed.tolerance, estimate))
+        errors += parameter_errors(self.task.bench, _fitted(fit, self.setting.free.priors))
         return tuple(effects), tuple(errors)
 
     def _sizes(self, fit: LawFit | None) -> Iterator[OrderSize]:
