@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
@@ -114,6 +113,8 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
     Nothing without a current, or where too few orders stand out; ``folded`` as :func:`features`
     takes it.
     """
+    from scipy.ndimage import uniform_filter1d
+
     if len(folded) == 1:
         return []
     centred = folded - folded.mean(axis=2, keepdims=True)

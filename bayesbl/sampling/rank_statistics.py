@@ -54,7 +54,7 @@ def bulk_ess(draws: FloatArray) -> float:
     scores = _normal_scores(_halves(draws))
     if np.ptp(scores) < np.finfo(float).resolution:
         return float(scores.size)
-    chains, steps = scores.shape
+    steps = scores.shape[1]
     covariance = _autocovariance(scores)
     within = covariance[0] * steps / (steps - 1.0)
     total = within * (steps - 1.0) / steps + np.var(scores.mean(axis=1), ddof=1)
