@@ -107,4 +107,4 @@ def _autocovariance(scores: FloatArray) -> FloatArray:
     spectrum = np.fft.rfft(scores - scores.mean(axis=1, keepdims=True), size, axis=1)
     spectrum *= np.conjugate(spectrum)
     covariance = np.fft.irfft(spectrum, size, axis=1)[:, :steps] / steps
-    return np.ascontiguousarray(covariance.T).mean(axis=1)
+    return np.asarray(np.ascontiguousarray(covariance.T).mean(axis=1))
