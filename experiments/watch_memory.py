@@ -19,9 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesbl.config.fleet import FleetConfig
-from bayesbl.config.loading import load_config
-from bayesbl.runs.watch import Watched, watch
+from bayesbl.libraries import bare
 
 EXAMPLE = Path(__file__).parents[1] / "configs/recordings/wear_before.csv"
 ADDED_SD_RPM = 0.02
@@ -60,7 +58,16 @@ def memory_mb() -> float:
 
 
 def main(folder: Path, recordings: int = 200) -> None:
-    """Make the plant, watch it, and print."""
+    """Make the plant, watch it as the command does, and print."""
+    with bare():
+        _watch(folder, recordings)
+
+
+def _watch(folder: Path, recordings: int) -> None:
+    from bayesbl.config.fleet import FleetConfig
+    from bayesbl.config.loading import load_config
+    from bayesbl.runs.watch import Watched, watch
+
     make(folder, recordings)
     config = load_config(folder / "plant.toml")
     assert isinstance(config, FleetConfig)

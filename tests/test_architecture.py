@@ -23,6 +23,7 @@ ROOMS = (
     "progress",
     "probabilities",
     "compiled",
+    "libraries",
     "recording",
     "noise",
     "bench",

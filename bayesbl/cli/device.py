@@ -63,41 +63,44 @@ def watch_command(
     ] = False,
 ) -> None:
     """Measure recordings as they appear, on a device at the robot."""
-    from bayesbl.config.fleet import FleetConfig
-    from bayesbl.fleet.broker import read_address, read_credentials
-    from bayesbl.fleet.plant_tables import RECORDINGS_FILE
-    from bayesbl.runs.run import load_run
-    from bayesbl.runs.watch import Watched, watch
+    from bayesbl.libraries import bare
 
-    address = None if publish is None else read_address(publish)
-    if address is None and credentials is not None:
-        raise ConfigError(
-            "Credentials are for a broker.", where="--credentials", expected="--publish URL too"
+    with bare():
+        from bayesbl.config.fleet import FleetConfig
+        from bayesbl.fleet.broker import read_address, read_credentials
+        from bayesbl.fleet.plant_tables import RECORDINGS_FILE
+        from bayesbl.runs.run import load_run
+        from bayesbl.runs.watch import Watched, watch
+
+        address = None if publish is None else read_address(publish)
+        if address is None and credentials is not None:
+            raise ConfigError(
+                "Credentials are for a broker.", where="--credentials", expected="--publish URL too"
+            )
+        if address is None and mean_rotation:
+            raise ConfigError(
+                "Mean rotations are sent to a broker.",
+                where="--mean-rotation",
+                expected="--publish URL too",
+            )
+        found = load_run(config, kind="fleet")
+        assert isinstance(found, FleetConfig)
+        output = found.run.output
+        asked = Watched(
+            folder,
+            out or output.with_name(output.name + _WATCHED),
+            address,
+            read_credentials(credentials),
+            once,
+            settled_s,
+            keep_latest,
+            mean_rotation,
         )
-    if address is None and mean_rotation:
-        raise ConfigError(
-            "Mean rotations are sent to a broker.",
-            where="--mean-rotation",
-            expected="--publish URL too",
-        )
-    found = load_run(config, kind="fleet")
-    assert isinstance(found, FleetConfig)
-    output = found.run.output
-    asked = Watched(
-        folder,
-        out or output.with_name(output.name + _WATCHED),
-        address,
-        read_credentials(credentials),
-        once,
-        settled_s,
-        keep_latest,
-        mean_rotation,
-    )
-    _log(None if address is None else address.open_to_others)
-    table = asked.output / RECORDINGS_FILE
-    _log(f"Watching {folder}; each recording becomes a row of {table}.")
-    with _ended_by_signals():
-        watch(found, asked, _log, _tell)
+        _log(None if address is None else address.open_to_others)
+        table = asked.output / RECORDINGS_FILE
+        _log(f"Watching {folder}; each recording becomes a row of {table}.")
+        with _ended_by_signals():
+            watch(found, asked, _log, _tell)
 
 
 def collect_command(

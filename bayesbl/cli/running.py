@@ -43,6 +43,15 @@ def notes_console() -> Console:
 
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
+    from bayesbl.config.sections import ClusterRun
+    from bayesbl.libraries import bare
+
+    on_cluster = isinstance(config.run, ClusterRun) and config.run.scheduler is not None
+    with bare(dask=on_cluster):
+        _run_config(config, force, json, file)
+
+
+def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
     from bayesbl.library import draw
     from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.shown_progress import progress

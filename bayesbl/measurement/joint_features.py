@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
+from bayesbl.recording.types import MOTOR_CURRENT, ComplexArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -114,6 +114,8 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
     Nothing without a current, or where too few orders stand out; ``folded`` as :func:`features`
     takes it.
     """
+    from scipy.ndimage import uniform_filter1d
+
     if len(folded) == 1:
         return []
     centred = folded - folded.mean(axis=2, keepdims=True)
@@ -175,10 +177,15 @@ def _values(folded: FloatArray) -> dict[str, float]:
 def _harmonic(channel: FloatArray, order: int) -> float:
     """Amplitude at a multiple of the load's rotation, in the channel's unit."""
     count = channel.shape[1]
-    wave = np.exp(-2j * np.pi * order * np.arange(count) / count)
-    terms = channel @ wave * (2.0 / count)
+    terms = channel @ _wave(order, count) * (2.0 / count)
     power = (abs(terms.sum()) ** 2 - np.sum(np.abs(terms) ** 2)) / (terms.size * (terms.size - 1))
     return math.sqrt(max(float(power), 0.0))
+
+
+@lru_cache(maxsize=16)
+def _wave(order: int, count: int) -> ComplexArray:
+    """e^(−2πi order n / count) at n = 0 … count − 1: the same for every resampling."""
+    return np.asarray(np.exp(-2j * np.pi * order * np.arange(count) / count))
 
 
 def _resampled(folded: FloatArray, generator: np.random.Generator) -> FloatArray:

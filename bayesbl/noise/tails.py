@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import gammaln
 
 from bayesbl.recording.types import FloatArray
@@ -65,6 +64,8 @@ def tails(differences: FloatArray) -> Tails:
 
 def _log_likelihood(x: FloatArray, count: FloatArray, freedom: float) -> float:
     """Log likelihood of |differences| x, each ``count`` times, at the best scale."""
+    from scipy.optimize import minimize_scalar
+
     log_z, log_density = _difference_density(freedom)
 
     def cost(log_scale: float) -> float:

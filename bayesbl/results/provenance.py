@@ -23,7 +23,6 @@ DEPENDENCIES = (
     "scipy",
     "cma",
     "emcee",
-    "arviz-stats",
     "xarray",
     "netCDF4",
     "numba",

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from bayesbl.noise.autoregression import innovations
 from bayesbl.noise.rotation_noise import (
@@ -209,6 +208,8 @@ def _turned_evenly(recording: Recording, speed_rpm: FloatArray, ahead_s: FloatAr
     """The recording over a time in which the load turns evenly; ``ahead_s`` is its lead."""
     time_s, excluded = recording.time_s, recording.excluded
     if np.any(ahead_s):
+        from scipy.interpolate import CubicSpline
+
         # t + ahead(t) = u solved for t by substitution; ahead changes by parts in a thousand.
         at = time_s - np.interp(time_s - ahead_s, time_s, ahead_s)
         at = np.clip(at, time_s[0], time_s[-1])

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 import math
-import sys
-import threading
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 
@@ -58,7 +52,8 @@ def minimise(
     samples: int,
 ) -> tuple[FloatArray, SearchHistory]:
     """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``."""
-    cma = _cma()
+    import cma
+
     low, high = box
     options = {
         "popsize": population,
@@ -87,22 +82,3 @@ def minimise(
         rows.append((float(strategy.countevals), math.sqrt(best / samples)))
     evaluations, rmse = np.array(rows).T
     return best_point, SearchHistory(np.zeros(len(rows)), evaluations, rmse)
-
-
-def _cma() -> ModuleType:
-    """cma without what it imports where it can and never needs here: half of a second.
-
-    Only as long as no other thread may import the same.
-    """
-    if "cma" in sys.modules or threading.active_count() > 1:
-        return import_module("cma")
-    absent: Any = None
-    spared = [n for n in ("matplotlib.pyplot", "scipy.stats") if n not in sys.modules]
-    sys.modules.update(dict.fromkeys(spared, absent))
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Could not import matplotlib")
-            return import_module("cma")
-    finally:
-        for name in spared:
-            del sys.modules[name]

@@ -8,6 +8,7 @@ again from whichever of these is there, and the same answer sent twice is one ro
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import time
@@ -227,6 +228,7 @@ class _Measuring:
             if digest_of_file(one.file)[0] != sha256:
                 return False
         self._put(one, sha256, answer)
+        gc.collect()  # measuring leaves arrays in circles, which would pile up over recordings
         return True
 
     def _job(self, one: Found, sha256: str) -> JointJob:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
 from bayesbl.probabilities import normal_sf
@@ -39,6 +38,8 @@ def chance_at_edge(distances: FloatArray, width: float) -> float:
         return 1.0
     beyond = FURTHEST
     if mean > sd * _shape(FURTHEST)[0]:
+        from scipy.optimize import brentq
+
         beyond = float(brentq(lambda t: _shape(t)[0] - mean / sd, 0.0, FURTHEST))
     own = sd / _shape(beyond)[1]
     tail = _density(beyond) - beyond * normal_sf(beyond)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import xarray as xr
@@ -46,13 +47,23 @@ def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",))
     written: list[Path] = []
     if not formats:
         return written
-    with publication_style():
+    with publication_style(), _collecting_the_new_alone():
         for figure in found:
             for ending, drawn_from in figure.parts(tree):
                 written += save(figure(*drawn_from), folder, figure.name + ending, formats)
                 # A figure holds itself in circles, and up to 15 MB: freed before the next one.
                 gc.collect()
     return written
+
+
+@contextmanager
+def _collecting_the_new_alone() -> Iterator[None]:
+    """Collections do not look through what was there before: most of the time that they take."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def figures_of(tree: xr.DataTree) -> list[StoredFigure]:
