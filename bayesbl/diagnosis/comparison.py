@@ -31,6 +31,9 @@ class Piece:
         Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
     shown
         Whether the answer tells its disagreement: not of what the comparison could not explain.
+    white
+        Autocovariance of white noise behind the filter that both sides passed, lags of 0, 1, …
+        samples; ``None`` where they passed none.
     """
 
     name: str
@@ -40,6 +43,7 @@ class Piece:
     measured: FloatArray
     excluded: BoolArray | None = None
     shown: bool = True
+    white: FloatArray | None = None
 
     def kept(self, values: FloatArray) -> FloatArray:
         """Values of the samples that count, (n, …) to (k, …)."""
@@ -195,6 +199,7 @@ def residuals_of_pieces(
             piece.use,
             piece.kept(piece.measured - first),
             piece.kept(piece.measured - last),
+            white=piece.white,
         )
         for piece, first, last in zip(
             comparison.pieces, before.predictions, after.predictions, strict=True

@@ -4,7 +4,8 @@ One definition for every method. The noise floor is the RMS of what does not fol
 recording's own past: from one load rotation before where the recording holds whole rotations,
 elsewhere from the samples just before. What repeats in every rotation is no noise for the first,
 but is for the second where it cannot be predicted, so that the two are stored with where they are
-from and are not to be compared.
+from and are not to be compared. Behind a low pass even white noise follows from the samples before,
+the more the denser they are: what the filter alone foretells is noise still.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.diagnosis.residual_noise import ResidualNoise
+from bayesbl.noise.autoregression import levinson
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import unit_of
 
@@ -107,6 +109,7 @@ def piece_residuals(
     before: FloatArray,
     after: FloatArray,
     rotation: int | None = None,
+    white: FloatArray | None = None,
 ) -> PieceResiduals:
     """Residuals with their noise floor.
 
@@ -114,9 +117,15 @@ def piece_residuals(
     ----------
     rotation
         Samples in a load rotation, of a recording that holds whole ones; ``None`` elsewhere.
+    white
+        Autocovariance, in samples, of white noise behind the filter that the residuals passed.
     """
     if rotation is None:
-        floor = ResidualNoise.of(after).innovation
+        noise = ResidualNoise.of(after)
+        floor = noise.innovation
+        if white is not None:
+            variance, _ = levinson(white, min(noise.coefficients.size, white.size - 1))[-1]
+            floor = min(noise.sd, floor * math.sqrt(float(white[0]) / variance))
         return PieceResiduals(recording, channel, use, before, after, floor, "samples")
     difference = after[rotation:] - after[:-rotation]
     floor = math.sqrt(0.5 * float(np.mean(difference**2)))

@@ -208,8 +208,10 @@ def _findings(
     if change is not None:
         shift = change.log_amplitude
         item = CheckItem(FILTER, math.exp(shift), 1.0, "", change.deviations)
-        harmful = abs(item.z) > bound and abs(shift) > _harmless(first, other)
-        yield item, _sentence_of_filter(change, snapshot) if harmful else ""
+        if abs(item.z) > bound and abs(shift) > _harmless(first, other):
+            yield item, _sentence_of_filter(change, snapshot)
+        else:
+            yield item, _sentence_of_level(first, other, change, bound, snapshot)
 
 
 def _gains_seen(first: _Seen, other: _Seen) -> bool:
@@ -278,6 +280,8 @@ def _filters_unseen(
         max(
             change.high - change.log_amplitude,
             change.log_amplitude - change.low,
+            change.folded_high,
+            -change.folded_low,
             _harmless(*pair),
         )
         for pair, change in by_noise
@@ -336,4 +340,25 @@ def _sentence_of_filter(change: FilterChange, snapshot: str) -> str:
         f"from another source. Such a filter alone would {direction} the ringing by "
         f"{100.0 * least:.2g} % or more. Record all snapshots through the same filter, or the "
         "motor current as well."
+    )
+
+
+def _sentence_of_level(
+    first: _Seen, other: _Seen, change: FilterChange, bound: float, snapshot: str
+) -> str:
+    """Where a filter that folded noise hides may be all that moved the ringing; else nothing."""
+    moved = other.log_amplitude - first.log_amplitude
+    sd = math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
+    furthest = change.folded_high if moved > 0.0 else -change.folded_low
+    beyond_chance = abs(moved) > bound * sd
+    if not beyond_chance or furthest < max(abs(moved) - bound * sd, _harmless(first, other)):
+        return ""
+    direction, verb = ("raise", "rose") if moved > 0.0 else ("lower", "fell")
+    where = f" in {snapshot}" if snapshot else ""
+    share = math.expm1(furthest) if moved > 0.0 else -math.expm1(-furthest)
+    return (
+        f"The noise of the speed {verb} to {math.exp(0.5 * change.level):.2g} times{where}, at all "
+        "frequencies. A filter before a recorder that keeps one sample in several does that; it "
+        f"could {direction} the ringing by up to {100.0 * share:.2g} %, as much as was seen. "
+        "Record all snapshots through the same filter, or the motor current as well."
     )

@@ -14,7 +14,9 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import METHODS, method_named
+from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.diagnosis.summary import summarise_diagnosis
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 
 LAG = 500
 ROTATIONS = 8
@@ -49,6 +51,27 @@ def test_what_follows_from_the_samples_before_is_no_noise_elsewhere() -> None:
     found = piece(noise(2), noise(2), rotation=None)
     assert found.noise_floor_from == "samples"
     assert found.noise_floor == pytest.approx(0.8 * SD, rel=0.05)  # √(1 − φ²) of it
+
+
+@pytest.mark.parametrize("samples_per_period", [2.5, 3.0, 3.97, 4.9])
+def test_behind_a_low_pass_white_noise_is_its_own_floor(samples_per_period: float) -> None:
+    low_pass = LowPass(1.0 / samples_per_period, 1.0)
+    left = low_pass(np.random.default_rng(4).standard_normal(10_000))
+    white = low_pass.of_white_noise(1, HIGHEST_ORDER + 1)
+    assert white[0] == pytest.approx(np.mean(left**2), rel=0.05)
+    found = piece_residuals("made", "motor_torque_nm", "used", left, left, white=white)
+    # An order of BIC's choice, its share of white noise to a few per cent.
+    assert found.noise_floor == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.05)
+
+
+def test_behind_a_low_pass_what_is_smoother_than_noise_stays_a_misfit() -> None:
+    low_pass = LowPass(0.25, 1.0)
+    made = np.random.default_rng(5).standard_normal(10_000)
+    swing = np.sqrt(2.0) * 4.0 * np.sin(2.0 * np.pi * 0.01 * np.arange(made.size))
+    white = low_pass.of_white_noise(1, HIGHEST_ORDER + 1)
+    left = low_pass(made) + swing
+    found = piece_residuals("made", "motor_torque_nm", "used", left, left, white=white)
+    assert found.noise_floor < 0.3 * np.sqrt(np.mean(left**2))
 
 
 @pytest.mark.parametrize("left", [0.0, 0.5, 1.0])

@@ -18,7 +18,7 @@ from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece, residuals, residuals_of_pieces
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.disagreement import Use, disagreement_table
+from bayesbl.diagnosis.disagreement import Use, disagreement_table, piece_residuals
 from bayesbl.diagnosis.free_motion.trajectory import FreeMotionComparison, free_motion_candidates
 from bayesbl.diagnosis.residual_noise import ResidualNoise, sandwich
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
@@ -547,3 +547,16 @@ def test_a_scan_of_an_order_minimises_what_the_fit_leaves() -> None:
                 rest = rest - linear[name] * column
             left += float(rest @ rest)
         assert cost(order) == pytest.approx(left, rel=1e-9)
+
+
+@pytest.mark.parametrize("cutoff_hz", [25.0, 40.0, 63.0])
+def test_a_floor_is_the_noise_however_densely_the_cut_off_is_sampled(cutoff_hz: float) -> None:
+    # 2.5, 3.1 and 4 samples in a period of the cut-off.
+    time, angle, *_ = motion(1, 60.0)
+    made = 0.05 * np.random.default_rng(8).standard_normal(time.size)
+    noisy = Recording("white", time, {MOTOR_POSITION: angle, MOTOR_TORQUE: made})
+    piece = compared(noisy, MOTOR_TORQUE, ["used"], cutoff_hz)[0].piece
+    left = piece.kept(piece.measured)
+    found = piece_residuals("white", MOTOR_TORQUE, "used", left, left, white=piece.white)
+    # At least 2900 samples: 1.3 % of scatter, and what an order of BIC's choice leaves of the rest.
+    assert found.noise_floor == pytest.approx(math.sqrt(float(np.mean(left**2))), rel=0.06)

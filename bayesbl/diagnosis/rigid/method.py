@@ -50,6 +50,7 @@ from bayesbl.diagnosis.rigid.view import (
 from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -286,7 +287,11 @@ def compared(
         seen = view(signal if view.above else LowPass(sharp, period)(signal))
         excluded = None if out is None or not out[view.rows].any() else out[view.rows]
         time = recording.time_s[view.rows]
-        whole = Piece(recording.name, channel, uses[0], time, seen, excluded, not view.above)
+        white = low_pass.of_white_noise(view.rows.step, HIGHEST_ORDER + 1)
+        shown = not view.above
+        whole = Piece(
+            recording.name, channel, uses[0], time, seen, excluded, shown, white if shown else None
+        )
         shares = [(whole, view)]
         if len(uses) == 2:
             shares = [(whole.half(second), view.half(second)) for second in (False, True)]

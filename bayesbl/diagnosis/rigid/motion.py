@@ -71,11 +71,22 @@ class LowPass:
         size = fft.next_fast_len(n + 2 * more, real=True)
         around = np.concatenate((left, after, np.zeros(size - n - 2 * more), before[::-1]))
         frequency = fft.rfftfreq(size, self.period_s)
-        ratio = np.tan(math.pi * frequency * self.period_s)
-        ratio /= math.tan(math.pi * self.cutoff_hz * self.period_s)
-        gain = (2.0j * math.pi * frequency) ** times / (1.0 + ratio ** (2 * FILTER_ORDER))
+        gain = (2.0j * math.pi * frequency) ** times * self._gain(frequency)
         made = fft.irfft(fft.rfft(around) * gain, size)[:n]
         return np.asarray(made + (line, slope, 0.0)[times])
+
+    def of_white_noise(self, step: int, lags: int) -> FloatArray:
+        """Autocovariance of white noise behind it, at 0, 1 … times ``step`` samples, (lags,)."""
+        size = fft.next_fast_len(
+            2 * step * lags + math.ceil(FADE_PERIODS / (self.cutoff_hz * self.period_s)), real=True
+        )
+        power = self._gain(fft.rfftfreq(size, self.period_s)) ** 2
+        return np.asarray(fft.irfft(power, size)[: step * lags : step])
+
+    def _gain(self, frequency: FloatArray) -> FloatArray:
+        ratio = np.tan(math.pi * frequency * self.period_s)
+        ratio /= math.tan(math.pi * self.cutoff_hz * self.period_s)
+        return np.asarray(1.0 / (1.0 + ratio ** (2 * FILTER_ORDER)))
 
 
 @dataclass(frozen=True, slots=True)
