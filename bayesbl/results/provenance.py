@@ -23,6 +23,7 @@ DEPENDENCIES = (
     "scipy",
     "cma",
     "emcee",
+    "arviz-stats",
     "xarray",
     "netCDF4",
     "numba",

@@ -11,7 +11,6 @@ import numpy as np
 from scipy import fft
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.rank_statistics import bulk_ess, rank_r_hat
 
 Outcome = Literal["converged", "usable", "withheld"]
 
@@ -95,8 +94,11 @@ def rank_r_hat_and_ess(
     draws: Mapping[str, FloatArray],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
-    r_hat = {name: rank_r_hat(chains) for name, chains in draws.items()}
-    return r_hat, {name: bulk_ess(chains) for name, chains in draws.items()}
+    from arviz_stats.base import array_stats
+
+    r_hat = {n: float(array_stats.rhat(x, method="rank")) for n, x in draws.items()}
+    ess = {n: float(array_stats.ess(x, method="bulk")) for n, x in draws.items()}
+    return r_hat, ess
 
 
 def integrated_time(chain: FloatArray) -> float:
