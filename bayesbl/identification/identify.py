@@ -34,7 +34,6 @@ from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
-from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
 from bayesbl.naming.criteria import ALIKE, is_gross
 from bayesbl.naming.explanation import (
@@ -47,7 +46,9 @@ from bayesbl.naming.explanation import (
     nominal_explanation,
     polished,
     with_noise,
+    with_own_noise,
 )
+from bayesbl.naming.motor_orders import order_peaks
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import WORTH_FITTING, name_missing
 from bayesbl.progress import Progress, StageProgress, of_stage
@@ -162,15 +163,13 @@ def _nominal(problem: Problem, progress: Progress | None) -> Explanation:
             tried.append(from_afar(found, candidate))
         found = min(filter(None, tried), key=lambda e: e.fit.chi_square, default=found)
     found = with_noise(polished(found), remaining_noise(found.fit))
-    return with_noise(found, remaining_noise(found.fit))
+    return with_own_noise(found)
 
 
 def _effects(
     problem: Problem, fit: SimulatedFit, names: Sequence[str] | Literal["all"]
 ) -> list[Candidate]:
     """Candidates of these names; those that turn with the motor at the orders that stand out."""
-    from bayesbl.naming.motor_orders import order_peaks
-
     found = candidates(problem.bench, problem.used, names, order_peaks(fit))
     return [c for c in found if c.kind == "effect"]
 
@@ -202,7 +201,7 @@ def _delayed(
         return nominal, ()
     best, *others = sorted(found, key=lambda e: -e.log_evidence)
     alike = [e.candidates[-1].name for e in others if distance(best, e) < ALIKE]
-    return with_noise(best, remaining_noise(best.fit)), ((best.candidates[-1].name, *alike),)
+    return with_own_noise(best), ((best.candidates[-1].name, *alike),)
 
 
 def _with(base: Explanation, candidate: Candidate) -> Explanation | None:
@@ -266,7 +265,7 @@ def _named(
     missing = tuple(effect.members for effect in naming.effects)
     if not missing or problem.effects != "catalogue":
         return nominal, missing
-    return with_noise(naming.final, remaining_noise(naming.final.fit)), missing
+    return with_own_noise(naming.final), missing
 
 
 def _to_name_from(nominal: Explanation, steady: Explanation | None) -> SimulatedFit:
@@ -277,15 +276,8 @@ def _to_name_from(nominal: Explanation, steady: Explanation | None) -> Simulated
     """
     if steady is None or steady.fit.chi_square >= nominal.fit.chi_square or nominal.candidates:
         return nominal.fit
-    own, old = nominal.fit.point.size, nominal.fit.model
-    model = SimulatedSignals(
-        old.bench,
-        old.recordings,
-        old.unknowns,
-        steady.fit.model.noise,
-        old.workers,
-        recent=old.recent,
-    )
+    own = nominal.fit.point.size
+    model = replace(nominal.fit.model, noise=steady.fit.model.noise)
     begun = replace(steady.fit, point=steady.fit.point[:own], steps=steady.fit.steps[:own])
     return with_model(begun, model)
 

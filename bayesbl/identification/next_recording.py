@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.recording.types import FloatArray
 
-SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
-ROTATIONS = 5
 NEAR_LIMIT = 0.95
 """Share of the drive's largest current that a suggested recording may take."""
 

@@ -199,7 +199,7 @@ def observed(
         return _motion(recording, bench, period)
     reference = reference_speed(recording, bench, reference_speed_rpm)
     rotation = bench.rotation_period_s(reference)
-    if speed.size * period < (2.0 - ROUNDING) * rotation:
+    if speed.size * period < 1.9 * rotation:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
             file=recording.name,

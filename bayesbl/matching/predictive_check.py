@@ -66,10 +66,13 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
 
 
 def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[int, float, float]]:
-    """Of what repeats; of what is slow in a motion of which less than two cycles are compared."""
+    """Of what repeats; of what is slow where nothing does, or one cycle would have to scatter.
+
+    Without its begin a motion of two cycles has less than two that are compared.
+    """
     if seen.motion is not None and seen.cycle is None:
         return _slow(row, seen.lag, scatters=scatters)
-    if len(whole_rotations(row, seen.lag)) < 2:
+    if scatters and len(whole_rotations(row, seen.lag)) < 2:
         return _slow(row, row.size // 4, scatters=scatters)
     return _repeating(row, seen.lag, scatters=scatters)
 

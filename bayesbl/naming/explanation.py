@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesbl.errors import BenchError
-from bayesbl.matching.alignment import aligned_starts
+from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.signals import GAP, OF_THE_TICKS, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import (
@@ -77,6 +77,11 @@ def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Expla
     fit = explanation.fit
     model = replace(fit.model, noise=noise)
     return replace(explanation, fit=fit_simulated(model, fit.point, fit.steps))
+
+
+def with_own_noise(explanation: Explanation) -> Explanation:
+    """The same explanation, fitted again under the noise that it leaves itself."""
+    return with_noise(explanation, remaining_noise(explanation.fit))
 
 
 def distance(a: Explanation, b: Explanation) -> float:

@@ -18,12 +18,11 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
-from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
-from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_noise
+from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_own_noise
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.search import name_missing
 from bayesbl.probabilities import normal_isf
@@ -190,7 +189,7 @@ def find_changes(
     final = naming.final
     if final.candidates:
         # What changed is not noise: the interval rests on the noise estimated without it.
-        final = with_noise(final, remaining_noise(final.fit))
+        final = with_own_noise(final)
     explained = agrees(disagreements(final.fit), false_alarm)
     fit = final.fit if explained else nominal
     findings = JointFindings(

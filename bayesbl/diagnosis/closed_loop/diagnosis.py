@@ -31,14 +31,14 @@ from bayesbl.diagnosis.diagnosis import (
 from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
-from bayesbl.matching.alignment import fit_aligned, remaining_noise
+from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
-from bayesbl.naming.explanation import Explanation, reduced, with_noise
+from bayesbl.naming.explanation import Explanation, reduced, with_own_noise
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
 from bayesbl.progress import Progress
@@ -138,7 +138,7 @@ def search(
     # What was missing is not noise: intervals rest on the noise estimated without it.
     final = naming.final
     if final.candidates:
-        final = with_noise(final, remaining_noise(final.fit))
+        final = with_own_noise(final)
     pairs = simulated_pairs(naming.nominal, final, held_out)
     before = _analysis(pairs, naming.nominal, "before")
     after = _analysis(pairs, final, "after")

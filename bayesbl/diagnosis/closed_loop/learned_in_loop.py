@@ -20,13 +20,13 @@ from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurv
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
 from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
 from bayesbl.errors import BenchError
-from bayesbl.matching.alignment import aligned_starts, remaining_noise, with_shifts
+from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places
 from bayesbl.naming.criteria import ENOUGH_CLOSED
-from bayesbl.naming.explanation import Explanation, gain_threshold, with_noise
+from bayesbl.naming.explanation import Explanation, gain_threshold, with_own_noise
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -323,8 +323,7 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
     fit = fit_simulated(extended, begin, base.fit.steps, rough=True)
     if fit.chi_square >= base.fit.chi_square:
         return None
-    explanation = replace(base, fit=fit)
-    return with_noise(explanation, remaining_noise(fit))
+    return with_own_noise(replace(base, fit=fit))
 
 
 def gap_share(fit: SimulatedFit, term: LearnedTerm) -> float:

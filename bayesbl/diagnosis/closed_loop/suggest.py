@@ -18,9 +18,12 @@ from bayesbl.naming.naming import NamedCandidate
 from bayesbl.recording.types import FloatArray
 
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
+"""Of the highest speed recorded, that are tried."""
 PAYLOAD = 1.3
+"""Times the present one, that is tried at the highest speed."""
 ANGLE_STEP = 1e-4
 ROTATIONS = 5.0
+"""Of the load, in a recording that is suggested."""
 
 
 def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> Suggestion | None:
