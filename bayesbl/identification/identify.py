@@ -146,7 +146,13 @@ def identify(
         if wrong is not None:
             final, beyond, wider = *wrong, None
             check = tuple(disagreements(final.fit))
-    posterior = sample_direct(final.fit, sampler, seed, of_stage(progress, "Sampling"))
+    posterior = sample_direct(
+        final.fit,
+        sampler,
+        seed,
+        of_stage(progress, "Sampling"),
+        of_stage(progress, "Simulating draws"),
+    )
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
 
 

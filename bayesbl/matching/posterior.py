@@ -130,6 +130,7 @@ def sample_direct(
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
+    simulating: Progress | None = None,
     *,
     withheld: bool = False,
 ) -> DirectPosterior:
@@ -140,13 +141,18 @@ def sample_direct(
     withheld
         The gap will not be told, whatever the draws: they are not worth full simulation.
     progress
-        Called with (steps made, steps allowed) at every check; full simulations follow the last.
+        Called with (steps made, steps allowed) at every check.
+    simulating
+        Called with (simulations made, simulations to make) before the steps, and after them where
+        the draws are simulated in full.
     """
     model = fit.model
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
     local = _Local(fit.point, fit.peak(), fit.covariance)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
-    chi_square, surrogate = regress(model, points, points.mean(axis=0), _covariance(points))
+    chi_square, surrogate = regress(
+        model, points, points.mean(axis=0), _covariance(points), simulating
+    )
     failed = float(np.mean(~np.isfinite(chi_square)))
     best: _Weighted | None = None
     for refits, walk_seed in enumerate(walk_seeds):
@@ -161,7 +167,7 @@ def sample_direct(
             chi_square = expected.reshape(draws.shape[:2])
             return DirectPosterior(fit, draws, chi_square, effective, CHECKED, refits, diagnostics)
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
-        chi_square, surrogate = regress(model, flat, local.centre, local.covariance)
+        chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
         failed = float(np.mean(~np.isfinite(chi_square)))
         found = _Weighted.by(walked, draws, expected, chi_square, refits)
         if best is not None and found.effective <= best.effective:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.matching.signals import SimulatedSignals
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
 POINTS_PER_TERM = 3
@@ -65,7 +66,11 @@ def points_needed(model: SimulatedSignals) -> int:
 
 
 def regress(
-    model: SimulatedSignals, points: FloatArray, centre: FloatArray, covariance: FloatArray
+    model: SimulatedSignals,
+    points: FloatArray,
+    centre: FloatArray,
+    covariance: FloatArray,
+    progress: Progress | None = None,
 ) -> tuple[FloatArray, Surrogate]:
     """Full simulations at some points: χ² at each, and the polynomials through them.
 
@@ -76,6 +81,8 @@ def regress(
     centre, covariance
         Roughly those of the points, shapes (d,) and (d, d): the scale on which the polynomials are
         well-conditioned.
+    progress
+        Called with (simulations made, simulations to make), of one recording each.
 
     Returns
     -------
@@ -101,6 +108,9 @@ def regress(
             normal += phi.T @ phi
             product = phi.T @ residual[good]
             right = product if begin == 0 else right + product
+            if progress is not None:
+                made = i * len(points) + min(begin + AT_ONCE, len(points))
+                progress(made, len(points) * len(model.recordings))
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         gram = inverse @ (right @ right.T) @ inverse

@@ -256,7 +256,8 @@ def fit_directly(
     fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
     report = of_stage(progress, f"Sampling {name}")
     withheld = joint.against_bench or not joint.explained
-    posterior = sample_direct(fit, sampler, seed, report, withheld=withheld)
+    simulating = of_stage(progress, f"Simulating draws of {name}")
+    posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 
 

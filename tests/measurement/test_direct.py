@@ -121,6 +121,20 @@ def test_the_posterior_is_that_of_full_simulations_on_a_grid():
     assert posterior.effective > 0.8 * len(draws)
 
 
+def test_full_simulations_tell_how_far_they_are():
+    fit = fitted(bench(), record(bench(), 8e-4, 4))
+    told: list[tuple[int, int]] = []
+    sample_direct(
+        fit,
+        SamplerSettings(),
+        np.random.SeedSequence(1),
+        simulating=lambda made, all_of_them: told.append((made, all_of_them)),
+    )
+    assert any(made == all_of_them for made, all_of_them in told)
+    assert all(0 < made <= all_of_them for made, all_of_them in told)
+    assert told[-1][0] == told[-1][1]
+
+
 @pytest.mark.long
 def test_draws_that_are_not_weighted_would_not_be_moved_by_their_weights():
     known = bench(tolerances=True)
