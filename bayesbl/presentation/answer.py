@@ -91,7 +91,7 @@ def headline(summary: MeasuredSummary) -> str:
             if (cause := joint_check.other_cause(summary)) is not None:
                 return f"{by}{if_nothing_else(change, growth, cause)}"
             told = words.change_of("The gap", change, "mrad", 1e3)
-            return f"{by}{told}; {grew(growth)}."
+            return f"{by}{told}; {grew(growth)}{joint_check.unless(summary)}."
     elif summary["delta_rad"] is not None:
         if (preloaded := torque_ramps.no_play(summary)) is not None:
             return preloaded

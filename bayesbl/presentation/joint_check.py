@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from bayesbl.presentation import torque_ramps
 from bayesbl.presentation.blocks import Block, Sentence
 from bayesbl.presentation.words import capitalised
 from bayesbl.units import number
@@ -39,7 +40,11 @@ def other_cause(summary: ComparisonSummary) -> str | None:
 
 def unless(summary: ComparisonSummary) -> str:
     """The condition behind a probability of growth, where it could be something else."""
-    return "" if other_cause(summary) is None else ", if nothing else in the joint changed"
+    if other_cause(summary) is not None:
+        return ", if nothing else in the joint changed"
+    # By any size, and no ramp tells it from play.
+    softer = ", if no flank became softer at small torque"
+    return softer if torque_ramps.is_by_ramps(summary) else ""
 
 
 def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:

@@ -170,6 +170,15 @@ def test_a_change_is_named_by_where_its_interval_lies(low, high, told):
     assert "grew by" not in text
 
 
+def test_growth_by_ramps_is_told_under_the_condition_that_no_ramp_can_test():
+    by_ramps = comparison()
+    for snapshot in by_ramps["snapshots"]:
+        snapshot["ramps"] = {}
+    condition = ", if no flank became softer at small torque."
+    assert answer.headline(by_ramps).endswith(f"grew: > 99.9 %{condition}")
+    assert condition not in answer.headline(comparison())
+
+
 def test_without_a_curve_the_ringing_alone_is_told():
     text = flat(printed(ringing_alone()))
     assert text.startswith("The ringing grew by 24 % (90 % interval 20 to 28 %);")
