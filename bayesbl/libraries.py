@@ -1,10 +1,10 @@
 """Libraries without the extras that they import where these happen to be installed.
 
 pandas imports pyarrow, xarray dask, cma matplotlib, emcee h5py and ``scipy.stats``: together a
-second and 150 MB, of which a command uses nothing, or only later and by itself. They ask whether an
-extra is there as they are imported, and remember the answer for the life of the process. So only a
-process of ours may do this, before it has other threads: whoever imports bayesbl into a program of
-their own finds pandas and xarray as they know them.
+second or two and 130 MB, of which a command uses nothing, or only later and by itself. They ask
+whether an extra is there as they are imported, and remember the answer for the life of the process.
+So only a process of ours may do this, before it has other threads: whoever imports bayesbl into a
+program of their own finds pandas and xarray as they know them.
 """
 
 from __future__ import annotations
