@@ -43,6 +43,10 @@ GAPS_SCANNED_FINELY = 96
 VALLEYS_FITTED = 4
 AT_ONCE = 64
 """Simulated motions held in memory together."""
+ANGLE_STEP_RAD = 1e-3
+"""Less than what a changed flank moves the load by, more than the simulator's error shows."""
+SHIFTS = 2
+"""Newton steps to the start angle by which the other flank's motion is the most alike."""
 SCANNED_S = 4.0
 """Of a motion, behind what is left out, or one cycle if that is longer: enough to start from."""
 
@@ -81,8 +85,9 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     """What is left, from each sample on, of the flank that a motion began on, shape (n,).
 
     χ² between the simulations from either flank: a fit that begins on the wrong one is off by its
-    root at most, in standard deviations of anything, where the noise is white. What is left out of
-    the comparison counts for nothing; zero where the torque at the start decides the flank.
+    root at most, in standard deviations of anything, where the noise is white. What an unknown
+    start angle takes up moves nothing else, and what is left out of the comparison counts for
+    nothing; zero where the torque at the start decides the flank.
     """
     model, seen = fit.model, fit.model.recordings[index]
     assert seen.motion is not None
@@ -92,15 +97,35 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     pressed = twist - row[0, Slot.gap_rad] - row[0, Slot.backlash__gap_rad]
     if pressed[0] > LOADED_SHARE * pressed.max():
         return np.zeros(seen.samples)
-    forward, backward = (
-        simulate_motions(row, seen.motion, *size, start_flank=side)[0, seen.rows]
-        for side in (1.0, -1.0)
-    )
-    apart = np.sum(((forward - backward) / model.noise[index].sd[:, None]) ** 2, axis=0)
-    if seen.excluded is not None:
-        apart = np.where(seen.excluded, 0.0, apart)
-    left: FloatArray = np.cumsum(apart[::-1])[::-1]
+    motion = seen.motion
+
+    def signals(shift_rad: float, flank: float) -> FloatArray:
+        moved = row.copy()
+        moved[0, Slot.start_angle_rad] += shift_rad
+        return simulate_motions(moved, motion, *size, start_flank=flank)[0, seen.rows]
+
+    counted = np.full(seen.samples, 1.0) if seen.excluded is None else 1.0 - seen.excluded
+    weight = counted / model.noise[index].sd[:, None] ** 2
+    forward = signals(0.0, 1.0)
+    if _angle_place(model, index) is None:
+        return _from_each_sample_on(weight * (forward - signals(0.0, -1.0)) ** 2)
+    column = (signals(ANGLE_STEP_RAD, 1.0) - forward) / ANGLE_STEP_RAD
+    shift = 0.0
+    for _ in range(SHIFTS):
+        apart = forward - signals(shift, -1.0)
+        shift += float(np.sum(weight * apart * column) / np.sum(weight * column**2))
+    apart = forward - signals(shift, -1.0)
+    taken = _from_each_sample_on(weight * apart * column) ** 2
+    of_column = _from_each_sample_on(weight * column**2)
+    left = _from_each_sample_on(weight * apart**2)
+    left -= np.divide(taken, of_column, out=np.zeros(left.size), where=of_column > 0.0)
     return left
+
+
+def _from_each_sample_on(values: FloatArray) -> FloatArray:
+    """Sum over all channels and what is left of a recording, (c, n) to (n,)."""
+    total: FloatArray = np.cumsum(values.sum(axis=0)[::-1])[::-1]
+    return total
 
 
 def start_angles(

@@ -449,7 +449,7 @@ def compared(
 
 def told(found, count):
     console = Console(file=io.StringIO(), width=80, highlight=False, markup=False)
-    summary = {"snapshots": [None] * count, "same_joint": {"blind_spots": []}}
+    summary = {"kind": "compare", "snapshots": [{}] * count, "same_joint": {"blind_spots": []}}
     print_blocks(blocks(summary, found), console)
     return " ".join(console.file.getvalue().split())
 
