@@ -10,32 +10,33 @@ from bayesbl.fleet.mean_rotation import REPEATING, MeanChannel, MeanRotation
 from bayesbl.measurement.joint_features import folded_signal
 from bayesbl.measurement.routes import measurer_of
 from bayesbl.noise.rotation_noise import estimate_noise
-from bayesbl.recording.checks import rotations_of
+from bayesbl.recording.checks import is_constant, rotations_of
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.ringing.symbols import ROTATION
 
 
 def mean_rotation(job: JointJob, number: int, answer: RecordingAnswer) -> MeanRotation | None:
-    """One recording of a joint, reduced.
+    """One recording of a joint, reduced to the channels that vary and repeat.
 
-    ``None`` where it holds no two rotations at one speed, or nothing tells how long one takes:
-    neither a fit of the ringing nor a gear ratio.
+    ``None`` where it is too short to tell noise from what repeats, and where nothing tells how long
+    a rotation takes: neither a fit of the ringing nor a gear ratio.
     """
     config = job.config("fit", [number])
     try:
         recording = measurer_of(config).read(config.recordings[0])
         rotation_s = _rotation_s(job, recording, answer)
+        if rotation_s is None or recording.duration_s < 2.0 * rotation_s:
+            return None
+        found = {
+            name: _reduced(values, recording, rotation_s)
+            for name, values in recording.channels.items()
+            if name in REPEATING and np.all(np.isfinite(values)) and not is_constant(values)
+        }
     except UserError:
         return None
-    if rotation_s is None or recording.duration_s < 2.0 * rotation_s:
+    if not found:
         return None
-    own = {
-        name: values
-        for name, values in recording.channels.items()
-        if name in REPEATING and np.all(np.isfinite(values))
-    }
-    found = {name: _reduced(values, recording, rotation_s) for name, values in own.items()}
     turns = len(folded_signal(recording.motor_speed_rpm, rotation_s / recording.sampling_period_s))
     one = job.recordings[number]
     return MeanRotation(job.joint.name, str(one.date), job.sha256[number], rotation_s, turns, found)

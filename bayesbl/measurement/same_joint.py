@@ -356,9 +356,10 @@ def _sentence_of_level(
     direction, verb = ("raise", "rose") if moved > 0.0 else ("lower", "fell")
     where = f" in {snapshot}" if snapshot else ""
     share = math.expm1(furthest) if moved > 0.0 else -math.expm1(-furthest)
+    factor = math.exp(0.5 * abs(change.level))
     return (
-        f"The noise of the speed {verb} to {math.exp(0.5 * change.level):.2g} times{where}, at all "
-        "frequencies. A filter before a recorder that keeps one sample in several does that; it "
-        f"could {direction} the ringing by up to {100.0 * share:.2g} %, as much as was seen. "
+        f"The noise of the speed {verb} by a factor of {factor:.2g}{where}, at all frequencies. A "
+        "filter before a recorder that keeps one sample in several does that; it could "
+        f"{direction} the ringing by up to {100.0 * share:.2g} %, as much as was seen. "
         "Record all snapshots through the same filter, or the motor current as well."
     )

@@ -78,7 +78,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         own = [spot for spot in spots if (spot["delta_error_rad"] is not None) == known]
         for reason in dict.fromkeys(spot["reason"] for spot in own):
             told = _listed([_told(spot) for spot in own if spot["reason"] == reason])
-            yield Sentence(f"{capitalised(reason)}: {told}.", "aside", label)
+            yield Sentence(capitalised(f"{told}."), "aside", f"{label} ({reason})")
 
 
 def _listed(told: list[str]) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from watch_memory import CONFIG
 
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import load_config
@@ -29,27 +30,20 @@ ROTATION_S, SAMPLING_HZ, ROTATIONS = 3.6012, 500.0, 20
 NOISE_SD, PHI = 1.5, 0.6
 UNKNOWN = RecordingAnswer("withheld", "Too noisy.")
 
-CONFIG = """schema = 1
-kind = "fleet"
-[fleet]
-joints = "joints.csv"
-recordings = "data/{joint}/{date}.csv"
-[run]
-output = "plant"
-"""
-
 
 def wave(time_s: np.ndarray) -> np.ndarray:
     phase = 2.0 * math.pi * time_s / ROTATION_S
     return 2000.0 + 3.0 * np.sin(phase) + 5.0 * np.cos(9.0 * phase + 0.3)
 
 
-def job_of(folder: Path, speed_rpm: np.ndarray, gear_ratio: str = "") -> JointJob:
+def job_of(
+    folder: Path, speed_rpm: np.ndarray, gear_ratio: str = "", current_a_per_rpm: float = 1e-3
+) -> JointJob:
     """A joint's one recording of this speed, with a current that is proportional to it."""
     place = folder / "data/J1/2026-03-01.csv"
     place.parent.mkdir(parents=True)
     time_s = np.arange(speed_rpm.size) / SAMPLING_HZ
-    rows = np.column_stack([time_s, speed_rpm, 1e-3 * speed_rpm])
+    rows = np.column_stack([time_s, speed_rpm, current_a_per_rpm * speed_rpm])
     head = "time_s,motor_speed_rpm,motor_current_a"
     np.savetxt(place, rows, fmt="%.9g", delimiter=",", header=head, comments="")
     (folder / "joints.csv").write_text(f"joint,gear_ratio\nJ1,{gear_ratio}\n")
@@ -108,11 +102,26 @@ def test_the_gear_ratio_tells_the_rotation_where_no_fit_does(tmp_path):
     assert found.rotation_s == pytest.approx(ROTATION_S, rel=1e-4)
 
 
-@pytest.mark.parametrize("turns", [3.0, 1.4])
-def test_without_two_rotations_or_their_length_there_is_none(tmp_path, turns):
-    time_s = np.arange(round(turns * ROTATION_S * SAMPLING_HZ)) / SAMPLING_HZ
+def test_a_channel_that_stands_still_is_left_out(tmp_path):
+    job = job_of(tmp_path, noisy(np.random.default_rng(9)), current_a_per_rpm=0.0)
+    found = mean_rotation(job, 0, replace(UNKNOWN, optimum={"rotation_period_s": ROTATION_S}))
+    assert found is not None
+    assert list(found.channels) == ["motor_speed_rpm"]
+    assert encoded_rotation(found) is not None
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "rotation_s"),
+    [
+        pytest.param(3.0 * ROTATION_S, None, id="nobody knows how long one takes"),
+        pytest.param(1.4 * ROTATION_S, ROTATION_S, id="too few"),
+        pytest.param(0.66, 0.3, id="too few samples to tell their noise"),
+    ],
+)
+def test_without_rotations_to_compare_there_is_none(tmp_path, duration_s, rotation_s):
+    time_s = np.arange(round(duration_s * SAMPLING_HZ)) / SAMPLING_HZ
     job = job_of(tmp_path, wave(time_s))
-    known = None if turns > 2.0 else {"rotation_period_s": ROTATION_S}
+    known = None if rotation_s is None else {"rotation_period_s": rotation_s}
     assert mean_rotation(job, 0, replace(UNKNOWN, optimum=known)) is None
 
 
