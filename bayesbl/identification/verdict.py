@@ -9,15 +9,16 @@ import numpy as np
 from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import FALSE_ALARM, Problem
-from bayesbl.matching.predictive_check import IMPACTS_DIFFER, agrees, impacts_alike
+from bayesbl.matching.impacts import IMPACTS_DIFFER
+from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP
 from bayesbl.units import in_words
 
 
 def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> str | None:
     """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
-    alike = impacts_alike(found.final.fit, FALSE_ALARM)
-    moving = [seen.name for seen, same in zip(problem.used, alike, strict=True) if not same]
+    differ = found.posterior.impacts_differ(level)
+    moving = [seen.name for seen, unlike in zip(problem.used, differ, strict=True) if unlike]
     if moving:
         return f"{' and '.join(moving)}: {IMPACTS_DIFFER}"
     if found.beyond is not None:

@@ -3,7 +3,8 @@
 emcee walks on a second-order surrogate of the whitened signals. Full simulations of some draws, the
 outermost among them, tell how much importance weights would change: less than the draws scatter by
 chance, and they stand as they are; else all are simulated and weighted. Where few draws carry the
-weight, the surrogate is fitted again around them.
+weight, the surrogate is fitted again around them. What rotations scatter by beyond their noise is
+added last (:mod:`bayesbl.matching.impacts`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesbl.matching.impacts import Scatter, smeared
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
@@ -52,6 +54,8 @@ The share of the posterior between two quantiles of n draws has the standard dev
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
+MATTERS = 0.2
+"""Share of an interval by which an error moves δ or its change too far to be left unsaid."""
 PRESSED_BY_CHANCE = 0.01
 """Share of true values within a tolerance that leave the draws so pressed at a given edge of it."""
 
@@ -65,13 +69,17 @@ class DirectPosterior:
     draws
         Coordinates as the model's ``unknowns`` have them, shape (chain, draw, d); chain = ensemble.
     chi_square
-        Of each draw, shape (chain, draw); by full simulation where all draws were simulated.
+        Of each draw, shape (chain, draw); by full simulation where all draws were simulated, before
+        they were widened.
     effective
         Effective sample size of all draws by their importance weights, or by those of the checked.
     simulated
         Number of draws that were simulated in full.
     refits
         How often the surrogate was fitted again.
+    widening
+        Standard deviation of each coordinate over that without what rotations scatter by beyond
+        their noise, shape (d,).
     """
 
     fit: SimulatedFit
@@ -81,6 +89,7 @@ class DirectPosterior:
     simulated: int
     refits: int
     diagnostics: Diagnostics
+    widening: FloatArray
 
     def beyond_tolerance(self, recording: str | None, level: float) -> str | None:
         """Why the gap of a recording cannot be told; ``None`` where no tolerance decides it.
@@ -105,6 +114,17 @@ class DirectPosterior:
                     "its interval. Correct the bench file, or widen this tolerance."
                 )
         return None
+
+    def impacts_differ(self, level: float) -> list[bool]:
+        """Whether impacts that are not alike make δ wrong, by recording."""
+        model = self.fit.model
+        own = {u.recording for u in model.unknowns if u.name == GAP}
+        differ = []
+        for seen, moved in zip(model.recordings, smeared(self.fit), strict=True):
+            gap = np.log(self.values(GAP, seen.name if seen.name in own else None))
+            low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+            differ.append(bool(abs(moved) > MATTERS * (high - low)))
+        return differ
 
     def values(self, name: str, recording: str | None = None) -> FloatArray:
         """Draws of one unknown's value, shape (chain, draw)."""
@@ -146,8 +166,24 @@ def sample_direct(
         Called with (simulations made, simulations to make) before the steps, and after them where
         the draws are simulated in full.
     """
+    *sampling_seeds, scatter_seed = seed.spawn(4 + MOST_REFITS)
+    found = _sampled(fit, settings, sampling_seeds, progress, simulating, withheld=withheld)
+    return found if withheld else _widened(found, scatter_seed)
+
+
+def _sampled(
+    fit: SimulatedFit,
+    settings: SamplerSettings,
+    seeds: Sequence[np.random.SeedSequence],
+    progress: Progress | None,
+    simulating: Progress | None,
+    *,
+    withheld: bool,
+) -> DirectPosterior:
+    """With all noise taken for the recorder's."""
     model = fit.model
-    design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
+    as_it_is = np.ones(len(model.unknowns))
+    design_seed, pick_seed, *walk_seeds = seeds
     local = _Local(fit.point, fit.peak(), fit.covariance)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
     chi_square, surrogate = regress(
@@ -165,7 +201,9 @@ def sample_direct(
             effective = check.effective_share * len(flat)
             diagnostics = _judge(model, walked, draws, effective, failed)
             chi_square = expected.reshape(draws.shape[:2])
-            return DirectPosterior(fit, draws, chi_square, effective, CHECKED, refits, diagnostics)
+            return DirectPosterior(
+                fit, draws, chi_square, effective, CHECKED, refits, diagnostics, as_it_is
+            )
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
         failed = float(np.mean(~np.isfinite(chi_square)))
@@ -186,7 +224,20 @@ def sample_direct(
         best.chi_square.size,
         best.refits,
         diagnostics,
+        as_it_is,
     )
+
+
+def _widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
+    """With what rotations scatter by beyond their noise, within the ranges of the unknowns."""
+    model = found.fit.model
+    flat = found.draws.reshape(-1, found.draws.shape[-1])
+    scatter = Scatter.of(found.fit, _covariance(flat))
+    wider = scatter.widened(flat, np.random.default_rng(seed))
+    # Beyond the end of a range there is nothing: there a draw stays as it was.
+    wider = np.where((wider > model.low) & (wider < model.high), wider, flat)
+    widening = wider.std(axis=0) / np.maximum(flat.std(axis=0), 1e-300)
+    return replace(found, draws=wider.reshape(found.draws.shape), widening=widening)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,6 @@ import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
-from bayesbl.matching.signals import START_ANGLE
 from bayesbl.probabilities import chi2_sf, f_sf
 from bayesbl.recording.types import FloatArray
 
@@ -22,16 +21,6 @@ BANDS = (0, 8, 32, 128, 512)
 """Highest load order of each band; slow misfit stands out of few orders, fast out of many.
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
-
-
-IMPACTS_ABOVE = 8
-"""Load order above which the ringing is: slower parts of the derivative are gravity's."""
-
-IMPACTS_DIFFER = (
-    "The load does not change flanks at the same angle in each rotation, as where another axis "
-    "moves or the speed varies. Simulated rotations are all alike, so δ cannot be read by them. "
-    "Record again with all other axes at rest, at constant speed."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,46 +66,6 @@ def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[i
     return _repeating(row, seen.lag, scatters=scatters)
 
 
-def impacts_alike(fit: SimulatedFit, false_alarm: float) -> list[bool]:
-    """Whether the load changes flanks at one angle in every rotation, by recording.
-
-    Where another axis moves or the speed varies it does not; the ringing then does not repeat,
-    passes for noise, and the gap is fitted to what is left of it. With j the derivative by the
-    start angle above load order ``IMPACTS_ABOVE`` and c_i the projection of rotation i of the
-    whitened residual r on it, c_i = jᵀr_i/jᵀj, noise leaves Σ (c_i − mean)² jᵀj a χ² of one degree
-    less than rotations. Motions are not tested. ``false_alarm`` is for all recordings together; the
-    start angle must be among the unknowns of each.
-    """
-    residuals = fit.model.by_recording(fit.residual)
-    if all(seen.motion is not None for seen in fit.model.recordings):
-        return [True] * len(residuals)
-    derivatives = fit.derivatives()
-    alike: list[bool] = []
-    for seen, rows in zip(fit.model.recordings, residuals, strict=True):
-        place = len(alike)
-        if seen.motion is not None:
-            alike.append(True)
-            continue
-        column = derivatives[:, fit.model.index(START_ANGLE, seen.name)]
-        slopes = fit.model.by_recording(column)[place]
-        begin = begin_of(seen)
-        turns = [whole_rotations(row[begin:], seen.lag) for row in rows]
-        fast = [_fast(whole_rotations(row[begin:], seen.lag).mean(axis=0)) for row in slopes]
-        weight = sum(float(slope @ slope) for slope in fast)
-        moved = np.sum([turn @ slope for turn, slope in zip(turns, fast, strict=True)], axis=0)
-        power = float(np.sum((moved - moved.mean()) ** 2)) / weight if weight > 0.0 else 0.0
-        # Of one rotation nothing is compared.
-        probability = float(chi2_sf(power, moved.size - 1)) if moved.size > 1 else 1.0
-        alike.append(probability * len(residuals) > false_alarm)
-    return alike
-
-
-def _fast(row: FloatArray) -> FloatArray:
-    spectrum = np.fft.rfft(row)
-    spectrum[: IMPACTS_ABOVE + 1] = 0.0
-    return np.asarray(np.fft.irfft(spectrum, row.size))
-
-
 def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
     """Whether no entry stands out, at a family-wise false-alarm rate (Bonferroni)."""
     return all(entry.probability * len(found) > false_alarm for entry in found)
@@ -125,9 +74,9 @@ def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
 def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
     """Whitened residuals (n,) by rotation, (r, lag).
 
-    Two that lack no more than their rounding are two: what they lack is taken for zero.
+    One that lacks no more than its rounding is one: what it lacks is taken for zero.
     """
-    rotations = max(row.size // lag, min(2, math.floor(row.size / lag + ROUNDING)))
+    rotations = math.floor(row.size / lag + ROUNDING)
     padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
     return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
 

@@ -15,16 +15,11 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.matching.alignment import fit_aligned, refitted
+from bayesbl.matching.impacts import IMPACTS_DIFFER
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed, with_held_reference, without_standstill
-from bayesbl.matching.posterior import DirectPosterior, sample_direct
-from bayesbl.matching.predictive_check import (
-    IMPACTS_DIFFER,
-    RepeatingPower,
-    agrees,
-    disagreements,
-    impacts_alike,
-)
+from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -309,7 +304,7 @@ def direct_verdict(
     ]
     fit = found.posterior.fit
     unseen = unseen_gap(found.posterior, index) or unknown_start(fit, index)
-    if not impacts_alike(fit, FALSE_ALARM)[index]:
+    if found.posterior.impacts_differ(level)[index]:
         unseen = IMPACTS_DIFFER
     if any(against):
         against = list(dict.fromkeys([*against, motor_orders_in_words(found.joint)]))
@@ -322,6 +317,13 @@ def direct_verdict(
         reasons.append(
             "There is no motor current in the recording, so the speed alone was used: with the "
             "current δ would be several times sharper."
+        )
+    wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
+    if wider > 1.0 + MATTERS:
+        turns = "rotations" if recording.motion is None else "cycles"
+        reasons.append(
+            f"The {turns} differ by more than noise that the recorder adds, as where the noise "
+            f"goes round in the speed loop: the interval is {wider:.2g} times as wide for it."
         )
     reasons += motion_notes(fit, index)
     return Verdict(outcome, (*reasons, *notes), reason)

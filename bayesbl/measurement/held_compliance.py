@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
-from bayesbl.measurement.model_check import MATTERS
 from bayesbl.recording.types import FloatArray
 
 HELD = 3.0

@@ -13,6 +13,7 @@ import numpy as np
 from bayesbl.bench.effects import effect_named, with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import Feature, feature_values, features, folded_signal
 from bayesbl.naming.joint_change import (
@@ -24,9 +25,6 @@ from bayesbl.naming.joint_change import (
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
-
-MATTERS = 0.2
-"""Share of an interval by which an error moves δ or its change too far to be left unsaid."""
 
 
 def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:

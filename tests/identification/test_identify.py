@@ -167,8 +167,7 @@ def test_strokes_tell_what_a_slower_turn_does_not() -> None:
     rng = np.random.default_rng(4)
     motion = strokes(joint().value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.15, 6.0)
     made = joint().simulate_motion(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name="strokes")
-    late = made.channels[REFERENCE_SPEED]
-    late = np.interp(made.time_s + DELAY_S, made.time_s, late)
+    late = motion.speed_rpm(made.time_s + DELAY_S)
     made = replace(made, channels={**only_compared(made.channels), REFERENCE_SPEED: late})
     stroked = (*recordings()[:2], observed(made, data_sheet()))
     problem_of_strokes = replace(problem(data_sheet()), used=stroked)
