@@ -152,7 +152,7 @@ class RampMeasurer(Measurer):
         none = generator.uniform(size=width.shape) > flanks.probability_of_play
         delta = np.where(none, delta * generator.uniform(size=width.shape), delta)
         stated_nm = LOST_MOTION_SHARE * self._rated(flanks)
-        found = measured(files, flanks, stated_nm)
+        found = of_every_cycle(files, flanks, stated_nm)
         draws = {
             "delta_rad": delta,
             "width_rad": width,
@@ -263,7 +263,7 @@ def _joined(name: str, parts: Sequence[Recording]) -> Recording:
     )
 
 
-def measured(
+def of_every_cycle(
     files: Sequence[Ramps], flanks: Flanks, stated_nm: float
 ) -> dict[str, list[FloatArray]]:
     """Everything but the play, by file and cycle, rad and N m.
