@@ -21,7 +21,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import binom
 
-from bayesbl.measurement.ramp_route import described
+from bayesbl.measurement.ramp_route import described, of_every_cycle
 from bayesbl.ramps.flanks import Flanks, find_flanks
 from bayesbl.ramps.play import Widths, sample_play
 from bayesbl.ramps.torque_cycles import Ramps as Found
@@ -143,7 +143,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
 
 def _held(files: Sequence[Found], flanks: Flanks) -> float:
     """``held_windup_rad`` of a snapshot."""
-    draws = described(files, flanks, 0.0, (1,), np.random.default_rng(1))
+    found = of_every_cycle(files, flanks, 0.0)
+    draws = described(found, files, flanks, (1,), np.random.default_rng(1))
     return float(draws["held_windup_rad"].item())
 
 

@@ -6,12 +6,15 @@ that changed, the width changes without wear.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri, stdtr
 
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
+from bayesbl.ramps.flanks import observations
 from bayesbl.recording.types import FloatArray
 
 HELD = 3.0
@@ -25,6 +28,9 @@ of the gearboxes of ``configs/torque_ramps_study.toml``, by about 3 or less in t
 DIFFERS = 2.0
 """Standard deviations from which friction or compliance counts as changed: 5 % each by chance."""
 
+ROUNDING = float(np.finfo(float).eps)
+"""Of a logarithm, so that changes without scatter have a finite size too."""
+
 TOLD = {
     "compliance_rad_per_nm": ("compliance", "rad/N m"),
     "friction_torque_nm": ("friction", "N m"),
@@ -35,29 +41,39 @@ NOT_TOLD = "ramps do not tell it from play"
 SOFTER = BlindSpot("flanks that became softer at small torque alone", NOT_TOLD)
 
 
-def held_alike(first: Mapping[str, FloatArray], last: Mapping[str, FloatArray]) -> JointCheck:
-    """What changed in friction and compliance, and how far it may have moved the change of δ.
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What the ramps of a snapshot show beside its width.
 
-    Parameters
+    Attributes
     ----------
-    first, last
-        Draws of ``delta_rad``, ``held_windup_rad``, ``compliance_rad_per_nm`` and
-        ``friction_torque_nm`` of two snapshots, rad and N m.
+    draws
+        Of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`TOLD`, rad and N m.
+    measured
+        The quantities in :data:`TOLD`, by file and cycle.
     """
-    if first is last:
+
+    draws: Mapping[str, FloatArray]
+    measured: Mapping[str, Sequence[FloatArray]]
+
+
+def held_alike(first: Held, last: Held) -> JointCheck:
+    """What changed in friction and compliance, and how far it may have moved the change of δ."""
+    if first.draws is last.draws:
         return NOTHING_COMPARED
+    before, after = first.draws, last.draws
     items = [
         CheckItem(
             quantity,
-            float(np.median(last[name])),
-            float(np.median(first[name])),
+            float(np.median(after[name])),
+            float(np.median(before[name])),
             unit,
-            _deviations(last[name], first[name]),
+            _deviations(last.measured[name], first.measured[name]),
         )
         for name, (quantity, unit) in TOLD.items()
     ]
-    held = float(np.median(last["held_windup_rad"]) - np.median(first["held_windup_rad"]))
-    low, middle, high = np.quantile(last["delta_rad"] - first["delta_rad"], (0.05, 0.5, 0.95))
+    held = float(np.median(after["held_windup_rad"]) - np.median(before["held_windup_rad"]))
+    low, middle, high = np.quantile(after["delta_rad"] - before["delta_rad"], (0.05, 0.5, 0.95))
     # Less compliance held cannot pass for growth. A width falls with it, and also where more
     # friction keeps the ramps from the flanks.
     error = HELD * (max(held, 0.0) if middle > 0.0 else abs(held))
@@ -75,6 +91,23 @@ def _in_words(item: CheckItem) -> str:
     return f"{item.quantity} of {after:.3g} instead of {before:.3g} {unit}"
 
 
-def _deviations(last: FloatArray, first: FloatArray) -> float:
-    sd = float(np.hypot(last.std(), first.std()))
-    return float(np.median(last) - np.median(first)) / sd if sd > 0.0 else 0.0
+def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> float:
+    """The change by its scatter (Student's t), as standard deviations of equal probability.
+
+    Positions round the turn are paired by their order, as their widths are: a pattern that stays
+    then hides no change. Where nothing tells the scatter, no change is told.
+    """
+    after, before = observations(last), observations(first)
+    if np.all(after > 0.0) and np.all(before > 0.0):
+        after, before = np.log(after), np.log(before)
+    change = float(after.mean() - before.mean())
+    paired = len(last) == len(first) > 1
+    samples = [after - before] if paired else [after, before]
+    if change == 0.0 or min(each.size for each in samples) < 2:
+        return 0.0
+    errors = np.array([each.var(ddof=1) / each.size + ROUNDING**2 for each in samples])
+    freedoms = np.array([each.size - 1.0 for each in samples])
+    variance = float(errors.sum())
+    freedom = variance**2 / float(np.sum(errors**2 / freedoms))  # of two samples, Welch's
+    chance = float(stdtr(freedom, -abs(change) / np.sqrt(variance)))
+    return float(-np.sign(change) * ndtri(max(chance, ROUNDING**2)))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,11 +107,14 @@ class RampAnswer:
     ----------
     draws
         Variables of :data:`POSTERIOR`.
+    measured
+        What all but the play was drawn from, by file and cycle.
     """
 
     files: tuple[Ramps, ...]
     flanks: Flanks
     draws: Mapping[str, FloatArray]
+    measured: Mapping[str, Sequence[FloatArray]]
     log_density: FloatArray
     diagnostics: Diagnostics
     budget: Mapping[str, float]

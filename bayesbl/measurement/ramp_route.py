@@ -7,14 +7,14 @@ on either flank. See ``docs/design.md``, "Torque ramps".
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
-from bayesbl.measurement.held_compliance import held_alike
+from bayesbl.measurement.held_compliance import Held, held_alike
 from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
 from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
 from bayesbl.measurement.ramp_summary import summarise_ramps
@@ -23,7 +23,7 @@ from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
-from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, of_cycles
+from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, observations, of_cycles
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
 from bayesbl.ramps.torque_cycles import Ramps, find_ramps
@@ -131,7 +131,9 @@ class RampMeasurer(Measurer):
                 self._snapshot(recording, answer, elsewhere=elsewhere)
                 for recording, answer in zip(task.recordings, answers, strict=True)
             ],
-            same_joint=held_alike(answers[since].draws, answers[-1].draws),
+            same_joint=held_alike(
+                *(Held(a.draws, a.measured) for a in (answers[since], answers[-1]))
+            ),
         )
 
     def _answer(
@@ -150,11 +152,12 @@ class RampMeasurer(Measurer):
         none = generator.uniform(size=width.shape) > flanks.probability_of_play
         delta = np.where(none, delta * generator.uniform(size=width.shape), delta)
         stated_nm = LOST_MOTION_SHARE * self._rated(flanks)
+        found = of_every_cycle(files, flanks, stated_nm)
         draws = {
             "delta_rad": delta,
             "width_rad": width,
             "scatter_rad": scatter,
-            **described(files, flanks, stated_nm, width.shape, generator),
+            **described(found, files, flanks, width.shape, generator),
         }
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
@@ -162,6 +165,7 @@ class RampMeasurer(Measurer):
             files,
             flanks,
             draws,
+            found,
             play.log_density,
             play.diagnostics,
             _budget(flanks, width, scatter, delta),
@@ -259,18 +263,12 @@ def _joined(name: str, parts: Sequence[Recording]) -> Recording:
     )
 
 
-def described(
-    files: Sequence[Ramps],
-    flanks: Flanks,
-    stated_nm: float,
-    shape: tuple[int, ...],
-    generator: np.random.Generator,
-) -> dict[str, FloatArray]:
-    """Draws of everything but the play: means over the files, with their scatter.
+def of_every_cycle(
+    files: Sequence[Ramps], flanks: Flanks, stated_nm: float
+) -> dict[str, list[FloatArray]]:
+    """Everything but the play, by file and cycle, rad and N m.
 
-    By name, each of ``shape``: lost motion at ±``stated_nm`` N m, compliance, friction, windup that
-    friction holds, and the torque up to which a preload lets both flanks carry (0 with play, NaN
-    where no flank is seen to lift); rad and N m.
+    Lost motion at ±``stated_nm`` N m, compliance, friction, windup that friction holds.
     """
     level, largest = flanks.level, flanks.largest
     assert level is not None
@@ -280,7 +278,7 @@ def described(
     flank = max(largest.range_rad - width, 0.0)
     beyond = 2.0 * (largest.amplitude_nm - level.friction_nm)
     compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
-    held = {
+    return {
         "lost_motion_rad": lost_motion(files, largest, stated_nm),
         "compliance_rad_per_nm": of_cycles(
             largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
@@ -290,10 +288,25 @@ def described(
             level, lambda c: 0.5 * min(c.elastic_nm * compliance, max(c.width_rad, 0.0))
         ),
     }
-    draws = {name: _mean_draws(found, shape, generator) for name, found in held.items()}
+
+
+def described(
+    found: Mapping[str, Sequence[FloatArray]],
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    shape: tuple[int, ...],
+    generator: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """Draws of everything but the play: means over the files, with their scatter.
+
+    By name, each of ``shape``: what was measured, and the torque up to which a preload lets both
+    flanks carry (0 with play, NaN where no flank is seen to lift), N m.
+    """
+    draws = {name: _mean_draws(each, shape, generator) for name, each in found.items()}
     draws["preload_torque_nm"] = np.zeros(shape)
     if flanks.finding == "preloaded":
-        lifts = lifting_torque(files, largest)
+        assert flanks.largest is not None
+        lifts = lifting_torque(files, flanks.largest)
         draws["preload_torque_nm"] = (
             _mean_draws(lifts, shape, generator) if lifts else np.full(shape, np.nan)
         )
@@ -307,7 +320,7 @@ def _mean_draws(
 
     One value alone says nothing of its scatter, and is repeated.
     """
-    values = by_file[0] if len(by_file) == 1 else np.array([v.mean() for v in by_file])
+    values = observations(by_file)
     positive = bool(np.all(values > 0.0))
     seen = np.log(values) if positive else values
     drawn = np.full(shape, seen.mean())

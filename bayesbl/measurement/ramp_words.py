@@ -96,6 +96,12 @@ def notes_on(
             f"The ramps of {held} N m hardly move the joint, as friction holds it; those of "
             f"±{level.amplitude_nm:.3g} N m were used."
         )
+    moved = [file.offset_nm for file in files if file.offset_nm]
+    if moved:
+        yield (
+            f"The joint is free about {np.mean(moved):.2g} N m, more than friction holds: a load "
+            "hangs at it, or the torque has another zero. This was taken off the torque."
+        )
     if any(file.turned for file in files):
         yield "The torque counts against the position in the file, and was turned round."
     if not ratio_given:

@@ -276,3 +276,8 @@ def _lost(ramps: Ramps, cycle: Cycle, torque_nm: float) -> float:
 def of_cycles(level: Level, value: Callable[[Cycle], float]) -> list[FloatArray]:
     """A quantity of every cycle, by file with cycles."""
     return [np.array([value(c) for c in file]) for file in level.files if file]
+
+
+def observations(by_file: Sequence[FloatArray]) -> FloatArray:
+    """What scatters: the mean of every file, of one file alone its cycles."""
+    return by_file[0] if len(by_file) == 1 else np.array([v.mean() for v in by_file])

@@ -9,7 +9,7 @@ leave the two flanks, and nothing is assumed of the shape of the loop between th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -95,7 +95,8 @@ class Ramps:
     """One file: averaged torque and position, shape (n,), and the ramps in them.
 
     ``turned``: the torque is counted the other way than in the file, where the position goes
-    against it. Friction takes work and never gives it, which tells the way.
+    against it. Friction takes work and never gives it, which tells the way. ``offset_nm``: taken
+    off the torque, in the sense that it is counted here.
     """
 
     torque_nm: FloatArray
@@ -103,6 +104,7 @@ class Ramps:
     excursions: tuple[Excursion, ...]
     cycles: tuple[Cycle, ...]
     turned: bool = False
+    offset_nm: float = 0.0
 
 
 def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
@@ -118,6 +120,14 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
     turned = float(np.sum(means[0][1:] * np.diff(means[1]))) < 0.0
     if turned:
         torque_nm = -torque_nm
+    found = _ramps(torque_nm, position_rad, window)
+    offset = _offset(found)
+    if offset != 0.0:
+        found = _ramps(torque_nm - offset, position_rad, window)
+    return replace(found, turned=turned, offset_nm=offset)
+
+
+def _ramps(torque_nm: FloatArray, position_rad: FloatArray, window: int) -> Ramps:
     while True:
         torque, position = _averaged(torque_nm, window), _averaged(position_rad, window)
         noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
@@ -135,7 +145,43 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
         and max(a.torque_nm, b.torque_nm) <= LARGEST_ASYMMETRY * min(a.torque_nm, b.torque_nm)
     ]
     cycles = tuple(_cycle(torque, position, *pair) for pair in pairs)
-    return Ramps(torque, position, excursions, cycles, turned)
+    return Ramps(torque, position, excursions, cycles)
+
+
+def _offset(ramps: Ramps) -> float:
+    """Torque about which the joint is free, where friction does not hold it at zero; else 0.
+
+    A load that hangs at the joint, or a sensor's zero, moves both ways through the loop alike.
+    Beyond the friction it pushes the joint over its play before the torque is at zero, and what
+    ramps leave is not the play. Every cycle to and fro must show it.
+    """
+    found = [
+        (_torque_between(ramps, a.first, a.last) + _torque_between(ramps, b.first, b.last)) / 2.0
+        for a, b in pairwise(ramps.cycles)
+        if a.last is b.first
+    ]
+    if not found:
+        return 0.0
+    friction = max(cycle.friction_nm for cycle in ramps.cycles)
+    beyond = min(found) > friction or max(found) < -friction
+    return float(np.median(found)) if beyond else 0.0
+
+
+def _torque_between(ramps: Ramps, a: Excursion, b: Excursion) -> float:
+    """On the way from one flank to the other, at the middle between them.
+
+    It is between the positions at equal torques: a joint without play then has it at zero torque.
+    """
+    torque, position = ramps.torque_nm, ramps.position_rad
+    equal = min(a.torque_nm, b.torque_nm)
+    tops = [e.begin + int(np.argmax(e.side * torque[e.begin : e.back + 1])) for e in (a, b)]
+    there = [
+        crossing(-torque, -e.side * equal, e.begin, top + 1, e.side)
+        for e, top in zip((a, b), tops, strict=True)
+    ]
+    middle = 0.5 * float(position[there[0]] + position[there[1]])
+    way = slice(tops[0], tops[1] + 1)
+    return float(torque[way][np.argmax(b.side * (position[way] - middle) >= 0.0)])
 
 
 def crossing(torque_nm: FloatArray, level_nm: float, begin: int, stop: int, side: int) -> int:

@@ -5,20 +5,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesbl.measurement.held_compliance import HELD, SOFTER, held_alike
+from bayesbl.measurement.held_compliance import DIFFERS, HELD, SOFTER, Held, held_alike
 
 RNG = np.random.default_rng(1)
+CYCLES = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
 
 
-def snapshot(delta_mrad: float, held_mrad: float, friction_nm: float = 2.0):
-    """Draws of a joint, each known to 2 %."""
+def snapshot(
+    delta_mrad: float, held_mrad: float, friction_nm: float = 2.0, round_the_turn=(1.0,)
+) -> Held:
+    """A joint, each known to 2 %, at positions whose friction and compliance go as given."""
     values = {
         "delta_rad": 1e-3 * delta_mrad,
         "held_windup_rad": 1e-3 * held_mrad,
         "compliance_rad_per_nm": 1e-3,
         "friction_torque_nm": friction_nm,
     }
-    return {name: v * (1.0 + 0.02 * RNG.standard_normal(4000)) for name, v in values.items()}
+    draws = {name: v * (1.0 + 0.02 * RNG.standard_normal(4000)) for name, v in values.items()}
+    measured = {
+        name: [v * at * (1.0 + 0.02 * CYCLES[n:]) for n, at in enumerate(round_the_turn)]
+        for name, v in values.items()
+    }
+    return Held(draws, measured)
 
 
 @pytest.mark.parametrize(
@@ -45,3 +53,25 @@ def test_what_is_held_explains_a_width_of_its_own_sign_alone(before, after, erro
 def test_one_snapshot_is_compared_with_nothing():
     only = snapshot(5.0, 1.0)
     assert not held_alike(only, only).items
+
+
+@pytest.mark.parametrize("round_the_turn", [(1.0,) * 3, (1.0, 1.4, 0.6), (0.3, 1.0, 1.7)])
+def test_a_pattern_round_the_turn_that_stays_hides_no_change(round_the_turn):
+    before = snapshot(5.0, 1.0, 2.0, round_the_turn)
+    after = snapshot(6.0, 1.4, 3.0, round_the_turn)
+    compliance, friction = held_alike(before, after).items
+    assert friction.z > DIFFERS > abs(compliance.z)
+
+
+def test_positions_that_are_not_the_same_tell_no_change_within_their_scatter():
+    before = snapshot(5.0, 1.0, 2.0, (1.0, 1.4, 0.6))
+    after = snapshot(6.0, 1.4, 3.0, (0.6, 1.0, 1.4))
+    assert all(abs(item.z) < DIFFERS for item in held_alike(before, after).items)
+
+
+def test_one_cycle_tells_no_scatter_and_so_no_change():
+    before, after = (
+        Held(s.draws, {name: [v[0][:1]] for name, v in s.measured.items()})
+        for s in (snapshot(5.0, 1.0, 2.0), snapshot(6.0, 1.4, 3.0))
+    )
+    assert all(item.z == 0.0 for item in held_alike(before, after).items)
