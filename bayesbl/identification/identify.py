@@ -32,7 +32,7 @@ from bayesbl.identification.beyond_data_sheet import (
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
 from bayesbl.naming.criteria import ALIKE, is_gross
@@ -153,6 +153,7 @@ def identify(
         of_stage(progress, "Sampling"),
         of_stage(progress, "Simulating draws"),
     )
+    posterior = widened(posterior, *seed.spawn(1))
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
 
 

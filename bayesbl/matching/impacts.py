@@ -39,8 +39,12 @@ IMPACTS_ABOVE = 8
 BETWEEN_IMPACTS = 8
 """Share of a rotation that is quiet between two impacts, one over it."""
 
+SURPRISE = 0.2
+"""Chance that rotations scatter by more than is expected. A judgement: with one of two, intervals
+of three rotations without any such scatter are a sixth wider, with one of five a twentieth."""
+
 SHARES = 1000
-"""Places between 0 and 1 that the recorder's share of the noise is drawn from."""
+"""Places between 0 and 1 that a share is drawn from."""
 
 IMPACTS_DIFFER = (
     "The load does not change flanks at the same angle in each rotation, as where another axis "
@@ -87,11 +91,11 @@ class Scatter:
     def factors(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws of v, shape (count,).
 
-        As likely as not, before Q is seen, it is what is expected. Else that is a share of it,
-        which may be anything between 0 and 1.
+        Before Q is seen it is what is expected, but for a chance of ``SURPRISE``; then that is a
+        share of it, which may be anything between 0 and 1.
         """
         share = np.concatenate(([1.0], (np.arange(SHARES) + 0.5) / SHARES))
-        prior = np.concatenate(([0.5], np.full(SHARES, 0.5 / SHARES)))
+        prior = np.concatenate(([1.0 - SURPRISE], np.full(SHARES, SURPRISE / SHARES)))
         if self.freedom == 0:
             share, prior = share[:1], prior[:1]
         values = (self.expected[:, None] / share).ravel()

@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from bayesbl.bench.motion import Motion, held_motion, through
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import Observed, begin_of
-from bayesbl.matching.predictive_check import whole_rotations
+from bayesbl.matching.observed import ROUNDING, Observed, begin_of
 from bayesbl.matching.simulation_cache import RecentSimulations
-from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -35,6 +33,9 @@ ROTATIONS = 40
 LEAST_SHARE = 0.05
 """Of the noise's power: less in the loop widens no interval by a tenth."""
 
+STRETCHES = 16
+"""Of a recording, whose spectra are averaged."""
+
 UNKNOWN_SHARES = (np.arange(10) + 0.5) / 10
 """Without a current any share is as likely as any other."""
 
@@ -42,12 +43,14 @@ UNKNOWN_SHARES = (np.arange(10) + 0.5) / 10
 def turns_of(rows: FloatArray, seen: Observed) -> FloatArray:
     """Whitened channels (c, n − p) of each rotation one after the other, (rotation, c lag).
 
-    Of a motion its cycles; of one that does not repeat, a single one.
+    Of a motion its cycles; of one that does not repeat, a single one. What the last lacks by its
+    rounding is taken for zero.
     """
-    lag = seen.lag
-    if seen.motion is not None and seen.cycle is None:
-        lag = rows.shape[1] - begin_of(seen)
-    return np.concatenate([whole_rotations(row[begin_of(seen) :], lag) for row in rows], axis=1)
+    rows = rows[:, begin_of(seen) :]
+    lag = seen.lag if seen.motion is None or seen.cycle is not None else rows.shape[1]
+    count = math.floor(rows.shape[1] / lag + ROUNDING)
+    whole = np.pad(rows, ((0, 0), (0, lag)))[:, : count * lag]
+    return whole.reshape(len(rows), count, lag).swapaxes(0, 1).reshape(count, -1)
 
 
 def impact_factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArray:
@@ -61,59 +64,72 @@ def impact_factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArr
     if noise.repeats:
         return np.ones(1)
     parameters = model.vectors(fit.point[None], seen)[0]
-    samples = seen.samples
-    impulse = np.zeros(min(samples, seen.lag))
-    impulse[0] = 1.0
-    moved, answer = noise_through_loop(parameters, impulse, 1.0 / seen.sampling_hz)
-    in_speed, in_current = (np.fft.rfft(row, samples) for row in (impulse + moved, answer))
-    held_down = np.abs(in_speed) < 1.0
-    shaping = _shaping(noise, samples)
+    frequency, speed_power, cross_power = _spectra(fit, place)
+    in_speed, in_current = _around_the_loop(parameters, seen, frequency)
+    # What the loop holds down is hardly seen, and what is seen there may come from elsewhere.
+    passed = np.flatnonzero(np.abs(in_speed) >= 1.0)
     shares = UNKNOWN_SHARES
     if len(seen.signals) > 1:
-        shares = np.array([_share(shaping[~held_down], (in_current / in_speed)[~held_down])])
-        if shares[0] < LEAST_SHARE:
+        gain, power = in_current[passed] / in_speed[passed], speed_power[passed]
+        answered = np.sum(np.real(cross_power[passed] * gain.conj()))
+        share = float(answered / np.sum(power * np.abs(gain) ** 2))
+        if share < LEAST_SHARE:
             return np.ones(1)
-    # Of what the loop holds down only what is left is known, and that may come from elsewhere.
-    sensor = shaping[:, 0] / np.where(held_down, 1.0, in_speed)[:, None]
+        shares = np.array([min(share, 1.0)])
+    sensor_power = speed_power[passed] / np.abs(in_speed[passed]) ** 2
+    lowest = frequency[passed] <= 2.0 * frequency[passed[0]]
+    level = float(sensor_power[lowest].mean())
+    every = np.fft.rfftfreq(seen.samples)
+    sensor = np.sqrt(np.interp(every, frequency[passed], sensor_power, left=level))
     factor = _simulated_factor(fit, place, along, sensor)
     return 1.0 + shares * max(factor - 1.0, 0.0) if math.isfinite(factor) else np.ones(1)
 
 
-def _shaping(noise: ChannelNoise, samples: int) -> ComplexArray:
-    """Of white noise to that of the channels, by frequency, shape (n//2 + 1, c, c)."""
-    turn = np.exp(-2j * math.pi * np.fft.rfftfreq(samples))
-    powers = turn[:, None] ** np.arange(1, noise.order + 1)
-    inverse = np.eye(len(noise.root)) - np.einsum("fk,kab->fab", powers, noise.coefficients)
-    return np.asarray(np.linalg.solve(inverse, np.broadcast_to(noise.root, inverse.shape)))
+def _around_the_loop(
+    parameters: FloatArray, seen: Observed, frequency: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """S and H at frequencies in cycles per sample, each of their shape."""
+    impulse = np.zeros(min(seen.samples, seen.lag))
+    impulse[0] = 1.0
+    moved, answer = noise_through_loop(parameters, impulse, 1.0 / seen.sampling_hz)
+    grid = np.fft.rfftfreq(impulse.size)
+    found = (np.fft.rfft(row) for row in (impulse + moved, answer))
+    in_speed, in_current = (np.interp(frequency, grid, row) for row in found)
+    return in_speed, in_current
 
 
-def _share(shaping: ComplexArray, gain: ComplexArray) -> float:
-    """Of the speed's noise that the current answers as the controller does, between 0 and 1.
+def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
+    """Frequency in cycles per sample, power of the speed's noise, current times speed conjugate.
 
-    ``gain``: of current by speed around the loop, by frequency.
+    By Welch's method, of what does not repeat; white noise has its variance for power.
     """
-    speed, current = shaping[:, 0], shaping[:, 1]
-    both = np.sum(current * speed.conj(), axis=1)
-    power = np.sum(np.abs(speed) ** 2, axis=1)
-    answered = float(np.sum(np.real(both * gain.conj())) / np.sum(power * np.abs(gain) ** 2))
-    return min(max(answered, 0.0), 1.0)
+    model, seen = fit.model, fit.model.recordings[place]
+    left = seen.left_by(model.signals(fit.point[None], place)[0])
+    if seen.motion is None or seen.cycle is not None:
+        left = (left[:, seen.lag :] - left[:, : -seen.lag]) / math.sqrt(2.0)
+    size = left.shape[1] // STRETCHES
+    window = np.hanning(size + 2)[1:-1]
+    stretches = np.lib.stride_tricks.sliding_window_view(left, size, axis=1)[:, :: size // 2]
+    found = np.fft.rfft(stretches * window, axis=2) / np.sqrt(np.sum(window**2))
+    power: FloatArray = np.mean(np.abs(found[0]) ** 2, axis=0)
+    cross: ComplexArray = np.mean(found[-1] * found[0].conj(), axis=0)
+    return np.asarray(np.fft.rfftfreq(size), dtype=np.float64), power, cross
 
 
 def _simulated_factor(
-    fit: SimulatedFit, place: int, along: FloatArray, sensor: ComplexArray
+    fit: SimulatedFit, place: int, along: FloatArray, sensor: FloatArray
 ) -> float:
     """Variance of what noise in the loop adds along some change, over that of the whitened noise.
 
-    ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1, c).
+    ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1,).
     """
     seen, noise = fit.model.recordings[place], fit.model.noise[place]
     undisturbed = _simulated(fit, place, np.zeros(seen.samples))
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
     squares: list[float] = []
     while len(squares) < ROTATIONS:
-        white = rng.standard_normal((seen.samples, sensor.shape[1]))
-        drawn = np.einsum("fc,fc->f", sensor, np.fft.rfft(white, axis=0))
-        disturbance = np.fft.irfft(drawn, seen.samples)
+        white = np.fft.rfft(rng.standard_normal(seen.samples))
+        disturbance = np.fft.irfft(sensor * white, seen.samples)
         added = _simulated(fit, place, disturbance) - undisturbed
         added[0] += disturbance
         projected = np.sum(turns_of(noise.whiten(added), seen) * along, axis=1)

@@ -3,8 +3,7 @@
 emcee walks on a second-order surrogate of the whitened signals. Full simulations of some draws, the
 outermost among them, tell how much importance weights would change: less than the draws scatter by
 chance, and they stand as they are; else all are simulated and weighted. Where few draws carry the
-weight, the surrogate is fitted again around them. What rotations scatter by beyond their noise is
-added last (:mod:`bayesbl.matching.impacts`).
+weight, the surrogate is fitted again around them.
 """
 
 from __future__ import annotations
@@ -154,7 +153,7 @@ def sample_direct(
     *,
     withheld: bool = False,
 ) -> DirectPosterior:
-    """Posterior around the most probable point.
+    """Posterior around the most probable point, all noise taken for the recorder's.
 
     Parameters
     ----------
@@ -166,24 +165,9 @@ def sample_direct(
         Called with (simulations made, simulations to make) before the steps, and after them where
         the draws are simulated in full.
     """
-    *sampling_seeds, scatter_seed = seed.spawn(4 + MOST_REFITS)
-    found = _sampled(fit, settings, sampling_seeds, progress, simulating, withheld=withheld)
-    return found if withheld else _widened(found, scatter_seed)
-
-
-def _sampled(
-    fit: SimulatedFit,
-    settings: SamplerSettings,
-    seeds: Sequence[np.random.SeedSequence],
-    progress: Progress | None,
-    simulating: Progress | None,
-    *,
-    withheld: bool,
-) -> DirectPosterior:
-    """With all noise taken for the recorder's."""
     model = fit.model
     as_it_is = np.ones(len(model.unknowns))
-    design_seed, pick_seed, *walk_seeds = seeds
+    design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
     local = _Local(fit.point, fit.peak(), fit.covariance)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
     chi_square, surrogate = regress(
@@ -228,8 +212,11 @@ def _sampled(
     )
 
 
-def _widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-    """With what rotations scatter by beyond their noise, within the ranges of the unknowns."""
+def widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
+    """With what rotations scatter by beyond their noise, within the ranges of the unknowns.
+
+    See :mod:`bayesbl.matching.impacts`.
+    """
     model = found.fit.model
     flat = found.draws.reshape(-1, found.draws.shape[-1])
     scatter = Scatter.of(found.fit, _covariance(flat))

@@ -18,7 +18,7 @@ from bayesbl.matching.alignment import fit_aligned, refitted
 from bayesbl.matching.impacts import IMPACTS_DIFFER
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed, with_held_reference, without_standstill
-from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct
+from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
@@ -253,6 +253,8 @@ def fit_directly(
     withheld = joint.against_bench or not joint.explained
     simulating = of_stage(progress, f"Simulating draws of {name}")
     posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
+    if not withheld:
+        posterior = widened(posterior, *seed.spawn(1))
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
 
 

@@ -92,9 +92,10 @@ def test_a_fit_answers_with_the_keys_of_the_contract(fit):
     assert found["diagnostics"]["outcome"] == "converged"
     assert found["probability_above_limit"] == 0.0
     assert found["excluded_samples"] == 0
-    # Flat prior: as wide as the bound; the sd of 1000 draws scatters by 2.3 %.
+    # Flat prior: as wide as the bound, and as much wider as few rotations leave open of their
+    # scatter; the sd of 1000 draws scatters by 2.3 %.
     ratio = found["posterior_sd"]["delta_rad"] / found["cramer_rao_sd"]["delta_rad"]
-    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert 0.9 < ratio < 1.3
 
 
 def test_a_fit_shows_the_amplitude_route_beside_it(fit):
@@ -154,7 +155,7 @@ def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):
 def test_inspect_shows_the_bound_and_the_predictive_check(fit, capsys):
     assert run("inspect", fit) == 0
     text = capsys.readouterr().out
-    for told in ("Cramér-Rao", "Repeating", "mean", KNOWN.name, "effective of 1000 draws"):
+    for told in ("Cramér-Rao", "Repeating", "mean", KNOWN.name, "effective draws by"):
         assert told in text
 
 

@@ -23,7 +23,7 @@ from bayesbl.diagnosis.rigid.loop_method import METHOD as RIGID
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, Observed, observed
-from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.signals import (
     START_ANGLE,
     Unknown,
@@ -100,6 +100,7 @@ class ClosedLoop:
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
         posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
+        posterior = widened(posterior, *seed.spawn(1))
         return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)), level)
 
 
