@@ -12,9 +12,8 @@ the gap's,
 
 is χ² with ν degrees of freedom, the rotations less one of each recording, if all noise is the
 recorder's; else v times that. What v is to be expected is simulated
-(:mod:`bayesbl.matching.loop_noise`). As in a sandwich covariance with rotations for clusters, a
-draw x becomes x + √((v − 1) ν/Q) Σ ξ_i C(u_i − ū) with ξ standard normal: the gap's variance is
-then v times what it was, and what scatters with the gap goes along.
+(:mod:`bayesbl.matching.loop_noise`). The draws are then widened as if all noise had v times its
+variance: x + √(v − 1) C(JᵀJ)^½ ξ, ξ standard normal. What a prior knows stays as sharp as it is.
 
 And the mean rotation has the ringing of none of them: it is smeared, by however many they are. How
 far that moves δ is simulated.
@@ -63,30 +62,30 @@ class Scatter:
         Q.
     freedom
         ν.
-    moves
-        C(u_i − ū)√(n/(n − 1)), n the rotations of the recording, shape (rotation, d).
     expected
         v by simulation, all values as likely, shape (k,).
     """
 
     square: float
     freedom: int
-    moves: FloatArray
     expected: FloatArray
 
     @classmethod
     def of(cls, fit: SimulatedFit, covariance: FloatArray) -> Scatter:
         """With the posterior covariance C, shape (d, d)."""
-        parts = [
-            _of_recording(fit, place, residual, derivatives, covariance)
-            for place, (residual, derivatives) in enumerate(_by_rotation(fit, fit.derivatives()))
-            if len(residual)
-        ]
-        square, freedom = sum(p.square for p in parts), sum(p.freedom for p in parts)
-        as_expected = math.sqrt(freedom / square) if square > 0.0 else 1.0
-        moves = [p.moves * (as_expected if p.freedom else 1.0) for p in parts]
-        expected = np.broadcast_arrays(*(p.expected for p in parts))
-        return cls(square, freedom, np.concatenate(moves), np.mean(expected, axis=0))
+        square, freedom, expected = 0.0, 0, []
+        for place, (residual, derivatives) in enumerate(_by_rotation(fit, fit.derivatives())):
+            count = len(residual)
+            along = derivatives @ covariance[_gap(fit.model, place)]
+            power = float(np.sum(along**2))
+            if power == 0.0:  # nothing of the gap is seen
+                continue
+            expected.append(impact_factors(fit, place, along))
+            scores = np.sum(residual * along, axis=1)
+            square += float(np.sum((scores - scores.mean()) ** 2)) * count / power
+            freedom += count - 1
+        every = np.broadcast_arrays(*expected or [np.ones(1)])
+        return cls(square, freedom, np.mean(every, axis=0))
 
     def factors(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws of v, shape (count,).
@@ -104,34 +103,22 @@ class Scatter:
         weight = np.exp(weight - weight.max())
         return rng.choice(values, count, p=weight / weight.sum())
 
-    def widened(self, draws: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draws, shape (m, d), with what rotations scatter by beyond the recorder's noise."""
+    def widened(
+        self,
+        draws: FloatArray,
+        covariance: FloatArray,
+        curvature: FloatArray,
+        rng: np.random.Generator,
+    ) -> FloatArray:
+        """Draws, shape (m, d), with what rotations scatter by beyond the recorder's noise.
+
+        ``covariance``: C; ``curvature``: JᵀJ.
+        """
+        values, vectors = np.linalg.eigh(curvature)
+        root = vectors * np.sqrt(np.clip(values, 0.0, None))
+        moves = rng.standard_normal(draws.shape) @ root.T @ covariance
         factors = self.factors(len(draws), rng)
-        weights = rng.standard_normal((len(draws), len(self.moves)))
-        return np.asarray(draws + np.sqrt(factors - 1.0)[:, None] * (weights @ self.moves))
-
-
-def _of_recording(
-    fit: SimulatedFit,
-    place: int,
-    residual: FloatArray,
-    derivatives: FloatArray,
-    covariance: FloatArray,
-) -> Scatter:
-    """Of one recording, its moves as they are."""
-    gap = covariance[_gap(fit.model, place)]
-    along = derivatives @ gap
-    expected = impact_factors(fit, place, along)
-    count = len(residual)
-    if count == 1:
-        # Nothing repeats: a score like any that noise makes.
-        scores = np.linalg.qr(derivatives[0], mode="r")
-        return Scatter(0.0, 0, scores @ covariance, expected)
-    scores = np.einsum("rn,rnd->rd", residual, derivatives)
-    scores -= scores.mean(axis=0)
-    by_noise = float(np.mean(np.sum(along**2, axis=1)))
-    moves = scores @ covariance * math.sqrt(count / (count - 1))
-    return Scatter(float(np.sum((scores @ gap) ** 2)) / by_noise, count - 1, moves, expected)
+        return np.asarray(draws + np.sqrt(factors - 1.0)[:, None] * moves)
 
 
 def smeared(fit: SimulatedFit) -> FloatArray:

@@ -219,8 +219,10 @@ def widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPoste
     """
     model = found.fit.model
     flat = found.draws.reshape(-1, found.draws.shape[-1])
-    scatter = Scatter.of(found.fit, _covariance(flat))
-    wider = scatter.widened(flat, np.random.default_rng(seed))
+    covariance = _covariance(flat)
+    scatter = Scatter.of(found.fit, covariance)
+    generator = np.random.default_rng(seed)
+    wider = scatter.widened(flat, covariance, found.fit.curvature, generator)
     # Beyond the end of a range there is nothing: there a draw stays as it was.
     wider = np.where((wider > model.low) & (wider < model.high), wider, flat)
     widening = wider.std(axis=0) / np.maximum(flat.std(axis=0), 1e-300)
