@@ -158,6 +158,8 @@ def _problem(
             unit = unit_of(str(location[-1])) if location else ""
             if kind == "float_type" and unit:
                 expected = f"a number in {unit}, without quotes"
+            if kind == "model_type" and "value" in _keys_at(model, location):
+                expected = f"a table, such as {{value = {_shown(item['input'])}}}"
             return Problem(_sentence(kind), where, _shown(item["input"]), expected, line)
 
 
