@@ -10,10 +10,11 @@ the gap's,
 
     Q = Σ (aᵀ(u_i − ū))²/(mean of |J_i a|²)
 
-is χ² with ν degrees of freedom, the rotations less one of each recording, if all noise is the
+is χ² with ν degrees of freedom, the rotations of a recording less one, if all its noise is the
 recorder's; else v times that. What v is to be expected is simulated
-(:mod:`bayesbl.matching.loop_noise`). The draws are then widened as if all noise had v times its
-variance: x + √(v − 1) C(JᵀJ)^½ ξ, ξ standard normal. What a prior knows stays as sharp as it is.
+(:mod:`bayesbl.matching.loop_noise`). The draws are then widened as if all noise of the recording
+had v times its variance: x + √(v − 1) C(JᵀJ)^½ ξ, ξ standard normal. What a prior knows stays as
+sharp as it is.
 
 And the mean rotation has the ringing of none of them: it is smeared, by however many they are. How
 far that moves δ is simulated.
@@ -54,7 +55,7 @@ IMPACTS_DIFFER = (
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How the gaps of rotations, or of a motion's cycles, scatter.
+    """How the gaps of a recording's rotations, or of a motion's cycles, scatter.
 
     Attributes
     ----------
@@ -71,27 +72,23 @@ class Scatter:
     expected: FloatArray
 
     @classmethod
-    def of(cls, fit: SimulatedFit, covariance: FloatArray) -> Scatter:
-        """With the posterior covariance C, shape (d, d)."""
-        square, freedom, expected = 0.0, 0, []
-        for place, (residual, derivatives) in enumerate(_by_rotation(fit, fit.derivatives())):
-            count = len(residual)
-            along = derivatives @ covariance[_gap(fit.model, place)]
-            power = float(np.sum(along**2))
-            if power == 0.0:  # nothing of the gap is seen
-                continue
-            expected.append(impact_factors(fit, place, along))
-            scores = np.sum(residual * along, axis=1)
-            square += float(np.sum((scores - scores.mean()) ** 2)) * count / power
-            freedom += count - 1
-        every = np.broadcast_arrays(*expected or [np.ones(1)])
-        return cls(square, freedom, np.mean(every, axis=0))
+    def of(cls, fit: SimulatedFit, place: int, along: FloatArray, residual: FloatArray) -> Scatter:
+        """``along``: J_i a, ``residual``: r_i of the rotations, (r, c lag) each."""
+        power = np.sum(along**2, axis=1)
+        # A rotation that was lost says nothing.
+        whole = power > 0.5 * np.median(power)
+        if not whole.any():  # nothing of the gap is seen
+            return cls(0.0, 0, np.ones(1))
+        scores = np.sum(residual[whole] * along[whole], axis=1)
+        square = float(np.sum((scores - scores.mean()) ** 2) / np.mean(power[whole]))
+        return cls(square, int(whole.sum()) - 1, impact_factors(fit, place, along))
 
     def factors(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws of v, shape (count,).
 
         Before Q is seen it is what is expected, but for a chance of ``SURPRISE``; then that is a
-        share of it, which may be anything between 0 and 1.
+        share of it, which may be anything between 0 and 1. Where nothing repeats it is what is
+        expected.
         """
         share = np.concatenate(([1.0], (np.arange(SHARES) + 0.5) / SHARES))
         prior = np.concatenate(([1.0 - SURPRISE], np.full(SHARES, SURPRISE / SHARES)))
@@ -103,22 +100,31 @@ class Scatter:
         weight = np.exp(weight - weight.max())
         return rng.choice(values, count, p=weight / weight.sum())
 
-    def widened(
-        self,
-        draws: FloatArray,
-        covariance: FloatArray,
-        curvature: FloatArray,
-        rng: np.random.Generator,
-    ) -> FloatArray:
-        """Draws, shape (m, d), with what rotations scatter by beyond the recorder's noise.
 
-        ``covariance``: C; ``curvature``: JᵀJ.
-        """
-        values, vectors = np.linalg.eigh(curvature)
+def scatters(fit: SimulatedFit, covariance: FloatArray) -> list[tuple[Scatter, FloatArray]]:
+    """Of each recording, with its JᵀJ, (d, d); ``covariance``: C, (d, d)."""
+    found = []
+    for place, (residual, derivatives) in enumerate(_by_rotation(fit, fit.derivatives())):
+        along = derivatives @ covariance[_gap(fit.model, place)]
+        information = np.einsum("rnd,rne->de", derivatives, derivatives)
+        found.append((Scatter.of(fit, place, along, residual), information))
+    return found
+
+
+def scattered(
+    fit: SimulatedFit, draws: FloatArray, covariance: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Draws, shape (m, d), with what rotations scatter by beyond the recorder's noise.
+
+    ``covariance``: C, (d, d), of the draws.
+    """
+    wider = draws.copy()
+    for scatter, information in scatters(fit, covariance):
+        values, vectors = np.linalg.eigh(information)
         root = vectors * np.sqrt(np.clip(values, 0.0, None))
         moves = rng.standard_normal(draws.shape) @ root.T @ covariance
-        factors = self.factors(len(draws), rng)
-        return np.asarray(draws + np.sqrt(factors - 1.0)[:, None] * moves)
+        wider += np.sqrt(scatter.factors(len(draws), rng) - 1.0)[:, None] * moves
+    return wider
 
 
 def smeared(fit: SimulatedFit) -> FloatArray:
@@ -127,7 +133,8 @@ def smeared(fit: SimulatedFit) -> FloatArray:
     With j the derivative by the start angle above load order ``IMPACTS_ABOVE`` around an impact and
     c_i = jᵀr_i/jᵀj its place in rotation i, s² is what the places scatter by beyond noise, in the
     mean of both impacts. The mean of two simulations, s to either side, less the one between is
-    what smeared ringing lacks. Motions are not looked at.
+    what smeared ringing lacks. Motions are not looked at. The start angle of every other recording
+    must be among the unknowns; NaN where one of the two cannot be simulated.
     """
     model = fit.model
     found = np.zeros(len(model.recordings))

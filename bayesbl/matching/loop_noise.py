@@ -15,13 +15,16 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from bayesbl.bench.motion import Motion, held_motion, through
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
+from bayesbl.matching.signals import REFERENCE_DELAY
 from bayesbl.matching.simulation_cache import RecentSimulations
+from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -29,6 +32,12 @@ ComplexArray = NDArray[np.complex128]
 
 ROTATIONS = 40
 """Simulated with noise, at least: the factor's root is then good to a ninth."""
+
+QUANTILES = np.array([normal_isf(p) for p in (np.arange(10) + 0.5) / 10])
+"""Of a standard normal, as likely each."""
+
+FEWEST_STRETCHES = 4
+"""Without lost samples, for a spectrum."""
 
 LEAST_SHARE = 0.05
 """Of the noise's power: less in the loop widens no interval by a tenth."""
@@ -61,90 +70,116 @@ def impact_factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArr
     """
     model = fit.model
     seen, noise = model.recordings[place], model.noise[place]
-    if noise.repeats:
+    spectra = None if noise.repeats else _spectra(fit, place)
+    if spectra is None:
         return np.ones(1)
-    parameters = model.vectors(fit.point[None], seen)[0]
-    frequency, speed_power, cross_power = _spectra(fit, place)
-    in_speed, in_current = _around_the_loop(parameters, seen, frequency)
+    frequency, speed_power, cross_power = spectra
+    loop = _around_the_loop(model.vectors(fit.point[None], seen)[0], seen)
+    in_speed, in_current = (np.interp(frequency, *row) for row in loop)
     # What the loop holds down is hardly seen, and what is seen there may come from elsewhere.
-    passed = np.flatnonzero(np.abs(in_speed) >= 1.0)
+    passed = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
+    if not passed.size:
+        return np.ones(1)
     shares = UNKNOWN_SHARES
     if len(seen.signals) > 1:
         gain, power = in_current[passed] / in_speed[passed], speed_power[passed]
-        answered = np.sum(np.real(cross_power[passed] * gain.conj()))
-        share = float(answered / np.sum(power * np.abs(gain) ** 2))
+        weight = float(np.sum(power * np.abs(gain) ** 2))
+        share = float(np.sum(np.real(cross_power[passed] * gain.conj()))) / weight
+        left = np.abs(cross_power[passed] - share * gain * power)
+        sd = math.sqrt(0.5 * float(np.sum((left * np.abs(gain)) ** 2))) / weight
         if share < LEAST_SHARE:
             return np.ones(1)
-        shares = np.array([min(share, 1.0)])
+        shares = np.clip(share + sd * QUANTILES, 0.0, 1.0)
     sensor_power = speed_power[passed] / np.abs(in_speed[passed]) ** 2
     lowest = frequency[passed] <= 2.0 * frequency[passed[0]]
     level = float(sensor_power[lowest].mean())
     every = np.fft.rfftfreq(seen.samples)
     sensor = np.sqrt(np.interp(every, frequency[passed], sensor_power, left=level))
-    factor = _simulated_factor(fit, place, along, sensor)
-    return 1.0 + shares * max(factor - 1.0, 0.0) if math.isfinite(factor) else np.ones(1)
+    linear = np.stack([np.interp(every, *row) for row in loop])[: len(seen.signals)]
+    more = _simulated_excess(fit, place, along, sensor, linear)
+    return 1.0 + shares * max(more, 0.0) if math.isfinite(more) else np.ones(1)
 
 
 def _around_the_loop(
-    parameters: FloatArray, seen: Observed, frequency: FloatArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """S and H at frequencies in cycles per sample, each of their shape."""
+    parameters: FloatArray, seen: Observed
+) -> tuple[tuple[FloatArray, ComplexArray], tuple[FloatArray, ComplexArray]]:
+    """S and H, each with its frequencies in cycles per sample."""
     impulse = np.zeros(min(seen.samples, seen.lag))
     impulse[0] = 1.0
     moved, answer = noise_through_loop(parameters, impulse, 1.0 / seen.sampling_hz)
-    grid = np.fft.rfftfreq(impulse.size)
-    found = (np.fft.rfft(row) for row in (impulse + moved, answer))
-    in_speed, in_current = (np.interp(frequency, grid, row) for row in found)
-    return in_speed, in_current
+    grid = np.asarray(np.fft.rfftfreq(impulse.size), dtype=np.float64)
+    return (grid, np.fft.rfft(impulse + moved)), (grid, np.fft.rfft(answer))
 
 
-def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
+def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, ComplexArray] | None:
     """Frequency in cycles per sample, power of the speed's noise, current times speed conjugate.
 
-    By Welch's method, of what does not repeat; white noise has its variance for power.
+    By Welch's method, of what does not repeat; white noise has its variance for power. ``None``
+    where hardly a stretch is without lost samples.
     """
     model, seen = fit.model, fit.model.recordings[place]
     left = seen.left_by(model.signals(fit.point[None], place)[0])
+    kept = np.ones(seen.samples, dtype=bool) if seen.excluded is None else ~seen.excluded
     if seen.motion is None or seen.cycle is not None:
         left = (left[:, seen.lag :] - left[:, : -seen.lag]) / math.sqrt(2.0)
+        kept = kept[seen.lag :] & kept[: -seen.lag]
     size = left.shape[1] // STRETCHES
+    if size < STRETCHES:
+        return None
     window = np.hanning(size + 2)[1:-1]
-    stretches = np.lib.stride_tricks.sliding_window_view(left, size, axis=1)[:, :: size // 2]
-    found = np.fft.rfft(stretches * window, axis=2) / np.sqrt(np.sum(window**2))
+    stretches = sliding_window_view(left, size, axis=1)[:, :: size // 2]
+    whole = sliding_window_view(kept, size)[:: size // 2].all(axis=1)
+    if whole.sum() < FEWEST_STRETCHES:
+        return None
+    found = np.fft.rfft(stretches[:, whole] * window, axis=2) / np.sqrt(np.sum(window**2))
     power: FloatArray = np.mean(np.abs(found[0]) ** 2, axis=0)
     cross: ComplexArray = np.mean(found[-1] * found[0].conj(), axis=0)
     return np.asarray(np.fft.rfftfreq(size), dtype=np.float64), power, cross
 
 
-def _simulated_factor(
-    fit: SimulatedFit, place: int, along: FloatArray, sensor: FloatArray
+def _simulated_excess(
+    fit: SimulatedFit, place: int, along: FloatArray, sensor: FloatArray, linear: ComplexArray
 ) -> float:
-    """Variance of what noise in the loop adds along some change, over that of the whitened noise.
+    """Variance that noise in the loop has along some change beyond that of the linear loop.
 
-    ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1,).
+    In units of the whitened noise's. ``sensor``: of white noise to that of the speed sensor, by
+    frequency, (n//2 + 1,); ``linear``: of that to the channels, (c, n//2 + 1).
     """
     seen, noise = fit.model.recordings[place], fit.model.noise[place]
     undisturbed = _simulated(fit, place, np.zeros(seen.samples))
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
-    squares: list[float] = []
-    while len(squares) < ROTATIONS:
-        white = np.fft.rfft(rng.standard_normal(seen.samples))
-        disturbance = np.fft.irfft(sensor * white, seen.samples)
+
+    def square(channels: FloatArray) -> float:
+        return float(np.sum(np.sum(turns_of(noise.whiten(channels), seen) * along, axis=1) ** 2))
+
+    runs = math.ceil(ROTATIONS / len(along))
+    more = 0.0
+    for _ in range(runs):
+        drawn = sensor * np.fft.rfft(rng.standard_normal(seen.samples))
+        disturbance = np.fft.irfft(drawn, seen.samples)
         added = _simulated(fit, place, disturbance) - undisturbed
         added[0] += disturbance
-        projected = np.sum(turns_of(noise.whiten(added), seen) * along, axis=1)
-        squares += list(projected**2 / np.sum(along**2, axis=1))
-    return float(np.mean(squares))
+        more += square(added) - square(np.fft.irfft(linear * drawn, seen.samples))
+    return more / (runs * float(np.sum(along**2)))
 
 
 def _simulated(fit: SimulatedFit, place: int, disturbance_rpm: FloatArray) -> FloatArray:
     """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick."""
     model, seen = fit.model, fit.model.recordings[place]
+    point = fit.point.copy()
     time = np.arange(seen.samples) / seen.sampling_hz
     asked = np.full(seen.samples, seen.reference_speed_rpm)
     known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known}
     if seen.motion is not None:
-        asked, known = seen.motion.speed_rpm(time), dict(seen.known)
+        known = dict(seen.known)
+        late = [
+            k
+            for k, u in enumerate(model.unknowns)
+            if u.name == REFERENCE_DELAY and u.recording == seen.name
+        ]
+        # The reference is late; the noise, which is put into it, is not.
+        asked = seen.motion.speed_rpm(time - float(np.sum(point[late])))
+        point[late] = 0.0
     speed = (asked - disturbance_rpm) / RPM_PER_RAD_PER_S
     ticks = held_motion(Motion(through(time, speed), time[-1]), seen.samples, seen.sampling_hz)
     alone = replace(
@@ -153,4 +188,4 @@ def _simulated(fit: SimulatedFit, place: int, disturbance_rpm: FloatArray) -> Fl
         noise=[model.noise[place]],
         recent=RecentSimulations(),
     )
-    return np.asarray(alone.signals(fit.point[None], 0)[0])
+    return np.asarray(alone.signals(point[None], 0)[0])

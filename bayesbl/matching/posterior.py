@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.matching.impacts import Scatter, smeared
+from bayesbl.matching.impacts import scattered, smeared
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
@@ -53,6 +53,7 @@ The share of the posterior between two quantiles of n draws has the standard dev
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
+TAILS = (0.05, 0.95)
 MATTERS = 0.2
 """Share of an interval by which an error moves δ or its change too far to be left unsaid."""
 PRESSED_BY_CHANCE = 0.01
@@ -77,8 +78,8 @@ class DirectPosterior:
     refits
         How often the surrogate was fitted again.
     widening
-        Standard deviation of each coordinate over that without what rotations scatter by beyond
-        their noise, shape (d,).
+        90 % interval of each coordinate over that without what rotations scatter by beyond their
+        noise, shape (d,).
     """
 
     fit: SimulatedFit
@@ -122,7 +123,7 @@ class DirectPosterior:
         for seen, moved in zip(model.recordings, smeared(self.fit), strict=True):
             gap = np.log(self.values(GAP, seen.name if seen.name in own else None))
             low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-            differ.append(bool(abs(moved) > MATTERS * (high - low)))
+            differ.append(not abs(moved) <= MATTERS * (high - low))
         return differ
 
     def values(self, name: str, recording: str | None = None) -> FloatArray:
@@ -219,13 +220,12 @@ def widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPoste
     """
     model = found.fit.model
     flat = found.draws.reshape(-1, found.draws.shape[-1])
-    covariance = _covariance(flat)
-    scatter = Scatter.of(found.fit, covariance)
-    generator = np.random.default_rng(seed)
-    wider = scatter.widened(flat, covariance, found.fit.curvature, generator)
-    # Beyond the end of a range there is nothing: there a draw stays as it was.
-    wider = np.where((wider > model.low) & (wider < model.high), wider, flat)
-    widening = wider.std(axis=0) / np.maximum(flat.std(axis=0), 1e-300)
+    wider = scattered(found.fit, flat, _covariance(flat), np.random.default_rng(seed))
+    # Beyond the end of a range there is nothing: such a draw stays as it was.
+    within = np.all((wider > model.low) & (wider < model.high), axis=1)
+    wider = np.where(within[:, None], wider, flat)
+    before, after = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (flat, wider))
+    widening = after / np.maximum(before, 1e-300)
     return replace(found, draws=wider.reshape(found.draws.shape), widening=widening)
 
 

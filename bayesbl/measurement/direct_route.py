@@ -321,14 +321,17 @@ def direct_verdict(
             "current δ would be several times sharper."
         )
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
-    if wider > 1.0 + MATTERS:
-        turns = "rotations" if recording.motion is None else "cycles"
-        reasons.append(
-            f"The {turns} differ by more than noise that the recorder adds, as where the noise "
-            f"goes round in the speed loop: the interval is {wider:.2g} times as wide for it."
-        )
+    if reason is None and wider > 1.0 + MATTERS:
+        reasons.append(_widened_in_words(wider))
     reasons += motion_notes(fit, index)
     return Verdict(outcome, (*reasons, *notes), reason)
+
+
+def _widened_in_words(times: float) -> str:
+    return (
+        "Noise that goes round in the speed loop, or something like it, makes the impacts differ: "
+        f"the interval is {times:.2g} times as wide for it."
+    )
 
 
 def _disagreement_in_words(entries: Sequence[RepeatingPower], moving: bool) -> str:

@@ -98,9 +98,11 @@ def notes_on(
         )
     moved = [file.offset_nm for file in files if file.offset_nm]
     if moved:
+        low, high = (f"{torque:.2g}" for torque in (min(moved), max(moved)))
+        about = low if low == high else f"{low} to {high}"
         yield (
-            f"The joint is free about {np.mean(moved):.2g} N m, more than friction holds: a load "
-            "hangs at it, or the torque has another zero. This was taken off the torque."
+            f"The joint is free about {about} N m, more than friction holds: a load hangs at it, "
+            "or the torque has another zero. This was taken off the torque."
         )
     if any(file.turned for file in files):
         yield "The torque counts against the position in the file, and was turned round."

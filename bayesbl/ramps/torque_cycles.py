@@ -34,6 +34,9 @@ SHORTEST_EXCURSION = 0.05
 LARGEST_ASYMMETRY = 2.5
 """Ratio of the torques of a pair: a small ramp before a large one is of no one amplitude."""
 
+LARGE = 0.5
+"""Of the largest cycle's torque: cycles below say little of where the joint is free."""
+
 
 @dataclass(frozen=True, slots=True)
 class Excursion:
@@ -153,16 +156,19 @@ def _offset(ramps: Ramps) -> float:
 
     A load that hangs at the joint, or a sensor's zero, moves both ways through the loop alike.
     Beyond the friction it pushes the joint over its play before the torque is at zero, and what
-    ramps leave is not the play. Every cycle to and fro must show it.
+    ramps leave is not the play. Every large cycle to and fro must show it: small ones may not cross
+    the play at all.
     """
+    largest = max((cycle.amplitude_nm for cycle in ramps.cycles), default=0.0)
+    large = [cycle for cycle in ramps.cycles if cycle.amplitude_nm > LARGE * largest]
     found = [
         (_torque_between(ramps, a.first, a.last) + _torque_between(ramps, b.first, b.last)) / 2.0
-        for a, b in pairwise(ramps.cycles)
+        for a, b in pairwise(large)
         if a.last is b.first
     ]
     if not found:
         return 0.0
-    friction = max(cycle.friction_nm for cycle in ramps.cycles)
+    friction = max(cycle.friction_nm for cycle in large)
     beyond = min(found) > friction or max(found) < -friction
     return float(np.median(found)) if beyond else 0.0
 

@@ -145,7 +145,11 @@ def test_tolerances_are_relative_or_absolute(tmp_path: Path) -> None:
     [
         ("gear_ratio = {", "gear_rati = {", ["gear_rati", 'Did you mean "gear_ratio"?']),
         ("gear_ratio = {value = 120.0}", "", ["gear_ratio", "needs this parameter"]),
-        ("gear_ratio = {value = 120.0}", "gear_ratio = 120.0", ["a table, such as {value = 120.0}"]),
+        (
+            "gear_ratio = {value = 120.0}",
+            "gear_ratio = 120.0",
+            ["a table, such as {value = 120.0}"],
+        ),
         ("value = 120.0", "value = -120.0", ["gear_ratio", "-120", "above zero"]),
         ("value = 120.0", "value = nan", ["gear_ratio"]),
         ("value = 120.0}", "valu = 120.0}", ["valu", "line"]),
