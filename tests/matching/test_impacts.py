@@ -95,7 +95,7 @@ def test_lost_samples_make_no_rotation_that_does_not_scatter(independent: Module
 def test_gaps_are_covered_wherever_the_noise_is_added(
     independent: ModuleType, in_loop: bool
 ) -> None:
-    """48 gaps, 90 % intervals: 38 or more within, and not all; fails by chance once in 100 seeds.
+    """48 gaps, 90 % intervals: 38 or more within, and not all: by chance fewer once in 100 seeds.
 
     With all noise taken for the recorder's, 32 of those with noise in the loop are.
     """
