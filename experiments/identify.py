@@ -7,7 +7,8 @@ within a factor of two of the reference bench, redrawn where the loop is not sta
 weak; its data sheet is off by up to ``SHEET_TOLERANCE`` in each, uniformly. Forward, reverse and a
 slower recording identify the bench; two later recordings, forward and reverse, with a gap that has
 grown in between, are then matched with it, and with the true bench for comparison. With ``strokes``
-the third recording is of strokes to and fro instead of the slower speed. ``wrong`` is the factor by
+the third recording is of strokes to and fro instead of the slower speed, with ``strokes_alone`` all
+are, the later ones too. ``wrong`` is the factor by
 which one value of the data sheet, drawn for each case, is wrong besides: it has to be named, and
 nothing is measured later.
 """
@@ -69,7 +70,8 @@ FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=8000)
 class Row(BaseModel):
     """``wrong``: 0 for a data sheet within its tolerance; ``current``: whether it is recorded.
 
-    ``strokes``: they are the third recording.
+    ``strokes``: they are the third recording. ``strokes_alone``: all recordings are of strokes, the
+    later pair too, as of a joint that cannot turn round.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -78,6 +80,7 @@ class Row(BaseModel):
     joints: PositiveInt
     current: bool = True
     strokes: bool = False
+    strokes_alone: bool = False
     wrong: NonNegativeFloat = 0.0
 
 
@@ -126,6 +129,11 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     seen = [recorded(row, joint, gap, speed, f"{i}", rng) for i, speed in enumerate(SPEEDS_RPM)]
     if row.strokes:
         seen[-1] = stroked(joint, gap, "strokes", rng)
+    if row.strokes_alone:
+        seen = [
+            stroked(joint, gap, f"strokes {pace}", rng, pace, reach)
+            for pace, reach in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3))
+        ]
     problem = Problem(
         sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD, shares_gap=True
     )
@@ -155,6 +163,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         recorded(row, joint, own, speed, f"later {i}", rng)
         for i, (own, speed) in enumerate(zip(grown, LATER_RPM, strict=True))
     ]
+    if row.strokes_alone:
+        pair = [stroked(joint, own, f"later {i}", rng) for i, own in enumerate(grown)]
     bench = identified_bench(found, problem)
     values |= measured(bench, pair, grown, pair_seed, "")
     return values | measured(joint, pair, grown, pair_seed, "known_")
@@ -239,12 +249,27 @@ def recorded(
     return observed(recording, joint, speed_rpm)
 
 
-def stroked(joint: Bench, gap_rad: float, name: str, rng: np.random.Generator) -> Observed:
-    """A recording of strokes about hanging, as fast as leaves the drive a reserve."""
+def stroked(
+    joint: Bench,
+    gap_rad: float,
+    name: str,
+    rng: np.random.Generator,
+    pace: float = 1.0,
+    reach: float = 1.0,
+) -> Observed:
+    """A recording of strokes about hanging, as fast as leaves the drive a reserve.
+
+    ``pace``, ``reach``: shares of that speed and of the way.
+    """
     values = {parameter: item.value for parameter, item in joint.parameters.items()}
-    truth = plant(values | {"gap_rad": gap_rad, "start_angle_rad": STROKES_RAD[0]})
+    way = reach * STROKES_RAD[0], reach * STROKES_RAD[1]
+    truth = plant(values | {"gap_rad": gap_rad, "start_angle_rad": way[0]})
     reference = strokes(
-        joint.value("gear_ratio"), STROKES_RAD, STROKES_RPM, acceleration_rpm_per_s(joint), DWELL_S
+        joint.value("gear_ratio"),
+        way,
+        pace * STROKES_RPM,
+        pace**2 * acceleration_rpm_per_s(joint),
+        DWELL_S,
     )
     recording = simulate_moving(truth, reference, STROKES_S, rng, name=name).recording
     return observed(recording, joint)
