@@ -8,8 +8,8 @@ weak; its data sheet is off by up to ``SHEET_TOLERANCE`` in each, uniformly. For
 slower recording identify the bench; two later recordings, forward and reverse, with a gap that has
 grown in between, are then matched with it, and with the true bench for comparison. With ``strokes``
 the third recording is of strokes to and fro instead of the slower speed, with ``strokes_alone`` all
-are, the later ones too. ``wrong`` is the factor by which one value of the data sheet, drawn for each
-case, is wrong besides: it has to be named, and nothing is measured later.
+are, the later ones too. ``wrong`` is the factor by which one value of the data sheet, drawn for
+each case, is wrong besides: it has to be named, and nothing is measured later.
 """
 
 from __future__ import annotations
