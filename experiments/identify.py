@@ -63,6 +63,8 @@ STROKES_RPM = 2000.0
 STROKES_S = 12.0
 DWELL_S = 0.15
 STROKES_CURRENT_SHARE = 0.7
+STROKES_ALONE = ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3))
+"""Shares of that speed and of the way, of each recording."""
 FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=8000)
 
 
@@ -130,8 +132,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         seen[-1] = stroked(joint, gap, "strokes", rng)
     if row.strokes_alone:
         seen = [
-            stroked(joint, gap, f"strokes {pace}", rng, pace, reach)
-            for pace, reach in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3))
+            stroked(joint, gap, f"strokes {i}", rng, pace, reach)
+            for i, (pace, reach) in enumerate(STROKES_ALONE)
         ]
     problem = Problem(
         sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD, shares_gap=True

@@ -233,6 +233,11 @@ class SimulatedSignals:
         Of the unknowns that have one.
     prior_slope
         Slope of the log prior beside it, 1 where flat in the value, (d,).
+
+    Raises
+    ------
+    ValueError
+        If two recordings have one name: each would be given the other's start angle.
     """
 
     bench: Bench
@@ -247,6 +252,9 @@ class SimulatedSignals:
 
     def __post_init__(self, white_recordings: Sequence[FloatArray] | None) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
+        names = [seen.name for seen in self.recordings]
+        if len(set(names)) < len(names):
+            raise ValueError(f"Unknowns belong to recordings by name, and two are alike: {names}")
         self.normal_prior = NormalPrior.of(
             np.array([u.centre for u in self.unknowns]),
             np.array([u.sd for u in self.unknowns]),
