@@ -34,6 +34,7 @@ from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
+from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
 from bayesbl.naming.criteria import ALIKE, is_gross
 from bayesbl.naming.explanation import (
@@ -116,7 +117,8 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     naming = of_stage(progress, "Naming what is missing")
-    nominal = _nominal(problem, of_stage(progress, "Fitting the bench"))
+    nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
+    problem = replace(problem, used=tuple(nominal.fit.model.recordings))
     final = nominal
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
@@ -171,6 +173,17 @@ def _nominal(problem: Problem, progress: Progress | None) -> Explanation:
         found = min(filter(None, tried), key=lambda e: e.fit.chi_square, default=found)
     found = with_noise(polished(found), remaining_noise(found.fit))
     return with_own_noise(found)
+
+
+def _believed(nominal: Explanation) -> Explanation:
+    """The same where the bench can be believed, and without standstills to name what is missing.
+
+    No law of the catalogue holds for friction at rest, and every joint has some.
+    """
+    fit = believed(nominal.fit, FALSE_ALARM)
+    if fit is nominal.fit and not is_explained(nominal):
+        fit = in_motion(fit) or fit
+    return replace(nominal, fit=fit)
 
 
 def _effects(
@@ -239,10 +252,11 @@ def _with_steady_torque(problem: Problem) -> Explanation | None:
     """The parameters beside a constant torque in each recording; ``None`` if the bench has one.
 
     At constant speed that is what all friction of the motor looks like, which real joints have and
-    data sheets lack: without it the parameters are drawn to the ends of their tolerances.
+    data sheets lack: without it the parameters are drawn to the ends of their tolerances. In a
+    motion friction reverses: ``None`` where all are of one.
     """
     candidate = steady_torque(problem.bench, problem.used)
-    if candidate is None:
+    if candidate is None or all(seen.motion is not None for seen in problem.used):
         return None
     unknowns = [*problem.unknowns, *candidate.unknowns]
     bench = candidate.bench(problem.bench)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -11,19 +12,36 @@ import numpy as np
 from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
+from bayesbl.matching.signals import (
+    GAP,
+    REFERENCE_DELAY,
+    START_ANGLE,
+    SimulatedSignals,
+    Unknown,
+)
 from bayesbl.recording.types import FloatArray
 
 NEAR_LIMIT = 0.95
 """Share of the drive's largest current that a suggested recording may take."""
 
 
+OF_ITS_START = (START_ANGLE, REFERENCE_DELAY)
+"""What is a further recording's own."""
+
+PACES = (1.0, 0.6, 0.3)
+"""Of a recorded motion: none is asked for that is faster than the joint has shown."""
+
+
 @dataclass(frozen=True, slots=True)
 class NextRecording:
-    """A recording in steady rotation, five rotations long, with the noise of the first.
+    """A recording in steady rotation, five rotations long, or of a motion as long as a recorded one.
 
     Attributes
     ----------
+    reference_speed_rpm
+        Of a motion the largest.
+    motion_of
+        Name of the recording whose way it goes; ``None`` for a rotation.
     information_bits
         Expected: half the binary logarithm of how much the volume of what is unknown shrinks.
     sharpens
@@ -32,6 +50,7 @@ class NextRecording:
     """
 
     reference_speed_rpm: float
+    motion_of: str | None
     information_bits: float
     sharpens: str
     sd_before: float
@@ -39,17 +58,21 @@ class NextRecording:
 
 
 def next_recording(fit: SimulatedFit) -> NextRecording | None:
-    """The one of some speeds and directions that is expected to tell most; ``None`` if none runs.
+    """The one of some that is expected to tell most; ``None`` if the joint can run none.
 
+    Some speeds in both directions; of a joint that has shown motions alone, these at some paces.
     With S the covariance of what recordings share and J the whitened derivatives of a further one,
-    its start angle free, S⁻¹ grows by Jᵀ(1 − P)J, P the projection on the start angle's derivative.
+    its own start free, S⁻¹ grows by Jᵀ(1 − P)J, P the projection on the derivatives by that start.
     """
     shared = [i for i, u in enumerate(fit.model.unknowns) if _is_shared(u, fit)]
     before = fit.covariance[np.ix_(shared, shared)]
+    recordings = fit.model.recordings
+    moving = all(seen.motion is not None for seen in recordings)
+    tried = _motions(recordings) if moving else _rotations(fit.model)
     found = [
-        _judged(fit, shared, before, speed, information)
-        for speed in _speeds(fit.model.recordings)
-        if (information := _information(fit, shared, speed)) is not None
+        _judged(fit, shared, before, seen, information)
+        for seen, place in tried
+        if (information := _information(fit, shared, seen, place)) is not None
     ]
     return max(found, key=lambda one: one.information_bits, default=None)
 
@@ -60,17 +83,43 @@ def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
     return unknown.recording is None or (unknown.name == GAP and unknown.recording == last)
 
 
-def _speeds(recordings: Sequence[Observed]) -> Iterator[float]:
-    top = max(abs(seen.reference_speed_rpm) for seen in recordings)
-    for share in SPEED_SHARES:
-        yield from (share * top, -share * top)
+def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
+    """One rotation at each speed, in the place of the last recording."""
+    top = max(abs(seen.reference_speed_rpm) for seen in model.recordings)
+    place = len(model.recordings) - 1
+    last = model.recordings[place]
+    for share, direction in itertools.product(SPEED_SHARES, (1.0, -1.0)):
+        speed = direction * share * top
+        period = model.bench.rotation_period_s(speed)
+        samples = round(period * last.sampling_hz) + model.noise[place].order
+        seen = replace(
+            last,
+            signals=np.zeros((len(last.signals), samples)),
+            reference_speed_rpm=speed,
+            rotation_period_s=period,
+            excluded=None,
+            motion=None,
+            cycle=None,
+            begin_s=0.0,
+        )
+        yield seen, place
+
+
+def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
+    """Each recorded motion at each pace, in the place of its recording."""
+    for place, seen in enumerate(recordings):
+        assert seen.motion is not None
+        for pace in PACES:
+            slower = seen.motion.at_pace(pace)
+            speed = pace * seen.reference_speed_rpm
+            yield replace(seen, motion=slower, reference_speed_rpm=speed), place
 
 
 def _judged(
     fit: SimulatedFit,
     shared: Sequence[int],
     before: FloatArray,
-    speed_rpm: float,
+    seen: Observed,
     information: FloatArray,
 ) -> NextRecording:
     after = np.linalg.inv(np.linalg.inv(before) + information)
@@ -79,36 +128,33 @@ def _judged(
     relative = np.array([fit.model.unknowns[i].logarithmic for i in shared])
     best = int(np.argmin(np.where(relative, sd[1] / sd[0], np.inf)))
     name = fit.model.unknowns[shared[best]].name
-    return NextRecording(speed_rpm, float(bits), name, float(sd[0, best]), float(sd[1, best]))
+    way = None if seen.motion is None else seen.name
+    sds = float(sd[0, best]), float(sd[1, best])
+    return NextRecording(seen.reference_speed_rpm, way, float(bits), name, *sds)
 
 
-def _information(fit: SimulatedFit, shared: Sequence[int], speed_rpm: float) -> FloatArray | None:
-    """Of one rotation, times their number; ``None`` where the bench cannot run at this speed."""
-    model, last = fit.model, fit.model.recordings[-1]
-    period = model.bench.rotation_period_s(speed_rpm)
-    samples = round(period * last.sampling_hz) + model.noise[-1].order
-    seen = replace(
-        last,
-        signals=np.zeros((len(last.signals), samples)),
-        reference_speed_rpm=speed_rpm,
-        rotation_period_s=period,
-        excluded=None,
-        motion=None,
-        cycle=None,
-        begin_s=0.0,
-    )
-    # Its start angle, and phases of effects, are those of the last recording.
-    own = [i for i, u in enumerate(model.unknowns) if u.recording in (None, last.name)]
+def _information(
+    fit: SimulatedFit, shared: Sequence[int], seen: Observed, place: int
+) -> FloatArray | None:
+    """Of one rotation, times their number, or of a motion; ``None`` where the drive cannot follow.
+
+    Its start angle, and phases of effects, are those of the recording in that place.
+    """
+    model = fit.model
+    own = [i for i, u in enumerate(model.unknowns) if u.recording in (None, seen.name)]
     unknowns = [model.unknowns[i] for i in own]
-    there = SimulatedSignals(model.bench, [seen], unknowns, [model.noise[-1]], model.workers)
+    there = SimulatedSignals(model.bench, [seen], unknowns, [model.noise[place]], model.workers)
     point = fit.point[own]
     signals = there.signals(point, 0)[0]
     limit = NEAR_LIMIT * model.bench.value("current_limit_a")
     if not np.all(np.isfinite(signals)) or (len(signals) > 1 and np.abs(signals[1]).max() > limit):
         return None
     matrix = derivatives(there, point, fit.steps[own])
-    start = matrix[:, [k for k, u in enumerate(unknowns) if u.name == START_ANGLE]]
-    free = matrix[:, [own.index(i) for i in shared]]
+    start = matrix[:, [k for k, u in enumerate(unknowns) if u.name in OF_ITS_START]]
+    told = np.zeros((len(matrix), len(shared)))
+    for column, i in enumerate(shared):
+        if i in own:
+            told[:, column] = matrix[:, own.index(i)]
     root, _ = np.linalg.qr(start)
-    left = free - root @ (root.T @ free)
-    return np.asarray(ROTATIONS * left.T @ left)
+    left = told - root @ (root.T @ told)
+    return np.asarray((ROTATIONS if seen.motion is None else 1.0) * left.T @ left)

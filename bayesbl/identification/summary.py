@@ -59,9 +59,10 @@ class TogetherSummary(TypedDict):
 
 
 class NextRecordingSummary(TypedDict):
-    """What to record next."""
+    """What to record next; ``motion_of``: the recording whose way it goes, null for a rotation."""
 
     reference_speed_rpm: float
+    motion_of: str | None
     information_bits: float
     sharpens: str
     sd_before: float

@@ -14,15 +14,13 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.matching.alignment import fit_aligned, refitted
+from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.impacts import IMPACTS_DIFFER
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import Observed, observed, with_held_reference, without_standstill
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
-    REFERENCE_DELAY,
     Unknown,
     drift_unknowns,
     effect_unknowns,
@@ -31,6 +29,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
+from bayesbl.matching.standstill import believed
 from bayesbl.measurement.bench_of import bench_of, drifts_of
 from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
@@ -247,7 +246,7 @@ def fit_directly(
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
-    begun = _believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
+    begun = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
     fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
     report = of_stage(progress, f"Sampling {name}")
     withheld = joint.against_bench or not joint.explained
@@ -256,33 +255,6 @@ def fit_directly(
     if not withheld:
         posterior = widened(posterior, *seed.spawn(1))
     return DirectMatch(posterior, tuple(disagreements(fit)), joint)
-
-
-def _believed(fit: SimulatedFit) -> SimulatedFit:
-    """The fit, or the first of two others of its motions that the check passes where it does not.
-
-    A digital drive holds its reference from sample to sample; and what friction does at a
-    standstill is not what it does in motion.
-    """
-    model = fit.model
-    if agrees(disagreements(fit), FALSE_ALARM) or all(s.motion is None for s in model.recordings):
-        return fit
-    moving = [without_standstill(seen, model.bench) for seen in model.recordings]
-    # The steps of a held reference fall on samples: nothing is late there.
-    kept = [k for k, u in enumerate(model.unknowns) if u.name != REFERENCE_DELAY]
-    held = replace(
-        model,
-        recordings=[with_held_reference(seen) for seen in model.recordings],
-        unknowns=[model.unknowns[k] for k in kept],
-    )
-    tried = [(held, replace(fit, point=fit.point[kept], steps=fit.steps[kept]))]
-    if not any(seen.excluded is not None and seen.excluded.all() for seen in moving):
-        tried.insert(0, (replace(model, recordings=moving), fit))
-    for other, start in tried:
-        found = refitted(other, start)
-        if agrees(disagreements(found), FALSE_ALARM):
-            return found
-    return fit
 
 
 def direct_verdict(

@@ -339,7 +339,7 @@ class _Search:
         rest = self._rebuilt(nominal, final, k, first)
         if rest is None:
             return []
-        tried = [c for c in self._screened(rest, final) if c is not candidate]
+        tried = [c for c in self._screened(rest, candidate) if c is not candidate]
         return self._contenders([self._fit(rest, c) for c in tried])
 
     def _rivals(
@@ -380,14 +380,17 @@ class _Search:
     def _threshold(self, parameters: int) -> float:
         return gain_threshold(parameters, len(self._candidates), self._false_alarm)
 
-    def _screened(self, base: Explanation, rival: Explanation | None = None) -> list[Candidate]:
+    def _screened(self, base: Explanation, rival: Candidate | None = None) -> list[Candidate]:
         """Few candidates that promise to leave no more than the best of them, or a rival, does.
 
-        The last one that may be added must promise to stand out of what it then leaves.
+        Far from its optimum no candidate promises all that it keeps: a rival's promise is held
+        against theirs. The last one that may be added must promise to stand out of what it leaves.
         """
         gains = self._promised(base)
         remains = left(base) - gains
-        least = min([*remains, *([] if rival is None else [left(rival)])], default=0.0)
+        least = min(remains, default=0.0)
+        if rival is not None:
+            least = float(remains[[c is rival for c in self._candidates].index(True)])
         needed = 0.0
         if len(base.candidates) == self._max_effects - 1:
             needed = WORTH_FITTING * self._least_ratio(base)

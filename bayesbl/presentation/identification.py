@@ -72,12 +72,16 @@ def gaps(summary: IdentificationSummary) -> Iterator[str]:
 
 def suggestion(found: NextRecordingSummary) -> str:
     """What to record next, and what it would tell."""
+    speed = abs(found["reference_speed_rpm"])
     direction = "in reverse" if found["reference_speed_rpm"] < 0.0 else "forward"
+    what, length = f"one at {speed:g} rpm {direction}", "five rotations"
+    if found["motion_of"] is not None:
+        what = f"the motion of {found['motion_of']} at {speed:g} rpm at most"
+        length = "as long as that one"
     name = "the gap" if found["sharpens"] == "gap_rad" else in_words(found["sharpens"])
     return (
-        f"Of the recordings to take next, one at {abs(found['reference_speed_rpm']):g} rpm "
-        f"{direction} tells most (five rotations: {found['information_bits']:.1f} bits); it would "
-        f"sharpen {name} most, from {_percent(found['sd_before'])} to "
+        f"Of the recordings to take next, {what} tells most ({length}: "
+        f"{found['information_bits']:.1f} bits); it would sharpen {name} most, from {_percent(found['sd_before'])} to "
         f"{_percent(found['sd_after'])} %."
     )
 

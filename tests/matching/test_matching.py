@@ -59,6 +59,13 @@ def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
     assert asked.whitened(POINTS) == pytest.approx(whole.reshape(len(POINTS), -1), abs=1e-9)
 
 
+def test_recordings_of_one_name_are_refused() -> None:
+    """The start angle of one would be given to both."""
+    asked = model(reference_bench())
+    with pytest.raises(ValueError, match="two are alike"):
+        replace(asked, recordings=2 * asked.recordings, noise=2 * asked.noise)
+
+
 @pytest.mark.parametrize("speed_rpm", [2000.0, -2000.0])
 @pytest.mark.parametrize("position_gain_per_s", [0.0, 5.0, 20.0])
 @pytest.mark.parametrize("start_angle_rad", [0.3, 2.0])
