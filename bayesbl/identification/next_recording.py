@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
-from bayesbl.matching.observed import Observed
+from bayesbl.matching.observed import Observed, begin_of
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -34,7 +34,7 @@ PACES = (1.0, 0.6, 0.3)
 
 @dataclass(frozen=True, slots=True)
 class NextRecording:
-    """A recording in steady rotation, five rotations long, or of a motion as long as a recorded one.
+    """Five load rotations at one speed, or a motion as long as a recorded one.
 
     Attributes
     ----------
@@ -109,10 +109,12 @@ def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
     """Each recorded motion at each pace, in the place of its recording."""
     for place, seen in enumerate(recordings):
         assert seen.motion is not None
+        begun = np.arange(seen.samples) < begin_of(seen)
         for pace in PACES:
             slower = seen.motion.at_pace(pace)
             speed = pace * seen.reference_speed_rpm
-            yield replace(seen, motion=slower, reference_speed_rpm=speed), place
+            made = replace(seen, motion=slower, reference_speed_rpm=speed, excluded=begun)
+            yield made, place
 
 
 def _judged(
@@ -151,10 +153,9 @@ def _information(
         return None
     matrix = derivatives(there, point, fit.steps[own])
     start = matrix[:, [k for k, u in enumerate(unknowns) if u.name in OF_ITS_START]]
-    told = np.zeros((len(matrix), len(shared)))
-    for column, i in enumerate(shared):
-        if i in own:
-            told[:, column] = matrix[:, own.index(i)]
+    gap = next((k for k, u in enumerate(unknowns) if u.name == GAP), None)
+    columns = [own.index(i) if i in own else gap for i in shared]
+    told = np.column_stack([np.zeros(len(matrix)) if k is None else matrix[:, k] for k in columns])
     root, _ = np.linalg.qr(start)
     left = told - root @ (root.T @ told)
     return np.asarray((ROTATIONS if seen.motion is None else 1.0) * left.T @ left)

@@ -81,8 +81,8 @@ def suggestion(found: NextRecordingSummary) -> str:
     name = "the gap" if found["sharpens"] == "gap_rad" else in_words(found["sharpens"])
     return (
         f"Of the recordings to take next, {what} tells most ({length}: "
-        f"{found['information_bits']:.1f} bits); it would sharpen {name} most, from {_percent(found['sd_before'])} to "
-        f"{_percent(found['sd_after'])} %."
+        f"{found['information_bits']:.1f} bits); it would sharpen {name} most, from "
+        f"{_percent(found['sd_before'])} to {_percent(found['sd_after'])} %."
     )
 
 

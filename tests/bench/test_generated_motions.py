@@ -51,6 +51,16 @@ def test_s_curves_of_a_large_jerk_are_trapezoids() -> None:
     assert rounded.position_rad(time) == pytest.approx(plain.position_rad(time), abs=0.01)
 
 
+@pytest.mark.parametrize("pace", [0.3, 1.0, 2.0])
+def test_at_another_pace_a_motion_goes_the_same_way(pace: float) -> None:
+    motion = strokes(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 3.0, 4e4)
+    other = motion.at_pace(pace)
+    time = np.arange(0.0, 3.0, 1e-3)
+    assert other.duration_s == pytest.approx(3.0 / pace)
+    assert other.position_rad(time / pace) == pytest.approx(motion.position_rad(time), abs=1e-9)
+    assert other.speed_rpm(time / pace) == pytest.approx(pace * motion.speed_rpm(time), abs=1e-6)
+
+
 def test_torque_goes_to_each_amplitude_and_back() -> None:
     motion = torque_ramps([0.5, 2.0], 3, 4.0)
     torque = motion.speed_rpm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 13.0, 15.0, 24.0])) / RPM

@@ -208,6 +208,11 @@ def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
     draws = np.log(parameter_draws(found, of_strokes.parameters))
     truth = np.log([joint().value(name) for name in of_strokes.parameters])
     assert np.all(np.abs(draws.mean(axis=0) - truth) < 3.5 * draws.std(axis=0))
+    # The joint has not shown that it can turn round.
+    suggested = next_recording(found.final.fit)
+    assert suggested is not None
+    assert suggested.motion_of in {seen.name for seen in stroked}
+    assert suggested.information_bits > 0.0
 
 
 def test_the_bench_found_keeps_the_joint_posterior() -> None:
