@@ -286,7 +286,8 @@ def _named(
     missing = tuple(effect.members for effect in naming.effects)
     if not missing or problem.effects != "catalogue":
         return nominal, missing
-    return with_own_noise(naming.final), missing
+    named = with_own_noise(naming.final)
+    return replace(named, fit=believed(named.fit, FALSE_ALARM)), missing
 
 
 def _to_name_from(nominal: Explanation, steady: Explanation | None) -> SimulatedFit:

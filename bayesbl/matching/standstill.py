@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -15,17 +15,27 @@ from bayesbl.matching.signals import REFERENCE_DELAY
 
 
 def believed(fit: SimulatedFit, false_alarm: float) -> SimulatedFit:
-    """The fit, or the first of two others of its motions that the check passes where it does not.
+    """The fit, or the first of three others of its motions that the check passes where it does not.
 
     A digital drive holds its reference from sample to sample; and what friction does at a
     standstill is not what it does in motion.
     """
     if agrees(disagreements(fit), false_alarm) or not _moves(fit):
         return fit
-    for found in (in_motion(fit), _held(fit)):
-        if found is not None and agrees(disagreements(found), false_alarm):
+    for found in _others(fit):
+        if agrees(disagreements(found), false_alarm):
             return found
     return fit
+
+
+def _others(fit: SimulatedFit) -> Iterator[SimulatedFit]:
+    """Without standstills, with a held reference, and both."""
+    moving = in_motion(fit)
+    if moving is not None:
+        yield moving
+    yield _held(fit)
+    if moving is not None:
+        yield _held(moving)
 
 
 def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
