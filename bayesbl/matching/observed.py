@@ -322,13 +322,18 @@ def without_standstill(seen: Observed, bench: Bench) -> Observed:
     """
     if seen.motion is None:
         return seen
-    time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
-    fastest = max(seen.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
-    standing = np.abs(seen.motion.speed_rpm(time)) < STANDSTILL * fastest
     memory = np.ones(_recovery(seen, bench) + 1)
-    remembers = np.convolve(standing, memory)[: seen.samples] > 0.5
+    remembers = np.convolve(standstills(seen, bench), memory)[: seen.samples] > 0.5
     # The motor lags behind its reference, so it stands a little later too: within the memory.
     return _without(seen, remembers)
+
+
+def standstills(seen: Observed, bench: Bench) -> BoolArray:
+    """Samples at which a motion's reference is at rest, or next to it, shape (n,)."""
+    assert seen.motion is not None
+    time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
+    fastest = max(seen.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
+    return np.asarray(np.abs(seen.motion.speed_rpm(time)) < STANDSTILL * fastest)
 
 
 def with_held_reference(seen: Observed) -> Observed:

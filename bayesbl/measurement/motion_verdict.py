@@ -9,7 +9,7 @@ import numpy as np
 from bayesbl.bench.kernel import Slot
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes, remembered_start
-from bayesbl.matching.observed import begin_of
+from bayesbl.matching.observed import begin_of, standstills
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.recording.types import FloatArray
@@ -111,9 +111,15 @@ def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
             "The reference is taken as held from each sample to the next, as a digital drive has "
             "it: a straight line between samples does not explain the recording."
         )
-    if begin_of(seen) > 0:
+    begin = begin_of(seen)
+    stands = standstills(seen, fit.model.bench)[begin:]
+    if seen.excluded is not None and stands.any() and seen.excluded[begin:][stands].all():
         notes.append(
-            f"The first {begin_of(seen) / seen.sampling_hz:.2g} s are left out: how the teeth and "
+            "Standstills are left out, as friction there is not as the bench has it in motion."
+        )
+    if begin > 0:
+        notes.append(
+            f"The first {begin / seen.sampling_hz:.2g} s are left out: how the teeth and "
             "the controller stood when the recording began is not known."
         )
     return notes
