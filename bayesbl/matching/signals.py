@@ -17,22 +17,15 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import (
-    after,
-    effect_named,
-    lateness_rad,
-    repeat_each_rotation,
-    turn_with_the_motor,
-    without_ticks,
-)
-from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
+from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import PARAMETER_INFO, is_share, rotation_period_s
-from bayesbl.bench.simulation import (
-    ACCURACY,
-    simulate_channels,
-    simulate_motions,
-    simulate_speeds,
+from bayesbl.bench.parameters import PARAMETER_INFO, is_share
+from bayesbl.matching.as_observed import (
+    accuracy_rpm,
+    continued,
+    in_whole_ticks,
+    repeats,
+    simulated,
 )
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
@@ -46,11 +39,6 @@ START_ANGLE = "start_angle_rad"
 REFERENCE_DELAY = "reference_delay_s"
 MOST_DELAY_S = 0.02
 """Some cycles of the slowest usual bus."""
-ACCURACY_SHARE = 0.003
-"""Largest error of a simulated speed as a share of the speed noise."""
-FINEST = 0.01
-"""Of the usual accuracy: what noise that is hardly there may ask for."""
-
 TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
 """Standard deviation of an angle that may be any."""
 
@@ -62,9 +50,6 @@ OF_THE_TICKS = ("sampled_control__", "current_loop_lag__")
 LATEST_RAD = 0.5
 """Phase of the ringing by which a sampled loop may be late and pass for continuous in differences:
 beyond it, fits take longer than they save (T of 2 ms on the reference bench)."""
-
-ENCODER_ROUNDS = 2
-"""An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,7 +289,7 @@ class SimulatedSignals:
 
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
-        return _continued(self.stretch(points, recording), self.recordings[recording].samples)
+        return continued(self.stretch(points, recording), self.recordings[recording].samples)
 
     def stretch(self, points: FloatArray, recording: int) -> FloatArray:
         """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
@@ -313,12 +298,12 @@ class SimulatedSignals:
         matrix, place = np.unique(
             self._benches(np.atleast_2d(points), seen), axis=0, return_inverse=True
         )
-        accuracy = _accuracy_rpm(self.noise[recording], seen)
-        samples = seen.lag if _repeats(matrix, seen) else seen.samples
+        accuracy = accuracy_rpm(self.noise[recording], seen)
+        samples = seen.lag if repeats(matrix, seen) else seen.samples
         found = self.recent.signals(
             matrix,
             (*seen.rows, samples, seen.sampling_hz, accuracy, seen.motor_start_rad, seen.motion),
-            partial(_simulated, seen, samples, accuracy, self.workers, "nan"),
+            partial(simulated, seen, samples, accuracy, self.workers, "nan"),
         )
         return found[place.ravel()]
 
@@ -332,7 +317,7 @@ class SimulatedSignals:
         """
         for seen, noise in zip(self.recordings, self.noise, strict=True):
             matrix = self._benches(point[None], seen)
-            _simulated(seen, seen.samples, _accuracy_rpm(noise, seen), 1, "raise", matrix)
+            simulated(seen, seen.samples, accuracy_rpm(noise, seen), 1, "raise", matrix)
 
     def vectors(self, points: FloatArray, seen: Observed, **given: float) -> FloatArray:
         """Parameters of a recording's bench at points, (m, d) to (m, SLOTS), these values given."""
@@ -345,7 +330,7 @@ class SimulatedSignals:
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
         matrix = self.bench.measurement.seen_by(matrix, seen.sampling_hz)
-        return without_ticks(matrix) if self.continuous else _in_whole_ticks(matrix, seen)
+        return without_ticks(matrix) if self.continuous else in_whole_ticks(matrix, seen)
 
     def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
         """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
@@ -402,14 +387,14 @@ class SimulatedSignals:
         seen, noise = self.recordings[recording], self.noise[recording]
         begun = self.stretch(points, recording)
         # Whitening is linear, and what repeats still repeats when it is whitened.
-        simulated = noise.whiten(_continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
+        made = noise.whiten(continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
         observed = self._white_recordings[recording]
         white = out.reshape(len(points), *observed.shape)
-        length = simulated.shape[2]
+        length = made.shape[2]
         for first in range(0, observed.shape[1], length):
             here = slice(first, first + length)
             turn = observed[:, here]
-            np.subtract(turn, simulated[:, :, : turn.shape[1]], out=white[:, :, here])
+            np.subtract(turn, made[:, :, : turn.shape[1]], out=white[:, :, here])
         if seen.excluded is not None:
             touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
             white[..., touched] = 0.0
@@ -427,81 +412,3 @@ class SimulatedSignals:
         together = self.normal_prior.together
         own *= 1.0 - self.normal_prior.is_together
         return np.asarray(np.diag(own) + together.T @ together)
-
-
-def _accuracy_rpm(noise: ChannelNoise, seen: Observed) -> float:
-    coarsest = ACCURACY * abs(seen.reference_speed_rpm)
-    return float(np.clip(ACCURACY_SHARE * noise.sd[0], FINEST * coarsest, coarsest))
-
-
-def _simulated(
-    seen: Observed,
-    samples: int,
-    accuracy_rpm: float,
-    workers: int,
-    failures: str,
-    matrix: FloatArray,
-) -> FloatArray:
-    """Channels as observed, (m, SLOTS) to (m, c, samples)."""
-    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": failures}
-    if seen.motion is not None:
-        made = simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)  # type: ignore[arg-type]
-        return made[:, seen.rows]
-    if seen.motor_start_rad is not None:
-        matrix = _begun_at(matrix, seen.motor_start_rad, workers)
-    size = samples, seen.sampling_hz
-    if len(seen.signals) == 1:
-        return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
-    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
-
-
-def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
-    """The benches (m, SLOTS), each turned until its encoder starts at this angle.
-
-    A bench's own start angle of the motor is that of a relaxed shaft. The encoder also shows twist,
-    gap and its own error: half a radian of the motor, and something else on the other tooth flank.
-    """
-    if not turn_with_the_motor(matrix):
-        return matrix
-    matrix = matrix.copy()
-    relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
-    begin = matrix[:, Slot.motor_start_angle_rad]
-    begin[:] = motor_start_rad
-    for _ in range(ENCODER_ROUNDS):
-        first = simulate_channels(matrix, 1, 1.0, workers=workers, failures="nan")[:, POSITION, 0]
-        begin -= np.nan_to_num(begin + first - relaxed - motor_start_rad)
-    return matrix
-
-
-def _continued(begun: FloatArray, samples: int) -> FloatArray:
-    """A stretch that repeats, continued to so many samples: (m, c, k) to (m, c, samples)."""
-    if begun.shape[2] == samples:
-        return begun
-    return begun[:, :, np.arange(samples) % begun.shape[2]]
-
-
-def _in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
-    """Sampled controllers with a whole number of ticks a rotation, so that it repeats.
-
-    The period changes by less than its share of two rotations, far below what recordings tell. One
-    that is a whole number of samples stays: there each sample is of a tick.
-    """
-    period = matrix[:, Slot.sampled_control__period_s]
-    samples = period * seen.sampling_hz
-    free = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
-    if seen.motion is not None or not free.any():
-        return matrix
-    matrix = matrix.copy()
-    turn = rotation_period_s(matrix)[free]
-    matrix[free, Slot.sampled_control__period_s] = turn / np.round(turn / period[free])
-    return matrix
-
-
-def _repeats(matrix: FloatArray, seen: Observed) -> bool:
-    """Whether simulation and sampling are both periodic in the load rotation, all rows alike."""
-    if seen.motion is not None:
-        return False
-    turns = rotation_period_s(matrix) * seen.sampling_hz
-    if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
-        return False
-    return repeat_each_rotation(matrix)

@@ -1,0 +1,105 @@
+"""A recording's benches simulated as that recording shows them: its channels, rate and motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
+from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
+from bayesbl.bench.parameters import rotation_period_s
+from bayesbl.bench.simulation import (
+    ACCURACY,
+    simulate_channels,
+    simulate_motions,
+    simulate_speeds,
+)
+from bayesbl.matching.observed import Observed
+from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.recording.types import FloatArray
+
+ACCURACY_SHARE = 0.003
+"""Largest error of a simulated speed as a share of the speed noise."""
+FINEST = 0.01
+"""Of the usual accuracy: what noise that is hardly there may ask for."""
+
+ENCODER_ROUNDS = 2
+"""An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
+
+
+def accuracy_rpm(noise: ChannelNoise, seen: Observed) -> float:
+    """How near its simulations have to be to a recording of this noise."""
+    coarsest = ACCURACY * abs(seen.reference_speed_rpm)
+    return float(np.clip(ACCURACY_SHARE * noise.sd[0], FINEST * coarsest, coarsest))
+
+
+def simulated(
+    seen: Observed,
+    samples: int,
+    accuracy_rpm: float,
+    workers: int,
+    failures: str,
+    matrix: FloatArray,
+) -> FloatArray:
+    """Channels as observed, (m, SLOTS) to (m, c, samples)."""
+    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": failures}
+    if seen.motion is not None:
+        made = simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)  # type: ignore[arg-type]
+        return made[:, seen.rows]
+    if seen.motor_start_rad is not None:
+        matrix = _begun_at(matrix, seen.motor_start_rad, workers)
+    size = samples, seen.sampling_hz
+    if len(seen.signals) == 1:
+        return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
+    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
+
+
+def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
+    """The benches (m, SLOTS), each turned until its encoder starts at this angle.
+
+    A bench's own start angle of the motor is that of a relaxed shaft. The encoder also shows twist,
+    gap and its own error: half a radian of the motor, and something else on the other tooth flank.
+    """
+    if not turn_with_the_motor(matrix):
+        return matrix
+    matrix = matrix.copy()
+    relaxed = matrix[:, Slot.gear_ratio] * matrix[:, Slot.start_angle_rad]
+    begin = matrix[:, Slot.motor_start_angle_rad]
+    begin[:] = motor_start_rad
+    for _ in range(ENCODER_ROUNDS):
+        first = simulate_channels(matrix, 1, 1.0, workers=workers, failures="nan")[:, POSITION, 0]
+        begin -= np.nan_to_num(begin + first - relaxed - motor_start_rad)
+    return matrix
+
+
+def continued(begun: FloatArray, samples: int) -> FloatArray:
+    """A stretch that repeats, continued to so many samples: (m, c, k) to (m, c, samples)."""
+    if begun.shape[2] == samples:
+        return begun
+    return begun[:, :, np.arange(samples) % begun.shape[2]]
+
+
+def in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
+    """Sampled controllers with a whole number of ticks a rotation, so that it repeats.
+
+    The period changes by less than its share of two rotations, far below what recordings tell. One
+    that is a whole number of samples stays: there each sample is of a tick.
+    """
+    period = matrix[:, Slot.sampled_control__period_s]
+    samples = period * seen.sampling_hz
+    free = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
+    if seen.motion is not None or not free.any():
+        return matrix
+    matrix = matrix.copy()
+    turn = rotation_period_s(matrix)[free]
+    matrix[free, Slot.sampled_control__period_s] = turn / np.round(turn / period[free])
+    return matrix
+
+
+def repeats(matrix: FloatArray, seen: Observed) -> bool:
+    """Whether simulation and sampling are both periodic in the load rotation, all rows alike."""
+    if seen.motion is not None:
+        return False
+    turns = rotation_period_s(matrix) * seen.sampling_hz
+    if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
+        return False
+    return repeat_each_rotation(matrix)
