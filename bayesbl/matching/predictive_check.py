@@ -8,11 +8,12 @@ does not repeat.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.loop_noise import ComplexArray, LoopNoise, loop_noise
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
 from bayesbl.probabilities import chi2_sf, f_sf
 from bayesbl.recording.types import FloatArray
@@ -51,7 +52,43 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
         for channel, row in zip(seen.channels, part, strict=True):
             entries = _by_band(row[begin_of(seen) :], seen, scatters=not noise.repeats)
             found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
+    # What no rate of false alarms takes for more than noise needs no closer look.
+    unlikely = {entry.recording for entry in found if entry.probability * len(found) < 1.0}
+    for place, (seen, part) in enumerate(zip(fit.model.recordings, parts, strict=True)):
+        rotations = _rotations_compared(part[0, begin_of(seen) :], seen)
+        loop = loop_noise(fit, place) if seen.name in unlikely and rotations > 1 else None
+        if loop is not None:
+            found = [
+                _with_noise_in_loop(entry, seen, loop, rotations)
+                if entry.recording == seen.name
+                else entry
+                for entry in found
+            ]
     return found
+
+
+def _with_noise_in_loop(
+    entry: RepeatingPower, seen: Observed, loop: LoopNoise, rotations: int
+) -> RepeatingPower:
+    """The same entry by the degrees of freedom of noise that goes round in the loop.
+
+    Its power is at the impacts, and at the orders that the loop does not hold down: so few values
+    stand for a band that what is left of them repeats by chance more often.
+    """
+    channel = seen.channels.index(entry.channel)
+
+    def in_band(turns: FloatArray) -> FloatArray:
+        own = turns.reshape(len(turns), len(seen.channels), -1)[:, channel]
+        return _band(_spectrum(own), entry.highest_order)
+
+    return replace(entry, probability=loop.chance(entry.ratio, in_band, rotations))
+
+
+def _rotations_compared(row: FloatArray, seen: Observed) -> int:
+    """Whole rotations, or cycles; 0 where nothing repeats."""
+    if seen.motion is not None and seen.cycle is None:
+        return 0
+    return len(whole_rotations(row, seen.lag))
 
 
 def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[int, float, float]]:
@@ -81,6 +118,19 @@ def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
     return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
 
 
+def _spectrum(turns: FloatArray) -> ComplexArray:
+    """Of rotations (r, lag) by order; whitened noise has a power of two, of one in the mean."""
+    return np.asarray(np.fft.rfft(turns, axis=1) / np.sqrt(turns.shape[1] / 2.0))
+
+
+def _band(spectrum: ComplexArray, highest: int) -> FloatArray:
+    """Values of a band, (r, degrees of freedom): of whitened noise standard normal."""
+    if highest == 0:
+        return np.asarray(spectrum[:, :1].real / np.sqrt(2.0))
+    band = spectrum[:, 1 : 1 + min(highest, spectrum.shape[1] - 2)]
+    return np.concatenate([band.real, band.imag], axis=1)
+
+
 def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, float, float]]:
     """(highest order, ratio, probability) for each band.
 
@@ -88,17 +138,14 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
     """
     turns = whole_rotations(row, lag)
     rotations = len(turns)
-    spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
+    spectrum = _spectrum(turns)
     entries = []
     for highest in BANDS:
-        if highest == 0:
-            band, degrees = spectrum[:, :1] / np.sqrt(2.0), 1  # real, half the power
-        else:
-            band = spectrum[:, 1 : 1 + min(highest, lag // 2 - 1)]
-            degrees = 2 * band.shape[1]
+        band = _band(spectrum, highest)
+        degrees = band.shape[1]
         mean = band.mean(axis=0)
-        repeats = rotations * float(np.sum(np.abs(mean) ** 2))
-        scatter = float(np.sum(np.abs(band - mean) ** 2))
+        repeats = rotations * float(np.sum(mean**2))
+        scatter = float(np.sum((band - mean) ** 2))
         if scatters:
             ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
             probability = f_sf(ratio, degrees, degrees * (rotations - 1))
