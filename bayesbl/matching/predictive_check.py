@@ -9,19 +9,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.loop_noise import ComplexArray, LoopNoise, loop_noise
+from bayesbl.matching.loop_noise import (
+    ComplexArray,
+    degrees_of_freedom,
+    loop_noise,
+    rounded_rotations,
+)
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
-from bayesbl.probabilities import chi2_sf, f_sf
+from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
 from bayesbl.recording.types import FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
 """Highest load order of each band; slow misfit stands out of few orders, fast out of many.
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
+
+
+CHANCE_EDGES = np.geomspace(1.0, 1e-8, 400)
+CHANCES = 0.5 * (CHANCE_EDGES[1:] + CHANCE_EDGES[:-1])
+CHANCE_WEIGHTS = CHANCE_EDGES[:-1] - CHANCE_EDGES[1:]
+"""Probabilities that an average over a distribution is taken at, dense at the tail where it is
+decided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,49 +59,88 @@ class RepeatingPower:
 
 def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     """One entry for each recording, channel and band."""
-    found = []
-    parts = fit.model.by_recording(fit.residual)
-    for seen, noise, part in zip(fit.model.recordings, fit.model.noise, parts, strict=True):
-        for channel, row in zip(seen.channels, part, strict=True):
-            entries = _by_band(row[begin_of(seen) :], seen, scatters=not noise.repeats)
-            found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
-    # What no rate of false alarms takes for more than noise needs no closer look.
-    unlikely = {entry.recording for entry in found if entry.probability * len(found) < 1.0}
-    for place, (seen, part) in enumerate(zip(fit.model.recordings, parts, strict=True)):
-        rotations = _rotations_compared(part[0, begin_of(seen) :], seen)
-        loop = loop_noise(fit, place) if seen.name in unlikely and rotations > 1 else None
-        if loop is not None:
-            found = [
-                _with_noise_in_loop(entry, seen, loop, rotations)
-                if entry.recording == seen.name
-                else entry
-                for entry in found
-            ]
-    return found
+    model = fit.model
+    parts = model.by_recording(fit.residual)
+    found = [
+        [
+            RepeatingPower(seen.name, channel, *entry)
+            for channel, row in zip(seen.channels, part[:, begin_of(seen) :], strict=True)
+            for entry in _by_band(row, seen, scatters=not noise.repeats)
+        ]
+        for seen, noise, part in zip(model.recordings, model.noise, parts, strict=True)
+    ]
+    count = sum(map(len, found))
+    for place, entries in enumerate(found):
+        # What no rate of false alarms takes for more than noise needs no closer look.
+        if any(entry.probability * count < 1.0 for entry in entries):
+            found[place] = _looked_at_closer(fit, place, entries)
+    return [entry for entries in found for entry in entries]
 
 
-def _with_noise_in_loop(
-    entry: RepeatingPower, seen: Observed, loop: LoopNoise, rotations: int
-) -> RepeatingPower:
-    """The same entry by the degrees of freedom of noise that goes round in the loop.
+def _looked_at_closer(
+    fit: SimulatedFit, place: int, entries: list[RepeatingPower]
+) -> list[RepeatingPower]:
+    """The same entries by what noise in the loop, or rounding, leaves in each band.
 
-    Its power is at the impacts, and at the orders that the loop does not hold down: so few values
-    stand for a band that what is left of them repeats by chance more often.
+    Such noise has its power at the impacts, and where the loop does not hold it down: few values
+    stand for a band, and what is left of them repeats by chance more often. Rounding that may be
+    the same in all rotations is held against its own simulation; whether it goes round is not
+    known, and what either leaves is no disagreement.
     """
-    channel = seen.channels.index(entry.channel)
+    seen, noise = fit.model.recordings[place], fit.model.noise[place]
+    rows = fit.model.by_recording(fit.residual)[place][:, begin_of(seen) :]
+    if seen.motion is not None and seen.cycle is None:
+        return entries
+    turns = np.stack([whole_rotations(row, seen.lag) for row in rows], axis=1)
+    rotations = len(turns)
+    if rotations < 2:
+        return entries
 
-    def in_band(turns: FloatArray) -> FloatArray:
-        own = turns.reshape(len(turns), len(seen.channels), -1)[:, channel]
+    def in_band(entry: RepeatingPower, rows: FloatArray) -> FloatArray:
+        channel = seen.channels.index(entry.channel)
+        own = rows.reshape(len(rows), len(seen.channels), -1)[:, channel]
         return _band(_spectrum(own), entry.highest_order)
 
-    return replace(entry, probability=loop.chance(entry.ratio, in_band, rotations))
+    if not noise.repeats:
+        loop = loop_noise(fit, place)
+        if loop is None:
+            return entries
+        chances = [loop.chance(e.ratio, partial(in_band, e), rotations) for e in entries]
+        return [replace(e, probability=p) for e, p in zip(entries, chances, strict=True)]
+    rounded = rounded_rotations(fit, place)
+    if not rounded:
+        return entries
+    closer = []
+    for entry in entries:
+        cases = [_beside_rounding(in_band(entry, turns), in_band(entry, own)) for own in rounded]
+        ratio, chance = max(cases, key=lambda case: case[1])
+        closer.append(replace(entry, ratio=ratio, probability=chance))
+    return closer
 
 
-def _rotations_compared(row: FloatArray, seen: Observed) -> int:
-    """Whole rotations, or cycles; 0 where nothing repeats."""
-    if seen.motion is not None and seen.cycle is None:
-        return 0
-    return len(whole_rotations(row, seen.lag))
+def _beside_rounding(band: FloatArray, rounded: FloatArray) -> tuple[float, float]:
+    """(ratio, probability) of what repeats over what does not and rounding, all of which may.
+
+    ``band``: of the rotations, (r, d); ``rounded``: of rotations of rounding alone, (R, d).
+    """
+    rotations, degrees = band.shape
+    repeats, scatter = _powers(band)
+    # The variance of what does not repeat, as likely as the scatter of few rotations has it.
+    variances = scatter / chi2_isf(1.0 - CHANCES, degrees * (rotations - 1))
+    steady = rotations * float(np.mean(np.sum(rounded**2, axis=1)))
+    expected = degrees * variances + steady
+    squares = degrees * variances**2 + 2.0 * variances * steady
+    squares += steady**2 / degrees_of_freedom(rounded)
+    free = expected**2 / squares
+    tails = chi2_sf(repeats * free / expected, free)
+    ratio = repeats / (scatter / (rotations - 1) + steady)
+    return ratio, float(np.sum(CHANCE_WEIGHTS * tails))
+
+
+def _powers(band: FloatArray) -> tuple[float, float]:
+    """Of what repeats in rotations (r, d), and of what scatters about it."""
+    mean = band.mean(axis=0)
+    return len(band) * float(np.sum(mean**2)), float(np.sum((band - mean) ** 2))
 
 
 def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[int, float, float]]:
@@ -143,9 +195,7 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
     for highest in BANDS:
         band = _band(spectrum, highest)
         degrees = band.shape[1]
-        mean = band.mean(axis=0)
-        repeats = rotations * float(np.sum(mean**2))
-        scatter = float(np.sum((band - mean) ** 2))
+        repeats, scatter = _powers(band)
         if scatters:
             ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
             probability = f_sf(ratio, degrees, degrees * (rotations - 1))
