@@ -10,10 +10,11 @@ friction differently (ω/√(ω² + w²) at the motor, erf at the load), integra
 of the twist, and reaches steady rotation by running through whole rotations from a rough start.
 
 It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, errors of
-the encoder's disc of several orders, a transmission error of two orders, lost speed samples, a
-second gap behind a third mass, and laws that differ from the catalogue's: load friction with
-another smoothing or over the load's angle, LuGre, a Stribeck exponent of 1, a ripple with
-harmonics, contact damping by Hunt and Crossley, hysteresis by Bouc and Wen.
+the encoder's disc of several orders, a transmission error of two orders, lost speed samples, an
+encoder whose counts a digital controller works with, a second gap behind a third mass, and laws
+that differ from the catalogue's: load friction with another smoothing or over the load's angle,
+LuGre, a Stribeck exponent of 1, a ripple with harmonics, contact damping by Hunt and Crossley,
+hysteresis by Bouc and Wen.
 """
 
 from __future__ import annotations
@@ -149,6 +150,7 @@ class Plant(NamedTuple):
     outside__dropouts_per_s: float = 0.0
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
+    outside__loop_counts: float = 0.0  # in a turn, of the encoder that a digital controller has
 
 
 TYPICAL: Mapping[str, Mapping[str, float]] = {
@@ -221,6 +223,9 @@ def _work(step, each, y, p, phase, asked):
         return
     period = p.sampled_control__period_s
     angle, _, _ = _measured(y, p, phase)
+    if p.outside__loop_counts > 0.0:
+        count = 2.0 * math.pi / p.outside__loop_counts
+        angle = count * math.floor(angle / count)
     y[LAST_SPEED] = (angle - y[LAST_ANGLE]) / period
     y[LAST_ANGLE] = angle
     error = asked[0] - y[LAST_SPEED] + p.position_gain_per_s * (asked[1] - angle)

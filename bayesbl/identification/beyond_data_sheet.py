@@ -10,14 +10,15 @@ import numpy as np
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.loop_noise import factors_along
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate
-from bayesbl.naming.criteria import ALIKE
+from bayesbl.naming.criteria import are_alike
 from bayesbl.naming.explanation import (
     Explanation,
-    distance,
     explain,
     gain_threshold,
+    gains_more_than_chance,
     polished,
     with_noise,
 )
@@ -74,18 +75,22 @@ class WiderTolerances:
         Parameters that lay at the edges of their tolerances.
     gain
         By how much χ² falls.
+    noise
+        Variance of noise along what changed, some likely values, (k,): 1 of the recorder's.
     gaps_rad
         δ of each gap before and after, shape (gap, 2).
     """
 
     at_edges: tuple[str, ...]
     gain: float
+    noise: FloatArray
     gaps_rad: FloatArray
 
     @property
     def explain_more(self) -> bool:
         """Whether χ² falls by more than chance, were the true values within the tolerances."""
-        return chance_at_edges(self.gain, len(self.at_edges)) < EDGE_FALSE_ALARM
+        chances = [chance_at_edges(self.gain / own, len(self.at_edges)) for own in self.noise]
+        return float(np.mean(chances)) < EDGE_FALSE_ALARM
 
 
 def chance_at_edges(gain: float, edges: int) -> float:
@@ -112,7 +117,8 @@ def with_wider_tolerances(fit: SimulatedFit, problem: Problem) -> WiderTolerance
     gaps = [k for k, u in enumerate(unknowns) if u.name == GAP]
     values = [[unknowns[k].value(f.point[k]) for f in (fit, wider)] for k in gaps]
     names = tuple(unknowns[k].name for k in stopped)
-    return WiderTolerances(names, fit.chi_square - wider.chi_square, np.array(values))
+    noise = factors_along(fit, fit.residual - wider.residual)
+    return WiderTolerances(names, fit.chi_square - wider.chi_square, noise, np.array(values))
 
 
 def _wider(unknown: Unknown) -> Unknown:
@@ -128,15 +134,16 @@ def beyond_an_edge(
     found: Explanation, wider: WiderTolerances, problem: Problem
 ) -> tuple[Explanation, BeyondDataSheet] | None:
     """One parameter beyond its tolerance, where that explains more than chance would."""
-    asked = gain_threshold(1, len(problem.parameters), FALSE_ALARM)
-    if wider.gain < asked:  # a wrong value shows most of it there, and each below takes a fit
+    trials = len(problem.parameters)
+    # A wrong value shows most of it there, and each below takes a fit.
+    if wider.gain < gain_threshold(1, trials, FALSE_ALARM):
         return None
     wrong = beyond_data_sheet(found, problem)
     if wrong is None:
         return None
     by_same_noise = with_noise(wrong[0], found.fit.model.noise)
-    gain = found.fit.chi_square - by_same_noise.fit.chi_square
-    return wrong if gain > asked else None
+    stands_out = gains_more_than_chance(found, by_same_noise, trials, FALSE_ALARM)
+    return wrong if stands_out else None
 
 
 def beyond_data_sheet(
@@ -166,7 +173,7 @@ def beyond_data_sheet(
         half,
         float(unknown.value(np.array(estimate))),
         min(abs(estimate - end) for end in ends) / sd,
-        tuple(e.candidates[-1].name for e in others if distance(chosen, e) < ALIKE),
+        tuple(e.candidates[-1].name for e in others if are_alike(chosen, e)),
     )
 
 

@@ -36,13 +36,13 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.naming.candidates import Candidate, candidates, steady_torque
-from bayesbl.naming.criteria import ALIKE, is_gross
+from bayesbl.naming.criteria import are_alike, is_gross
 from bayesbl.naming.explanation import (
     Explanation,
-    distance,
     explain,
     from_afar,
     gain_threshold,
+    gains_more_than_chance,
     linear_gains,
     nominal_explanation,
     polished,
@@ -211,7 +211,7 @@ def _delayed(
         if promise < WORTH_FITTING * asked:
             continue
         fitted = _with(turning, candidate)
-        if fitted is None or turning.fit.chi_square - fitted.fit.chi_square <= asked:
+        if fitted is None or not gains_more_than_chance(turning, fitted, len(delays), FALSE_ALARM):
             continue
         if turning is not nominal:
             fitted = _with(nominal, candidate)
@@ -220,7 +220,7 @@ def _delayed(
     if not found:
         return nominal, ()
     best, *others = sorted(found, key=lambda e: -e.log_evidence)
-    alike = [e.candidates[-1].name for e in others if distance(best, e) < ALIKE]
+    alike = [e.candidates[-1].name for e in others if are_alike(best, e)]
     return with_own_noise(best), ((best.candidates[-1].name, *alike),)
 
 

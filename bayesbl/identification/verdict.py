@@ -10,7 +10,7 @@ from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import FALSE_ALARM, Problem
 from bayesbl.matching.impacts import IMPACTS_DIFFER
-from bayesbl.matching.predictive_check import agrees
+from bayesbl.matching.predictive_check import RepeatingPower, agrees
 from bayesbl.matching.signals import GAP
 from bayesbl.units import in_words
 
@@ -36,7 +36,8 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
             "No values within the tolerances, no single value beyond its tolerance and no effect "
             "of the catalogue explains these recordings: something of the joint is not in the "
             "bench, several values of the data sheet are wrong, or the gap was not the same in "
-            "all recordings (give their dates). Check the data sheet, or widen its tolerances."
+            f"all recordings (give their dates). {left_over(found.check)} Check the data sheet, "
+            "or widen its tolerances."
         )
     if found.posterior.diagnostics.outcome == "withheld":
         return " ".join(found.posterior.diagnostics.reasons)
@@ -85,6 +86,17 @@ def _decided_by_edges(
                 f"{1e3 * before:.3g} mrad. Correct the data sheet, or widen its tolerances."
             )
     return None
+
+
+def left_over(check: Sequence[RepeatingPower]) -> str:
+    """Where most is left, of what stands out of the noise."""
+    standing = [e for e in check if not agrees([e], FALSE_ALARM / len(check))]
+    worst = max(standing or check, key=lambda entry: entry.ratio)
+    where = f"orders up to {worst.highest_order}" if worst.highest_order else "the mean"
+    return (
+        f"Most is left in {worst.channel} of {worst.recording}, {where}: {worst.ratio:.3g} times "
+        "the power that noise would leave."
+    )
 
 
 def _stands_out(found: Identification) -> bool:

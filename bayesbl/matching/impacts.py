@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.loop_noise import impact_factors, turns_of
+from bayesbl.matching.loop_noise import loop_noise, turns_of
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
@@ -81,7 +81,9 @@ class Scatter:
             return cls(0.0, 0, np.ones(1))
         scores = np.sum(residual[whole] * along[whole], axis=1)
         square = float(np.sum((scores - scores.mean()) ** 2) / np.mean(power[whole]))
-        return cls(square, int(whole.sum()) - 1, impact_factors(fit, place, along))
+        loop = loop_noise(fit, place)
+        expected = np.ones(1) if loop is None else loop.factors(along)
+        return cls(square, int(whole.sum()) - 1, expected)
 
     def factors(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws of v, shape (count,).

@@ -12,19 +12,21 @@ How much of the noise goes round is seen by the current: what the recorder adds 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.motion import Motion, held_motion, through
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
 from bayesbl.matching.signals import REFERENCE_DELAY
 from bayesbl.matching.simulation_cache import RecentSimulations
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import f_sf, normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -62,24 +64,116 @@ def turns_of(rows: FloatArray, seen: Observed) -> FloatArray:
     return whole.reshape(len(rows), count, lag).swapaxes(0, 1).reshape(count, -1)
 
 
-def impact_factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArray:
-    """By how much noise in the loop raises the variance of a recording's gap, some likely values.
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopNoise:
+    """Noise of a recording that goes round in its loop.
 
-    ``along``: change of the whitened rotations that the gap is read by, as :func:`turns_of` has
-    them. 1 where noise is not in the loop, or where it cannot be told from rounding.
+    Attributes
+    ----------
+    shares
+        Of all its noise that does, some values that are as likely, shape (k,).
+    around, linear
+        Whitened rotations, as :func:`turns_of` has them, of noise all of which goes round, and of
+        what the linear loop makes of it, shape (R, c lag).
     """
+
+    shares: FloatArray
+    around: FloatArray
+    linear: FloatArray
+
+    def factors(self, along: FloatArray) -> FloatArray:
+        """Variance of the recording's noise along a change of its rotations, some likely values.
+
+        ``along``: of the whitened rotations, (r, c lag). In units of the whitened noise's, (k,).
+        """
+        power = float(np.sum(along**2))
+        if power == 0.0:
+            return np.ones(1)
+        beyond = np.sum((self.around @ along.T) ** 2) - np.sum((self.linear @ along.T) ** 2)
+        more = float(beyond) / (len(self.around) * power)
+        return 1.0 + self.shares * max(more, 0.0)
+
+    def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Of the power of some parts of a rotation's noise, (k,).
+
+        What does not go round has the colour of what does, and nothing to do with it.
+
+        ``parts``: of rotations (R, c lag) to (R, d).
+        """
+        around, other = parts(self.around), parts(np.roll(self.linear, 1, axis=0))
+        mixes = np.sqrt(self.shares), np.sqrt(1.0 - self.shares)
+        return np.array(
+            [degrees_of_freedom(a * around + b * other) for a, b in zip(*mixes, strict=True)]
+        )
+
+    def chance(
+        self, ratio: float, parts: Callable[[FloatArray], FloatArray], rotations: int
+    ) -> float:
+        """That so many rotations have as much power in their mean, over what scatters, or more.
+
+        ``parts``: of rotations that the power is in, as :meth:`degrees_of_freedom` takes them.
+        """
+        degrees = self.degrees_of_freedom(parts)
+        return float(np.mean([f_sf(ratio, own, own * (rotations - 1)) for own in degrees]))
+
+
+def degrees_of_freedom(rows: FloatArray) -> float:
+    """Of the power of normal rows, (R, d): its mean and variance are those of so many values alike.
+
+    With Σ their covariance (tr Σ)²/tr Σ² (Satterthwaite 1946), of which tr Σ² is estimated without
+    bias.
+    """
+    centred = rows - rows.mean(axis=0)
+    products = centred @ centred.T
+    free = len(rows) - 1
+    trace = float(np.trace(products))
+    squares = (float(np.sum(products**2)) - trace**2 / free) * free**2
+    squares /= (free - 1) * (free + 2)
+    found = trace**2 / squares if squares > 0.0 else math.inf
+    return float(np.clip(found, 1.0, rows.shape[1]))
+
+
+def factors_along(fit: SimulatedFit, change: FloatArray) -> FloatArray:
+    """Variance of all noise along a change of the whitened signals (N,), some likely values.
+
+    In units of the recorder's, as :meth:`LoopNoise.factors` of each recording; of rounding that may
+    be the same in all rotations, in units of what it is counted as.
+    """
+    total, found = 0.0, np.zeros(len(QUANTILES))
+    for place, rows in enumerate(fit.model.by_recording(change)):
+        along = turns_of(rows, fit.model.recordings[place])
+        power = float(np.sum(along**2))
+        if power > 0.0:
+            found += power * _factors(fit, place, along)
+            total += power
+    return found / total if total > 0.0 else np.ones(1)
+
+
+def _factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArray:
+    """Of a recording, (k,) or (1,): of its noise in the loop, or of rounding alike in rotations."""
+    if fit.model.noise[place].repeats:
+        together, power = along.sum(axis=0), float(np.sum(along**2))
+        cases = [np.mean((rows @ together) ** 2) / power for rows in rounded_rotations(fit, place)]
+        return np.array([max(1.0, *cases)]) if cases else np.ones(1)
+    loop = loop_noise(fit, place)
+    return np.ones(1) if loop is None else loop.factors(along)
+
+
+def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
+    """Of a recording; ``None`` where noise is not in the loop, or cannot be told from rounding."""
     model = fit.model
     seen, noise = model.recordings[place], model.noise[place]
     spectra = None if noise.repeats else _spectra(fit, place)
     if spectra is None:
-        return np.ones(1)
+        return None
     frequency, speed_power, cross_power = spectra
-    loop = _around_the_loop(model.vectors(fit.point[None], seen)[0], seen)
+    vector = model.vectors(fit.point[None], seen)
+    loop = _around_the_loop(vector[0], seen)
     in_speed, in_current = (np.interp(frequency, *row) for row in loop)
     # What the loop holds down is hardly seen, and what is seen there may come from elsewhere.
     passed = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
     if not passed.size:
-        return np.ones(1)
+        return None
     shares = UNKNOWN_SHARES
     if len(seen.signals) > 1:
         gain, power = in_current[passed] / in_speed[passed], speed_power[passed]
@@ -88,7 +182,7 @@ def impact_factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArr
         left = np.abs(cross_power[passed] - share * gain * power)
         sd = math.sqrt(0.5 * float(np.sum((left * np.abs(gain)) ** 2))) / weight
         if share < LEAST_SHARE:
-            return np.ones(1)
+            return None
         shares = np.clip(share + sd * QUANTILES, 0.0, 1.0)
     sensor_power = speed_power[passed] / np.abs(in_speed[passed]) ** 2
     lowest = frequency[passed] <= 2.0 * frequency[passed[0]]
@@ -96,8 +190,14 @@ def impact_factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArr
     every = np.fft.rfftfreq(seen.samples)
     sensor = np.sqrt(np.interp(every, frequency[passed], sensor_power, left=level))
     linear = np.stack([np.interp(every, *row) for row in loop])[: len(seen.signals)]
-    more = _simulated_excess(fit, place, along, sensor, linear)
-    return 1.0 + shares * max(more, 0.0) if math.isfinite(more) else np.ones(1)
+    # The same for all comparisons at this point under this noise.
+    under = noise.coefficients.tobytes(), noise.root.tobytes()
+    made = model.recent.signals(
+        vector,
+        ("noise in the loop", seen.name, *under),
+        lambda _: _rotations(fit, place, sensor, linear)[None],
+    )
+    return LoopNoise(shares, *made[0]) if np.all(np.isfinite(made)) else None
 
 
 def _around_the_loop(
@@ -137,38 +237,85 @@ def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, Com
     return np.asarray(np.fft.rfftfreq(size), dtype=np.float64), power, cross
 
 
-def _simulated_excess(
-    fit: SimulatedFit, place: int, along: FloatArray, sensor: FloatArray, linear: ComplexArray
-) -> float:
-    """Variance that noise in the loop has along some change beyond that of the linear loop.
+def _rotations(
+    fit: SimulatedFit, place: int, sensor: FloatArray, linear: ComplexArray
+) -> FloatArray:
+    """Whitened rotations of noise in the loop, by its simulation and by the linear loop, (2, R, m).
 
-    In units of the whitened noise's. ``sensor``: of white noise to that of the speed sensor, by
-    frequency, (n//2 + 1,); ``linear``: of that to the channels, (c, n//2 + 1).
+    ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1,); ``linear``:
+    of that to the channels, (c, n//2 + 1).
     """
     seen, noise = fit.model.recordings[place], fit.model.noise[place]
-    undisturbed = _simulated(fit, place, np.zeros(seen.samples))
+    undisturbed = _simulated(fit, place, np.zeros(seen.samples), seen.sampling_hz)
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
-
-    def square(channels: FloatArray) -> float:
-        return float(np.sum(np.sum(turns_of(noise.whiten(channels), seen) * along, axis=1) ** 2))
-
-    runs = math.ceil(ROTATIONS / len(along))
-    more = 0.0
-    for _ in range(runs):
+    turns: list[FloatArray] = []
+    while sum(map(len, turns)) < 2 * ROTATIONS:
         drawn = sensor * np.fft.rfft(rng.standard_normal(seen.samples))
         disturbance = np.fft.irfft(drawn, seen.samples)
-        added = _simulated(fit, place, disturbance) - undisturbed
+        added = _simulated(fit, place, disturbance, seen.sampling_hz) - undisturbed
         added[0] += disturbance
-        more += square(added) - square(np.fft.irfft(linear * drawn, seen.samples))
-    return more / (runs * float(np.sum(along**2)))
+        for channels in (added, np.fft.irfft(linear * drawn, seen.samples)):
+            turns.append(turns_of(noise.whiten(channels), seen))
+    return np.stack([np.concatenate(turns[0::2]), np.concatenate(turns[1::2])])
 
 
-def _simulated(fit: SimulatedFit, place: int, disturbance_rpm: FloatArray) -> FloatArray:
+def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
+    """Whitened rotations of a recording's rounding, (R, c lag), one or two cases.
+
+    The recorder's, and an encoder's: what its counts make of the speed goes round in the loop, as
+    the controller has them too. Empty where nothing is rounded, or that cannot be simulated.
+    """
+    model = fit.model
+    seen, noise = model.recordings[place], model.noise[place]
+    if all(own.steps is None for own in seen.rounding):
+        return []
+    vector = model.vectors(fit.point[None], seen)
+    under = noise.coefficients.tobytes(), noise.root.tobytes()
+    made = model.recent.signals(
+        vector, ("rounding", seen.name, *under), lambda matrix: _rounded(fit, place, matrix)[None]
+    )
+    return [rows for rows in made[0] if np.all(np.isfinite(rows))]
+
+
+def _rounded(fit: SimulatedFit, place: int, vector: FloatArray) -> FloatArray:
+    """Both cases, (2, R, c lag); the second nan where the speed is not in steps."""
+    seen, noise = fit.model.recordings[place], fit.model.noise[place]
+    exact = fit.model.signals(fit.point[None], place)[0]
+    left = seen.left_by(exact)
+    # A controller that is slower or faster than the recorder differentiates from tick to tick.
+    period = float(vector[0, Slot.sampled_control__period_s])
+    ticks_hz = 1.0 / period if period > 0.0 else seen.sampling_hz
+    time = np.arange(seen.samples) / seen.sampling_hz
+    shown = np.floor(time * ticks_hz + ROUNDING).astype(int)
+    at_ticks = np.interp(np.arange(shown[-1] + 1) / ticks_hz, time, exact[0])
+    steps = seen.rounding[0].steps
+    if steps is not None and period > 0.0:
+        steps = replace(steps, differentiated=True)
+    undisturbed = _simulated(fit, place, np.zeros(at_ticks.size), ticks_hz)
+    rng = np.random.default_rng(0)
+    turns: list[FloatArray] = []
+    while sum(map(len, turns)) < 2 * ROTATIONS:
+        alone = np.stack(
+            [own.drawn(a, b, rng) for own, a, b in zip(seen.rounding, exact, left, strict=False)]
+        )
+        around = np.full_like(alone, np.nan)
+        if steps is not None:
+            disturbance = steps.drawn(at_ticks, rng)
+            around = _simulated(fit, place, disturbance, ticks_hz) - undisturbed
+            around[0] += disturbance[shown]
+            around[1:] += alone[1:]
+        turns += [turns_of(noise.whiten(channels), seen) for channels in (alone, around)]
+    return np.stack([np.concatenate(turns[0::2]), np.concatenate(turns[1::2])])
+
+
+def _simulated(
+    fit: SimulatedFit, place: int, disturbance_rpm: FloatArray, ticks_hz: float
+) -> FloatArray:
     """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick."""
     model, seen = fit.model, fit.model.recordings[place]
     point = fit.point.copy()
-    time = np.arange(seen.samples) / seen.sampling_hz
-    asked = np.full(seen.samples, seen.reference_speed_rpm)
+    time = np.arange(disturbance_rpm.size) / ticks_hz
+    asked = np.full(time.size, seen.reference_speed_rpm)
     known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known}
     if seen.motion is not None:
         known = dict(seen.known)
@@ -181,7 +328,7 @@ def _simulated(fit: SimulatedFit, place: int, disturbance_rpm: FloatArray) -> Fl
         asked = seen.motion.speed_rpm(time - float(np.sum(point[late])))
         point[late] = 0.0
     speed = (asked - disturbance_rpm) / RPM_PER_RAD_PER_S
-    ticks = held_motion(Motion(through(time, speed), time[-1]), seen.samples, seen.sampling_hz)
+    ticks = held_motion(Motion(through(time, speed), time[-1]), time.size, ticks_hz)
     alone = replace(
         model,
         recordings=[replace(seen, motion=ticks, cycle=None, known=known)],

@@ -8,19 +8,33 @@ does not repeat.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.loop_noise import (
+    ComplexArray,
+    degrees_of_freedom,
+    loop_noise,
+    rounded_rotations,
+)
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
-from bayesbl.probabilities import chi2_sf, f_sf
+from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
 from bayesbl.recording.types import FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
 """Highest load order of each band; slow misfit stands out of few orders, fast out of many.
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
+
+
+CHANCE_EDGES = np.geomspace(1.0, 1e-8, 400)
+CHANCES = 0.5 * (CHANCE_EDGES[1:] + CHANCE_EDGES[:-1])
+CHANCE_WEIGHTS = CHANCE_EDGES[:-1] - CHANCE_EDGES[1:]
+"""Probabilities that an average over a distribution is taken at, dense at the tail where it is
+decided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +59,88 @@ class RepeatingPower:
 
 def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     """One entry for each recording, channel and band."""
-    found = []
-    parts = fit.model.by_recording(fit.residual)
-    for seen, noise, part in zip(fit.model.recordings, fit.model.noise, parts, strict=True):
-        for channel, row in zip(seen.channels, part, strict=True):
-            entries = _by_band(row[begin_of(seen) :], seen, scatters=not noise.repeats)
-            found += [RepeatingPower(seen.name, channel, *entry) for entry in entries]
-    return found
+    model = fit.model
+    parts = model.by_recording(fit.residual)
+    found = [
+        [
+            RepeatingPower(seen.name, channel, *entry)
+            for channel, row in zip(seen.channels, part[:, begin_of(seen) :], strict=True)
+            for entry in _by_band(row, seen, scatters=not noise.repeats)
+        ]
+        for seen, noise, part in zip(model.recordings, model.noise, parts, strict=True)
+    ]
+    count = sum(map(len, found))
+    for place, entries in enumerate(found):
+        # What no rate of false alarms takes for more than noise needs no closer look.
+        if any(entry.probability * count < 1.0 for entry in entries):
+            found[place] = _looked_at_closer(fit, place, entries)
+    return [entry for entries in found for entry in entries]
+
+
+def _looked_at_closer(
+    fit: SimulatedFit, place: int, entries: list[RepeatingPower]
+) -> list[RepeatingPower]:
+    """The same entries by what noise in the loop, or rounding, leaves in each band.
+
+    Such noise has its power at the impacts, and where the loop does not hold it down: few values
+    stand for a band, and what is left of them repeats by chance more often. Rounding that may be
+    the same in all rotations is held against its own simulation; whether it goes round is not
+    known, and what either leaves is no disagreement.
+    """
+    seen, noise = fit.model.recordings[place], fit.model.noise[place]
+    rows = fit.model.by_recording(fit.residual)[place][:, begin_of(seen) :]
+    if seen.motion is not None and seen.cycle is None:
+        return entries
+    turns = np.stack([whole_rotations(row, seen.lag) for row in rows], axis=1)
+    rotations = len(turns)
+    if rotations < 2:
+        return entries
+
+    def in_band(entry: RepeatingPower, rows: FloatArray) -> FloatArray:
+        channel = seen.channels.index(entry.channel)
+        own = rows.reshape(len(rows), len(seen.channels), -1)[:, channel]
+        return _band(_spectrum(own), entry.highest_order)
+
+    if not noise.repeats:
+        loop = loop_noise(fit, place)
+        if loop is None:
+            return entries
+        chances = [loop.chance(e.ratio, partial(in_band, e), rotations) for e in entries]
+        return [replace(e, probability=p) for e, p in zip(entries, chances, strict=True)]
+    rounded = rounded_rotations(fit, place)
+    if not rounded:
+        return entries
+    closer = []
+    for entry in entries:
+        cases = [_beside_rounding(in_band(entry, turns), in_band(entry, own)) for own in rounded]
+        ratio, chance = max(cases, key=lambda case: case[1])
+        closer.append(replace(entry, ratio=ratio, probability=chance))
+    return closer
+
+
+def _beside_rounding(band: FloatArray, rounded: FloatArray) -> tuple[float, float]:
+    """(ratio, probability) of what repeats over what does not and rounding, all of which may.
+
+    ``band``: of the rotations, (r, d); ``rounded``: of rotations of rounding alone, (R, d).
+    """
+    rotations, degrees = band.shape
+    repeats, scatter = _powers(band)
+    # The variance of what does not repeat, as likely as the scatter of few rotations has it.
+    variances = scatter / chi2_isf(1.0 - CHANCES, degrees * (rotations - 1))
+    steady = rotations * float(np.mean(np.sum(rounded**2, axis=1)))
+    expected = degrees * variances + steady
+    squares = degrees * variances**2 + 2.0 * variances * steady
+    squares += steady**2 / degrees_of_freedom(rounded)
+    free = expected**2 / squares
+    tails = chi2_sf(repeats * free / expected, free)
+    ratio = repeats / (scatter / (rotations - 1) + steady)
+    return ratio, float(np.sum(CHANCE_WEIGHTS * tails))
+
+
+def _powers(band: FloatArray) -> tuple[float, float]:
+    """Of what repeats in rotations (r, d), and of what scatters about it."""
+    mean = band.mean(axis=0)
+    return len(band) * float(np.sum(mean**2)), float(np.sum((band - mean) ** 2))
 
 
 def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[int, float, float]]:
@@ -81,6 +170,19 @@ def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
     return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
 
 
+def _spectrum(turns: FloatArray) -> ComplexArray:
+    """Of rotations (r, lag) by order; whitened noise has a power of two, of one in the mean."""
+    return np.asarray(np.fft.rfft(turns, axis=1) / np.sqrt(turns.shape[1] / 2.0))
+
+
+def _band(spectrum: ComplexArray, highest: int) -> FloatArray:
+    """Values of a band, (r, degrees of freedom): of whitened noise standard normal."""
+    if highest == 0:
+        return np.asarray(spectrum[:, :1].real / np.sqrt(2.0))
+    band = spectrum[:, 1 : 1 + min(highest, spectrum.shape[1] - 2)]
+    return np.concatenate([band.real, band.imag], axis=1)
+
+
 def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, float, float]]:
     """(highest order, ratio, probability) for each band.
 
@@ -88,17 +190,12 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
     """
     turns = whole_rotations(row, lag)
     rotations = len(turns)
-    spectrum = np.fft.rfft(turns, axis=1) / np.sqrt(lag / 2.0)
+    spectrum = _spectrum(turns)
     entries = []
     for highest in BANDS:
-        if highest == 0:
-            band, degrees = spectrum[:, :1] / np.sqrt(2.0), 1  # real, half the power
-        else:
-            band = spectrum[:, 1 : 1 + min(highest, lag // 2 - 1)]
-            degrees = 2 * band.shape[1]
-        mean = band.mean(axis=0)
-        repeats = rotations * float(np.sum(np.abs(mean) ** 2))
-        scatter = float(np.sum(np.abs(band - mean) ** 2))
+        band = _band(spectrum, highest)
+        degrees = band.shape[1]
+        repeats, scatter = _powers(band)
         if scatters:
             ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
             probability = f_sf(ratio, degrees, degrees * (rotations - 1))

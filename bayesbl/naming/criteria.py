@@ -15,7 +15,7 @@ from bayesbl.matching.predictive_check import (
     disagreements,
     whole_rotations,
 )
-from bayesbl.naming.explanation import BEHIND, Explanation
+from bayesbl.naming.explanation import BEHIND, Explanation, distance, noise_between
 from bayesbl.probabilities import f_isf
 from bayesbl.recording.types import FloatArray
 
@@ -70,6 +70,15 @@ def left(explanation: Explanation) -> float:
 def contends(left: float, least: float) -> bool:
     """Whether what a rough fit or a promise leaves is near enough to the least that one leaves."""
     return left - least < (BEHIND - 1.0) * max(least, 0.0) + SLACK
+
+
+def are_alike(a: Explanation, b: Explanation, scale: float = 1.0) -> bool:
+    """Whether the recordings do not tell two explanations apart.
+
+    ``scale``: variance over that of noise of what neither explains.
+    """
+    apart = distance(a, b) / math.sqrt(scale)
+    return apart < ALIKE or apart < ALIKE * math.sqrt(float(np.mean(noise_between(a, b))))
 
 
 def misfit_scale(fit: SimulatedFit, false_alarm: float) -> float:

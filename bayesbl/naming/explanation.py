@@ -12,6 +12,7 @@ import numpy as np
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.loop_noise import factors_along
 from bayesbl.matching.signals import GAP, OF_THE_TICKS, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import (
     Candidate,
@@ -22,7 +23,7 @@ from bayesbl.naming.candidates import (
     wrapped,
 )
 from bayesbl.noise.channel_noise import ChannelNoise
-from bayesbl.probabilities import chi2_isf
+from bayesbl.probabilities import chi2_isf, chi2_sf
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
@@ -93,6 +94,29 @@ def distance(a: Explanation, b: Explanation) -> float:
 def gain_threshold(parameters: int, trials: int, false_alarm: float) -> float:
     """χ² that adding so many parameters must gain, at a false-alarm rate over all trials."""
     return float(chi2_isf(false_alarm / max(trials, 1), max(parameters, 1)))
+
+
+def gains_more_than_chance(
+    base: Explanation, more: Explanation, trials: int, false_alarm: float
+) -> bool:
+    """Whether χ² falls by more than noise would let it, at a false-alarm rate over all trials.
+
+    Along what the two differ by noise that goes round in the speed loop may have more variance than
+    elsewhere, and a gain by chance is larger by that.
+    """
+    gain, added = base.fit.chi_square - more.fit.chi_square, more.parameters - base.parameters
+    if gain <= gain_threshold(added, trials, false_alarm):
+        return False
+    factors = noise_between(base, more)
+    return float(np.mean(chi2_sf(gain / factors, max(added, 1)))) < false_alarm / max(trials, 1)
+
+
+def noise_between(a: Explanation, b: Explanation) -> FloatArray:
+    """Variance of noise along what two explanations differ by, some likely values.
+
+    1 where all of it is the recorder's.
+    """
+    return factors_along(a.fit, a.fit.residual - b.fit.residual)
 
 
 def explain(base: Explanation, candidate: Candidate) -> Explanation | None:

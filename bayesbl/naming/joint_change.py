@@ -19,6 +19,7 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.loop_noise import factors_along
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
@@ -389,7 +390,8 @@ def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[Bli
 
     With J the derivatives of the fit, C = (JᵀJ + P)⁻¹ and j that by the change, a change of size η
     moves the unknowns by C Jᵀj η if it is not modelled, and is found where η exceeds its standard
-    deviation (jᵀj − jᵀJ C Jᵀj)^(−1/2), were it free, often enough for the threshold.
+    deviation (jᵀj − jᵀJ C Jᵀj)^(−1/2), were it free, often enough for the threshold. Noise that
+    goes round in the speed loop makes that larger.
     """
     model = fit.model
     first, last = model.recordings[0].name, model.recordings[-1].name
@@ -437,6 +439,8 @@ def _largest_hidden(
     furthest = unknown.high - float(candidate.neutral[place])
     if reach > 0.0:
         hidden *= least / reach
+        along = matrix @ hidden - derivatives @ (moved @ hidden)
+        hidden *= math.sqrt(float(np.mean(factors_along(fit, along))))
     size = float(np.linalg.norm(hidden))
     if size > furthest or reach == 0.0:
         hidden *= furthest / size if size > 0.0 else 0.0

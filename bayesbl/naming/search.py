@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.naming.candidates import Candidate, steady_torque
 from bayesbl.naming.criteria import (
     ALIKE,
+    are_alike,
     consistency,
     contends,
     explains,
@@ -28,6 +28,7 @@ from bayesbl.naming.explanation import (
     explain,
     from_afar,
     gain_threshold,
+    gains_more_than_chance,
     last_alone,
     linear_gains,
     nominal_explanation,
@@ -260,8 +261,7 @@ class _Search:
         return enough and consistency(base.fit, more.fit) > LEAST_CONSISTENCY
 
     def _gains_enough(self, base: Explanation, more: Explanation) -> bool:
-        gain = base.fit.chi_square - more.fit.chi_square
-        return gain > self._threshold(more.parameters - base.parameters)
+        return gains_more_than_chance(base, more, len(self._candidates), self._false_alarm)
 
     def is_done(self, explanation: Explanation) -> bool:
         """Whether nothing repeats any more and no further candidate promises anything."""
@@ -352,11 +352,10 @@ class _Search:
         for other in alternatives:
             if other.candidates[-1].label == candidate.label:
                 continue
-            if distance(final, other) >= ALIKE * math.sqrt(scale):
+            if not are_alike(final, other, scale):
                 continue
             more = other.parameters - final.parameters
-            gain = final.fit.chi_square - other.fit.chi_square
-            if more > 0 and gain < gain_threshold(more, 1, self._false_alarm):
+            if more > 0 and not gains_more_than_chance(final, other, 1, self._false_alarm):
                 continue
             near.append(other)
         return tuple(sorted(near, key=lambda e: -e.log_evidence))

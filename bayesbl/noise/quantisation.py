@@ -56,6 +56,16 @@ class SpeedSteps:
         """Standard deviation of the rounding, uniform within a step: of one, or of two together."""
         return self.size_rpm / math.sqrt(6.0 if self.differentiated else 12.0)
 
+    def drawn(self, exact_rpm: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """What may be rounded away of an exact speed, rpm; where its steps lie is by chance."""
+        place = exact_rpm / self.size_rpm
+        if not self.differentiated:
+            place = place + rng.uniform()
+            return np.asarray(self.size_rpm * (place - np.round(place)))
+        place = np.cumsum(place) + rng.uniform()
+        away = place - np.round(place)
+        return np.asarray(self.size_rpm * np.diff(away, prepend=rng.uniform(-0.5, 0.5)))
+
     def rounded_away(self, exact_rpm: FloatArray) -> FloatArray:
         """What an exact speed has more than the rounded one, about its mean, rpm."""
         place = (exact_rpm - self.level_rpm) / self.size_rpm
@@ -132,13 +142,10 @@ class Rounding:
         found[0] = self.least_sd**2
         if self.steps is None:
             return found
-        steps = self.steps
-        if float(np.mean(left**2)) > BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0:
-            if left[1:] @ left[:-1] > SHARED_COUNT * (left @ left):
-                # Differences over less than a sample: no two of them share a count.
-                found[0] += steps.size_rpm**2 / 6.0
-                return found
-            steps = replace(steps, differentiated=True)
+        steps = self._steps_behind(left)
+        if steps is None:
+            found[0] += self.steps.size_rpm**2 / 6.0
+            return found
         variance = steps.sd_rpm**2
         found[0] += variance
         away = steps.rounded_away(exact)
@@ -150,3 +157,31 @@ class Rounding:
         elif steps.differentiated:
             found[1] -= 0.5 * variance
         return found
+
+    def drawn(self, exact: FloatArray, left: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """What a recording may have less than an exact signal, as :meth:`autocovariance` takes it.
+
+        Shape (n,).
+        """
+        found = self.least_sd * rng.standard_normal(exact.size)
+        if self.steps is None:
+            return found
+        steps = self._steps_behind(left)
+        if steps is None:
+            counts = rng.uniform(size=(2, exact.size))
+            return np.asarray(found + self.steps.size_rpm * (counts[1] - counts[0]))
+        return found + steps.drawn(exact, rng)
+
+    def _steps_behind(self, left: FloatArray) -> SpeedSteps | None:
+        """As what a recording has beyond the exact signal shows them, (n,).
+
+        ``None``: differences over less than a sample, no two of which share a count.
+        """
+        steps = self.steps
+        if steps is None or (
+            float(np.mean(left**2)) <= BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0
+        ):
+            return steps
+        if left[1:] @ left[:-1] > SHARED_COUNT * (left @ left):
+            return None
+        return replace(steps, differentiated=True)

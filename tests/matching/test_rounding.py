@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from bayesbl.bench.bench import BenchEffect, EffectParameterValue
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.impacts import smeared
@@ -18,7 +19,7 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.noise.channel_noise import HIGHEST_ORDER
 from bayesbl.noise.quantisation import Rounding, speed_steps
-from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 GAP_RAD = 8e-4
@@ -68,6 +69,30 @@ def test_a_joint_of_another_simulator_that_shows_no_noise_is_measured(
     assert fit.sd(GAP) < 2e-3
     assert agrees(disagreements(fit))
     assert abs(smeared(fit)[0]) < 0.1 * fit.sd(GAP)
+
+
+@pytest.mark.parametrize("sampling_hz", [HZ, 0.25 * HZ])
+def test_an_encoder_without_noise_in_a_sampled_loop_disagrees_only_where_an_effect_is_missing(
+    independent: ModuleType, sampling_hz: float
+) -> None:
+    """δ within three of its standard deviations; friction of 1e-4 N m s/rad is seen."""
+    period = EffectParameterValue(1.0 / HZ)
+    bench = reference_bench().with_effects(BenchEffect("sampled_control", {"period_s": period}))
+    friction = "motor_viscous_friction__coefficient_nm_s_per_rad"
+    for extra in ({}, {friction: 1e-4}):
+        values = {name: item.value for name, item in reference_bench().parameters.items()} | extra
+        values |= {"sampled_control.period_s": 1.0 / HZ, "outside__loop_counts": 16384.0}
+        truth = independent.plant(values | {"gap_rad": GAP_RAD, "start_angle_rad": 0.4})
+        _, speed, current = independent.noise_free(truth, 3.02, sampling_hz)
+        time = np.arange(speed.size) / sampling_hz
+        made = Recording("counted", time, {MOTOR_SPEED: speed, MOTOR_CURRENT: current})
+        seen = observed(made, bench, 2000.0)
+        unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name)]
+        fit = fit_aligned(bench, [seen], unknowns)
+        assert fit.model.noise[0].repeats
+        assert agrees(disagreements(fit)) == (not extra)
+        if not extra:
+            assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 3.0 * fit.sd(GAP)
 
 
 @pytest.mark.parametrize("shown", [in_steps, counted, counted_apart])

@@ -1,0 +1,110 @@
+"""Noise in the speed loop: how freely it may repeat by chance, and what it gains by chance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+from test_impacts import fitted, turning
+
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.loop_noise import LoopNoise
+from bayesbl.naming.candidates import candidates
+from bayesbl.naming.explanation import (
+    Explanation,
+    extended,
+    gain_threshold,
+    gains_more_than_chance,
+    noise_between,
+    nominal_explanation,
+)
+from bayesbl.probabilities import f_sf
+from bayesbl.recording.types import FloatArray
+
+LAG = 400
+HIGHEST = 32
+ROTATIONS = 3
+
+
+def at_impacts(count: int, seed: int, share: float = 1.0) -> FloatArray:
+    """Rotations (count, LAG): noise, and a ringing after each of two impacts that comes and goes.
+
+    ``share``: of the variance of the impacts.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(LAG // 2)
+    ringing = np.exp(-time / 30.0) * np.sin(2.0 * np.pi * 20.0 * time / LAG)
+    rows = rng.standard_normal((count, 2, 1)) * ringing * 10.0 * np.sqrt(share)
+    return np.asarray(rows.reshape(count, LAG) + rng.standard_normal((count, LAG)))
+
+
+def in_band(turns: FloatArray) -> FloatArray:
+    """Orders up to ``HIGHEST``, (…, LAG) to (…, 2 HIGHEST)."""
+    band = np.fft.rfft(turns, axis=-1)[..., 1 : 1 + HIGHEST]
+    return np.concatenate([band.real, band.imag], axis=-1)
+
+
+def ratios(count: int) -> FloatArray:
+    """Power that repeats over that which does not, of recordings of nothing but such noise."""
+    band = in_band(at_impacts(ROTATIONS * count, 1).reshape(count, ROTATIONS, LAG))
+    mean = band.mean(axis=1, keepdims=True)
+    scatter = np.sum((band - mean) ** 2, axis=(1, 2)) / (ROTATIONS - 1)
+    return np.asarray(ROTATIONS * np.sum(mean[:, 0] ** 2, axis=1) / scatter)
+
+
+def test_noise_at_impacts_repeats_by_chance_as_often_as_is_said() -> None:
+    """1 % of 2000 recordings are taken for more than noise, within four standard deviations.
+
+    With every order of the band free it were ten times as many.
+    """
+    loop = LoopNoise(np.ones(1), at_impacts(80, 2), at_impacts(80, 3, share=0.0))
+    found = ratios(2000)
+    chances = [loop.chance(ratio, in_band, ROTATIONS) for ratio in found]
+    free = [f_sf(ratio, 2 * HIGHEST, 2 * HIGHEST * (ROTATIONS - 1)) for ratio in found]
+    assert np.mean(np.array(chances) < 0.01) == pytest.approx(0.01, abs=0.009)
+    assert np.mean(np.array(free) < 0.01) > 0.05
+
+
+def test_degrees_of_freedom_are_those_of_the_mixture() -> None:
+    """Noise that is white has them all, one value has one; to a tenth and a half."""
+    white = np.random.default_rng(1).standard_normal((2, 80, 50))
+    one = np.zeros((80, 50))
+    one[:, 7] = white[0, :, 7]
+    loop = LoopNoise(np.array([0.0, 1.0]), one, white[1])
+
+    def as_it_is(rows: FloatArray) -> FloatArray:
+        return rows
+
+    assert loop.degrees_of_freedom(as_it_is) == pytest.approx([50.0, 1.0], rel=0.1)
+
+
+@pytest.mark.parametrize("in_loop", [True, False])
+def test_what_noise_in_the_loop_gains_names_nothing(independent: ModuleType, in_loop: bool) -> None:
+    """A gain of 1.3 times the threshold along the gap's derivative is chance there, and none
+    where the recorder adds the noise."""
+    fit = fitted(turning(independent, 7e-4, 3.0, 1, in_loop=in_loop), reference_bench())
+    base, more = explanations(fit, fit.derivatives()[:, 0], 1.3 * gain_threshold(1, 10, 0.01))
+    assert (noise_between(base, more).mean() > 1.5) == in_loop
+    assert gains_more_than_chance(base, more, 10, 0.01) != in_loop
+
+
+def explanations(
+    fit: SimulatedFit, along: FloatArray, gain: float
+) -> tuple[Explanation, Explanation]:
+    """Two of the same recordings, the second by one parameter more, that differ along a change."""
+    stiffness = "shaft_stiffness_nm_per_rad"
+    found = candidates(reference_bench(), fit.model.recordings)
+    (candidate,) = (c for c in found if c.name == stiffness)
+    along = along / np.linalg.norm(along)
+    rest = fit.residual - (fit.residual @ along) * along
+    more = replace(
+        fit,
+        model=extended(fit.model, candidate),
+        point=np.concatenate([fit.point, candidate.neutral]),
+        residual=rest,
+    )
+    base = replace(fit, residual=rest + np.sqrt(gain) * along)
+    return nominal_explanation(base), Explanation((candidate,), more)
