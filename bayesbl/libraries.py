@@ -3,12 +3,13 @@
 pandas imports pyarrow, xarray dask, cma matplotlib and emcee h5py: together most of a second and
 110 MB, of which a command uses nothing, or only later and by itself. They ask whether an extra is
 there as they are imported, and remember the answer for the life of the process. So only a process
-of ours may do this, before it has other threads: whoever imports bayesbl into a program of their
-own finds pandas and xarray as they know them.
+of ours may do this, a command or its worker, before it has other threads: whoever imports bayesbl
+into a program of their own finds pandas and xarray as they know them.
 """
 
 from __future__ import annotations
 
+import gc
 import sys
 import warnings
 from collections.abc import Iterator
@@ -37,11 +38,24 @@ def bare(*, dask: bool = False) -> Iterator[None]:
     # Loaded before, it would insist on the dask that it found.
     spared = () if dask or "xarray" in sys.modules else ("dask",)
     with absent(*spared):
-        with absent("pyarrow"):
-            import xarray  # noqa: F401  # imports pandas
-        with absent("matplotlib"), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Could not import matplotlib")
-            import cma  # noqa: F401
-        with absent("h5py"):
-            import emcee  # noqa: F401
+        with _never_collected():
+            with absent("pyarrow"):
+                import xarray  # noqa: F401  # imports pandas
+            with absent("matplotlib"), warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "Could not import matplotlib")
+                import cma  # noqa: F401
+            with absent("h5py"):
+                import emcee  # noqa: F401
+            import numba  # noqa: F401
         yield
+
+
+@contextmanager
+def _never_collected() -> Iterator[None]:
+    """What is imported stays as long as the process: to look through it for garbage takes 0.2 s."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()

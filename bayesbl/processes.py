@@ -9,10 +9,11 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from bayesbl.errors import WorkerError
+from bayesbl.libraries import bare
 
 _THREADS = (
     "OMP_NUM_THREADS",
@@ -21,6 +22,9 @@ _THREADS = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
+
+_WORKER = ExitStack()
+"""What a worker is within, for as long as it lives."""
 
 
 @contextmanager
@@ -68,6 +72,7 @@ def processes(
 
 def _start(initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
+    _WORKER.enter_context(bare())
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if initializer is not None:
         initializer(*arguments)

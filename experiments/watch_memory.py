@@ -4,7 +4,8 @@
 
 The recordings are the example's, a day apart, each with its own added noise; the joint's curve is
 the paper's. Prints, for every tenth recording, the core-seconds since the last line by recording,
-the memory now and the size of all that was written.
+the memory now, how much of it is its own rather than pages of files, which processes share and the
+system can drop, and the size of all that was written.
 """
 
 from __future__ import annotations
@@ -51,10 +52,11 @@ def make(folder: Path, recordings: int) -> None:
         np.savetxt(file, made, fmt="%.7g", delimiter=",", header=head, comments="")
 
 
-def memory_mb() -> float:
-    """Resident now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6
+def memory_mb() -> tuple[float, float]:
+    """Resident now, and how much of that is of no file."""
+    _, resident, of_files, *_ = map(int, Path("/proc/self/statm").read_text().split())
+    page_mb = resource.getpagesize() / 1e6
+    return resident * page_mb, (resident - of_files) * page_mb
 
 
 def main(folder: Path, recordings: int = 200) -> None:
@@ -81,9 +83,10 @@ def _watch(folder: Path, recordings: int) -> None:
         took, clock = time.process_time() - clock, time.process_time()
         written = [folder / ".plant.kept", folder / ".plant.fits", folder / "plant_watched"]
         size = sum(f.stat().st_size for place in written for f in place.iterdir()) / 1e6
+        resident, own = memory_mb()
         print(
-            f"{count}: {took / (1 if count == 1 else EVERY):.2f} core-s, {memory_mb():.0f} MB, "
-            f"{size:.1f} MB on disk",
+            f"{count}: {took / (1 if count == 1 else EVERY):.2f} core-s, {resident:.0f} MB, "
+            f"{own:.0f} its own, {size:.1f} MB on disk",
             flush=True,
         )
 

@@ -11,6 +11,7 @@ from fresh_process import loaded_by
 from places import RECORDINGS
 
 from bayesbl.libraries import absent
+from bayesbl.processes import processes
 
 SPARED = {"dask", "distributed", "h5py", "matplotlib", "pyarrow"}
 
@@ -21,6 +22,19 @@ def test_a_fit_loads_only_what_it_uses(tmp_path):
     file = RECORDINGS / "wear_before.csv"
     command = ["--no-figures", "fit", str(file), "--out", str(tmp_path / "fit")]
     loaded = loaded_by(f"from bayesbl.cli import status; assert status({command}) == 0")
+    assert {"pandas", "xarray", "cma", "emcee"} <= loaded
+    assert not loaded & SPARED
+
+
+def loaded_here() -> set[str]:
+    return {name.partition(".")[0] for name, module in sys.modules.items() if module is not None}
+
+
+def test_a_worker_loads_only_what_a_command_does():
+    pytest.importorskip("dask")
+    pytest.importorskip("pyarrow")
+    with processes(1) as pool:
+        loaded = pool.submit(loaded_here).result()
     assert {"pandas", "xarray", "cma", "emcee"} <= loaded
     assert not loaded & SPARED
 

@@ -116,7 +116,9 @@ def main() -> None:
     # of them took a fifth of a fit's time, and found no memory.
     gc.set_threshold(50_000)
     _open_what_is_closed()
-    sys.exit(status())
+    code = status()
+    gc.freeze()  # what is left ends with the process, and need not be looked through once more
+    sys.exit(code)
 
 
 def _open_what_is_closed() -> None:

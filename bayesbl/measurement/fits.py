@@ -41,13 +41,21 @@ class FitJob:
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or restore the fit that an unfinished run had finished."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
-        finished = self.work.get("fit", self, partial(self._finished, step), FinishedFit)
-        return self.estimator.restored(finished, self.recording, self.gear_ratio)
+        made: list[Fit] = []
 
-    def _finished(self, progress: Progress | None) -> FinishedFit:
+        def finished() -> FinishedFit:
+            made.append(self._made(step))
+            return made[0].finished
+
+        kept = self.work.get("fit", self, finished, FinishedFit)
+        if made:
+            return made[0]
+        return self.estimator.restored(kept, self.recording, self.gear_ratio)
+
+    def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve
         branch = None if curve is None else partial(likeliest_branch, curve, self.estimator)
-        fit = self.estimator.fit(
+        return self.estimator.fit(
             self.recording,
             self.seed,
             self.gear_ratio,
@@ -56,7 +64,6 @@ class FitJob:
             earlier=self.earlier,
             check=self.check,
         )
-        return fit.finished
 
 
 def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:

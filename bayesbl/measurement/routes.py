@@ -6,7 +6,7 @@ row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its resu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 
 import xarray as xr
@@ -21,6 +21,7 @@ from bayesbl.measurement.stored_curve import CURVE
 from bayesbl.measurement.task import Seeds, Task
 from bayesbl.measurement.tree import measurement_tree
 from bayesbl.progress import StageProgress
+from bayesbl.recording.types import Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.warm_start import EarlierOptimum
@@ -84,6 +85,7 @@ def measure(
     swept: WorkStore = NOTHING_KEPT,
     seeds: Seeds | None = None,
     earlier: Mapping[str, EarlierOptimum] | None = None,
+    recordings: Sequence[Recording] = (),
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -99,6 +101,8 @@ def measure(
         Those of the configuration by default.
     earlier
         Optima to start searches from, by recording, where the configuration names no result.
+    recordings
+        Those of the configuration as this route reads them; read here by default.
 
     Returns
     -------
@@ -113,7 +117,7 @@ def measure(
     """
     measurer = measurer_of(config)
     require_plausible_limit(config.joint.limit_rad, measurer.gap_range_rad)
-    recordings = tuple(measurer.read(entry) for entry in config.recordings)
+    recordings = tuple(recordings or map(measurer.read, config.recordings))
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)

@@ -10,7 +10,6 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 
@@ -23,7 +22,14 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
     return run_into_folder(
         config,
         options,
-        lambda work: measure(config, options.progress, work, options.say, swept_benches(config)),
+        lambda work: measure(
+            config,
+            options.progress,
+            work,
+            options.say,
+            swept_benches(config),
+            recordings=options.recordings,
+        ),
     )
 
 
@@ -45,18 +51,17 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         recording = measurer.read(entry)
         measurer.require_usable(recording)
         rate = 1.0 / recording.sampling_period_s
-        sound.append(recording)
+        plan.recordings.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
         plan.withheld += [f"{entry.name}: {why}" for why in measurer.doubts(recording)]
         more = len(entry.every_file) - 1
         files = f"{entry.file}{f' and {more} more' if more else ''}"
         return f"{files}, {recording.duration_s:.4g} s at {rate:.4g} Hz"
 
-    sound: list[Recording] = []
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
-    plan.warnings += [*plan.withheld, *same_files(sound), *measurer.notes()]
-    plan.add("speed", partial(measurer.require_together, sound))
+    plan.warnings += [*plan.withheld, *same_files(plan.recordings), *measurer.notes()]
+    plan.add("speed", partial(measurer.require_together, plan.recordings))
     if config.joint.limit_rad is not None:
         plan.add("limit", partial(_limit, config.joint.limit_rad, measurer.gap_range_rad))
 

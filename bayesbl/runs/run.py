@@ -108,7 +108,7 @@ def run(
     plan.require_sound()
     for sentence in plan.withheld:
         say(sentence)
-    return workflow.run(config, Options(draw, force, progress, say, formats))
+    return workflow.run(config, Options(draw, force, progress, say, formats, plan.recordings))
 
 
 def check(path: str | Path) -> Plan:

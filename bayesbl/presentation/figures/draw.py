@@ -53,17 +53,20 @@ def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",))
                 written += save(figure(*drawn_from), folder, figure.name + ending, formats)
                 # A figure holds itself in circles, and up to 15 MB: freed before the next one.
                 gc.collect()
+                gc.freeze()
     return written
 
 
 @contextmanager
 def _collecting_the_new_alone() -> Iterator[None]:
     """Collections do not look through what was there before: most of the time that they take."""
+    frozen_for_good = gc.get_freeze_count() > 0  # what a command imported
     gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if not frozen_for_good:
+            gc.unfreeze()
 
 
 def figures_of(tree: xr.DataTree) -> list[StoredFigure]:

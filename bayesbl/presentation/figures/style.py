@@ -146,9 +146,12 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> lis
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{ending}" for ending in formats]
     timeless = {"pdf": {"CreationDate": None}}
+    # A tenth larger than at PNG's default, in two thirds of the time.
+    quick: dict[str, Any] = {"png": {"pil_kwargs": {"compress_level": 3}}}
     try:
         for file, ending in zip(files, formats, strict=True):
-            figure.savefig(file, metadata={**timeless.get(ending, {}), "Title": figure_title(name)})
+            titled = {**timeless.get(ending, {}), "Title": figure_title(name)}
+            figure.savefig(file, metadata=titled, **quick.get(ending, {}))
     except BaseException:
         for file in filter(Path.is_file, files):
             file.unlink()  # half a figure would pass for a file of the user's
