@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.types import MOTOR_SPEED, ComplexArray, FloatArray, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, ComplexArray, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 FALSE_ALARM = 1e-5
@@ -47,16 +47,17 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, str] | None:
     highest = min(HIGHEST_ORDER, int(samples_per_turn / FEWEST_SAMPLES))
     bound = normal_isf(0.5 * FALSE_ALARM / max(2 * highest, 1))
     least = SMALLEST_LINE * 0.5 * float(np.ptp(speed))
-    left, found = speed.copy(), []
+    # The controller answers the line: with one of the two left, its law would not hold.
+    left = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
+    found = []
     for order in range(1, highest + 1):
         wave = np.exp(1j * order * angle)
-        line, error = _line(left, wave, begins)
+        line, error = _line(left[MOTOR_SPEED], wave, begins)
         if not abs(line) > max(least, bound * error):
             continue
         found.append((order, abs(line)))
         for _ in range(ROUNDS):
-            left -= (line * wave).real
-            line, _ = _line(left, wave, begins)
+            left = {n: row - (_line(row, wave, begins)[0] * wave).real for n, row in left.items()}
     if not found:
         return None
     listed = " and ".join(f"{size:.2g} rpm at motor order {order}" for order, size in found)
@@ -64,17 +65,17 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, str] | None:
         f"A line of {listed} was taken out of the speed: a ripple of the torque, an error of "
         "transmission or encoder, not the impacts."
     )
-    return replace(recording, channels={**recording.channels, MOTOR_SPEED: left}), note
+    return replace(recording, channels={**recording.channels, **left}), note
 
 
 def _line(
-    speed_rpm: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]
+    values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]
 ) -> tuple[complex, float]:
     """Amplitude c of the line Re(c · wave) and its standard error, from the medians over turns."""
     whole = slice(int(begins[0]), int(begins[-1]))
     starts, counts = begins[:-1] - begins[0], np.diff(begins)
-    mean = np.repeat(np.add.reduceat(speed_rpm[whole], starts) / counts, counts)
-    turned = (speed_rpm[whole] - mean) * wave[whole].conj()
+    mean = np.repeat(np.add.reduceat(values[whole], starts) / counts, counts)
+    turned = (values[whole] - mean) * wave[whole].conj()
     each = 2.0 * np.add.reduceat(turned, starts) / counts
     parts = np.stack([each.real, each.imag])
     middle = np.median(parts, axis=1)

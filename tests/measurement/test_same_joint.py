@@ -12,7 +12,7 @@ from places import CONFIGS
 from recording_files import write_csv
 
 import bayesbl
-from bayesbl.bench.bench import Bench
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
@@ -205,3 +205,37 @@ def test_another_sampling_rate_hides_no_change_and_is_none(
     assert check["agrees"] == (quantity is None), check["sentences"]
     if quantity is not None:
         assert any(quantity in sentence for sentence in check["sentences"])
+
+
+def with_drift(made: PointEstimate, drift_rpm: float) -> PointEstimate:
+    """The same recording, its speed drifting from begin to end."""
+    recording = made.recording
+    drift = drift_rpm * np.linspace(-0.5, 0.5, recording.samples)
+    speed = recording.motor_speed_rpm + drift
+    drifting = replace(recording, channels={**recording.channels, MOTOR_SPEED: speed})
+    return Estimator().estimate(drifting, np.random.SeedSequence(1))
+
+
+def test_a_mended_recording_is_compared_by_its_current_too(before: PointEstimate) -> None:
+    """A drift that was removed hid a changed gain, as the current was forgotten with it."""
+    softer = with_drift(point(changed(speed_gain_nm_s_per_rad=0.85), 8e-4, 5), 20.0)
+    assert softer.mended
+    check = same_joint([before, softer], (False, False))
+    assert any(PROPORTIONAL in sentence for sentence in check.sentences)
+    same = with_drift(point(BENCH, 8e-4, 5), 20.0)
+    assert same.mended
+    check = same_joint([before, same], (False, False))
+    assert {PROPORTIONAL, MEAN_CURRENT} <= {item.quantity for item in check.items}
+    assert check.agrees, check.sentences
+
+
+def test_a_line_of_the_motor_is_no_other_controller(before: PointEstimate) -> None:
+    """It is taken out of speed and current alike, so the law of the controller holds."""
+    ripple = {"torque_nm": 0.3, "order": 1.0, "phase_rad": 0.4}
+    values = {name: EffectParameterValue(value) for name, value in ripple.items()}
+    rippled = BENCH.with_effects(BenchEffect("motor_torque_ripple", values))
+    found = point(rippled, 8e-4, 5)
+    assert any("motor order 1" in note for note in found.notes)
+    check = same_joint([before, found], (False, False))
+    assert PROPORTIONAL in {item.quantity for item in check.items}
+    assert not any("gain" in sentence for sentence in check.sentences), check.sentences
