@@ -60,7 +60,7 @@ def bounds(benches: int) -> None:
     reference, generator = load_bench(BENCH), np.random.default_rng(3)
     model = Estimator().model
     settings = SweepSettings(3e-4, 3e-3, count=10, start_angles=2, rotations=2.0)
-    slopes, shares = [], []
+    slopes, shares, sampling = [], [], []
     for number in range(benches):
         reach = math.log(FACTOR) if number else 0.0
         bench = _multiplied(
@@ -74,10 +74,13 @@ def bounds(benches: int) -> None:
         amplitude, *others = (np.diff(values) for values in logs)
         slopes.append([np.abs(other / amplitude).max() for other in others])
         shares.append(_shares(bench))
+        sampling.append(_by_sampling(bench))
     frequency, decay = np.max(slopes, axis=0)
     print(f"largest |d ln / d ln A|: frequency {frequency:.2f}, decay {decay:.2f}")
     current, speed = np.abs(shares).max(axis=0)
     print(f"largest shares of the first order: current {current:.2%}, speed {speed:.2%}")
+    frequency, decay = np.max(sampling, axis=0)
+    print(f"largest |change of ln| per (ω T)²: frequency {frequency:.3f}, decay {decay:.3f}")
     for rotations in (2.0, 5.0):
         settings = SweepSettings(3e-4, 3e-3, count=8, start_angles=8, rotations=rotations)
         row = sweep_nominal(reference, model, settings, np.random.default_rng(1))
@@ -144,6 +147,24 @@ def _shares(bench: Bench) -> tuple[float, float]:
         for channel, extra in (("current", (MEAN_CURRENT,)), ("speed", ()))
     }
     return largest["current"], largest["speed"]
+
+
+def _by_sampling(bench: Bench) -> tuple[float, float]:
+    """Largest share by which coarser samples move ω and τ, per square of the angle between two."""
+    logs: dict[float, tuple[float, float]] = {}
+    for rate_hz in (1000.0, 250.0, 125.0):
+        made = bench.simulate(8e-4, rotations=5.3, start_angle_rad=0.3, sampling_hz=rate_hz)
+        centre, _ = Estimator().estimate(made, np.random.SeedSequence(1)).ringing
+        logs[rate_hz] = (centre[1], centre[2])
+    frequency, decay = (
+        max(
+            abs(logs[rate_hz][place] - logs[1000.0][place])
+            / (math.exp(2.0 * logs[1000.0][0]) * (rate_hz**-2.0 - 1e-6))
+            for rate_hz in (250.0, 125.0)
+        )
+        for place in (0, 1)
+    )
+    return frequency, decay
 
 
 def _multiplied(bench: Bench, factors: dict[str, float]) -> Bench:

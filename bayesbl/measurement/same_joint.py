@@ -56,6 +56,13 @@ load jumps by twice the gap at each flip of flanks, the second order by 8/(3π) 
 BY_SPEED = 2.0
 """Powers of the speed that a quantity goes with at most; snapshots may differ by 2 % in it."""
 
+BY_SAMPLING = {FREQUENCY: 0.15, DECAY: 0.41}
+"""Largest share by which a fit of samples T apart is off, per (ω T)², over the same benches at 125
+and 250 Hz (0.149 and 0.408, same command)."""
+
+SAME_RATE = 0.01
+"""Share by which two sampling rates may differ and still show the same noise."""
+
 START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
 """Scatter of ln quantity with the start angle on the reference bench (same command)."""
 
@@ -112,6 +119,7 @@ class _Seen:
     log_amplitude_sd: float
     log_speed: float
     direction: float
+    period_s: float
     noise: NoiseSpectrum | None
 
 
@@ -195,6 +203,7 @@ def _seen(point: PointEstimate) -> _Seen:
         math.sqrt(covariance[0, 0]) / centre[0],
         math.log(nominal_speed_rpm(recording)),
         float(np.sign(recording.motor_speed_rpm.mean())),
+        recording.sampling_period_s,
         noise_spectrum(point),
     )
 
@@ -220,9 +229,14 @@ def _gains_seen(first: _Seen, other: _Seen) -> bool:
 
 
 def _filter_change(first: _Seen, other: _Seen, bound: float) -> FilterChange | None:
-    if first.noise is None or other.noise is None:
+    if first.noise is None or other.noise is None or not _same_rate(first, other):
         return None
     return filter_change(first.noise, other.noise, bound)
+
+
+def _same_rate(first: _Seen, other: _Seen) -> bool:
+    """Another rate folds another part of the noise, so its colour says nothing of a filter."""
+    return abs(math.log(other.period_s / first.period_s)) < SAME_RATE
 
 
 def _harmless(first: _Seen, other: _Seen) -> float:
@@ -238,6 +252,8 @@ def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
         if after is None or (name == MEAN_CURRENT and first.direction != other.direction):
             continue
         difference = after.value - before.value
+        late = _by_lateness(name, first, other)
+        difference -= min(max(difference, min(late, 0.0)), max(late, 0.0))
         explained = _explained(name, first, other)
         beyond = math.copysign(max(abs(difference) - explained, 0.0), difference)
         z = beyond / _sd(name, first, other)
@@ -249,7 +265,11 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
     """How much of each quantity could change unseen, by the pair that shows it worst."""
     for name in SHOWN_BEST:
         shares = [
-            (bound * _sd(name, first, other) + _explained(name, first, other))
+            (
+                bound * _sd(name, first, other)
+                + _explained(name, first, other)
+                + abs(_by_lateness(name, first, other))
+            )
             / first.features[name].value
             for first, other in pairs
             if name in first.features and name in other.features
@@ -274,7 +294,8 @@ def _filters_unseen(
     if any(change is None for _, change in by_noise):
         yield BlindSpot(
             "a filter of the speed",
-            "these recordings have too little noise above the ringing, or were mended",
+            "these recordings have too little noise above the ringing, were mended, or have "
+            "different rates",
         )
     reach = [
         max(
@@ -304,17 +325,28 @@ def _sd(name: str, first: _Seen, other: _Seen) -> float:
 
 
 def _explained(name: str, first: _Seen, other: _Seen) -> float:
-    """How far gap and speed may have moved a quantity."""
+    """How far gap, speed and sampling may have moved a quantity."""
     value = first.features[name].value
     by_speed = BY_SPEED * abs(value * (other.log_speed - first.log_speed))
     if name in BY_AMPLITUDE:
-        return by_speed + abs(
-            value * BY_AMPLITUDE[name] * (other.log_amplitude - first.log_amplitude)
-        )
+        by_amplitude = BY_AMPLITUDE[name] * (other.log_amplitude - first.log_amplitude)
+        angular_frequency = 2.0 * math.pi * first.features[FREQUENCY].value
+        squares = angular_frequency**2 * (other.period_s**2 - first.period_s**2)
+        return by_speed + abs(value) * (abs(by_amplitude) + BY_SAMPLING[name] * abs(squares))
     if name in (PROPORTIONAL, INTEGRAL):
         return 0.0  # what the controller makes of a speed error does not depend on either
     channel = "speed" if name.startswith("speed") else "current"
     return by_speed + BY_GAP[channel] * first.features[harmonic_name(channel, 1)].value
+
+
+def _by_lateness(name: str, first: _Seen, other: _Seen) -> float:
+    """What the speed may differ by for being a mean over the sampling period, if it is one.
+
+    Such a mean over T comes T/2 late, by which K_p + K_i/jω seems larger by K_i T/2.
+    """
+    if name != PROPORTIONAL:
+        return 0.0
+    return 0.5 * first.features[INTEGRAL].value * (other.period_s - first.period_s)
 
 
 def _sentence(item: CheckItem, snapshot: str) -> str:

@@ -51,10 +51,7 @@ _BURST_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Mended:
-    """A recording without a fault, and what the reader should know about it.
-
-    The recording has the speed as its only channel.
-    """
+    """A recording without a fault, and what the reader should know about it."""
 
     recording: Recording
     note: str
@@ -109,7 +106,7 @@ def without_bursts(
     note = f"Bursts of outliers, {share:.2g} % of the recording, were replaced by other rotations."
     if not np.array_equal(replaced, bad):
         note = f"Bursts of outliers, {share:.2g} % of the recording, could not all be replaced."
-    return Mended(replace(recording, channels={MOTOR_SPEED: speed}), note)
+    return Mended(_with_speed(recording, speed), note)
 
 
 def without_drift(
@@ -206,17 +203,24 @@ FINDERS: tuple[Finder, ...] = (without_bursts, without_drift, without_jitter)
 
 def _turned_evenly(recording: Recording, speed_rpm: FloatArray, ahead_s: FloatArray) -> Recording:
     """The recording over a time in which the load turns evenly; ``ahead_s`` is its lead."""
-    time_s, excluded = recording.time_s, recording.excluded
-    if np.any(ahead_s):
-        from scipy.interpolate import CubicSpline
+    made = _with_speed(recording, speed_rpm)
+    if not np.any(ahead_s):
+        return made
+    from scipy.interpolate import CubicSpline
 
-        # t + ahead(t) = u solved for t by substitution; ahead changes by parts in a thousand.
-        at = time_s - np.interp(time_s - ahead_s, time_s, ahead_s)
-        at = np.clip(at, time_s[0], time_s[-1])
-        speed_rpm = CubicSpline(time_s, speed_rpm)(at)
-        if excluded is not None:
-            excluded = np.interp(at, time_s, excluded.astype(float)) > 0.0
-    return replace(recording, channels={MOTOR_SPEED: speed_rpm}, excluded=excluded)
+    time_s, excluded = recording.time_s, recording.excluded
+    # t + ahead(t) = u solved for t by substitution; ahead changes by parts in a thousand.
+    at = time_s - np.interp(time_s - ahead_s, time_s, ahead_s)
+    at = np.clip(at, time_s[0], time_s[-1])
+    if excluded is not None:
+        excluded = np.interp(at, time_s, excluded.astype(float)) > 0.0
+    turned = {name: CubicSpline(time_s, row)(at) for name, row in made.channels.items()}
+    return replace(made, channels=turned, excluded=excluded)
+
+
+def _with_speed(recording: Recording, speed_rpm: FloatArray) -> Recording:
+    """Another speed beside the other channels, which tell what else changed in the joint."""
+    return replace(recording, channels={**recording.channels, MOTOR_SPEED: speed_rpm})
 
 
 def _unevenness(delay_s: FloatArray, spread: FloatArray, steady: FloatArray) -> float:

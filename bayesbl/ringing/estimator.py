@@ -23,6 +23,7 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.cleaning import FINDERS
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
+from bayesbl.ringing.motor_lines import without_motor_lines
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.ringing.posterior import Posterior, sample_posterior
@@ -189,8 +190,8 @@ class Estimator:
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
 
-        Bursts of outliers, a drift of the speed and uneven rotations are removed first where the
-        rotations show them; the notes say so.
+        Lines of the motor, bursts of outliers, a drift of the speed and uneven rotations are
+        removed first where the recording shows them; the notes say so.
 
         Parameters
         ----------
@@ -203,11 +204,13 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         recording = ready_for_fit(recording, gear_ratio)
-        point = self._optimal(recording, seed, gear_ratio, earlier)
-        if point.noise.rounding_repeats:
-            return point  # rotations with the same rounding are the same
         notes: list[str] = []
-        for find in FINDERS:
+        if (cleaned := without_motor_lines(recording)) is not None:
+            recording, note = cleaned
+            notes.append(note)
+        point = self._optimal(recording, seed, gear_ratio, earlier)
+        # Rotations with the same rounding are the same.
+        for find in () if point.noise.rounding_repeats else FINDERS:
             mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
             if mended is not None:
                 point = self._optimal(mended.recording, seed, gear_ratio, earlier)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from places import CONFIGS
+from recording_files import write_csv
 
-from bayesbl.bench.bench import Bench
+import bayesbl
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
@@ -20,7 +23,7 @@ from bayesbl.measurement.joint_features import (
     harmonic_name,
 )
 from bayesbl.measurement.same_joint import change_reason, same_joint
-from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 
 BENCH = load_bench(CONFIGS / "bench.toml")
@@ -156,3 +159,83 @@ def test_without_a_current_the_gains_are_a_blind_spot(before: PointEstimate) -> 
     shown = same_joint([before, point(BENCH, 8e-4, 2)], (False, False))
     assert any(item.quantity == PROPORTIONAL for item in shown.items)
     assert all(math.isfinite(item.z) for item in shown.items)
+
+
+def written(folder: Path, bench: Bench, seed: int, rate_hz: int) -> Path:
+    """A file of a drive that shows the mean of the speed over each sampling period."""
+    generator = np.random.default_rng(seed)
+    finest_hz = 4000
+    made = bench.simulate(
+        8e-4,
+        rotations=4.0,
+        sampling_hz=float(finest_hz),
+        start_angle_rad=generator.uniform(0.0, 6.0),
+    )
+    each = finest_hz // rate_hz
+    count = made.samples // each
+    last = np.arange(1, count + 1) * each - 1
+    mean = made.motor_speed_rpm[: count * each].reshape(count, each).mean(axis=1)
+    columns = {
+        "time_s": np.arange(count) / rate_hz,
+        MOTOR_SPEED: mean + generator.normal(0.0, 0.3, count),
+        MOTOR_CURRENT: made.channels[MOTOR_CURRENT][last] + generator.normal(0.0, 0.02, count),
+    }
+    return write_csv(folder / f"{rate_hz}.csv", columns)
+
+
+@pytest.mark.parametrize(
+    ("factors", "quantity"),
+    [
+        ({}, None),
+        ({"shaft_stiffness_nm_per_rad": 0.85}, "ringing frequency"),
+        pytest.param(
+            {"speed_gain_nm_s_per_rad": 0.85}, "proportional gain", marks=pytest.mark.long
+        ),
+        pytest.param(
+            {"gravity_torque_nm": 0.95}, "current at load order 1", marks=pytest.mark.long
+        ),
+    ],
+)
+def test_another_sampling_rate_hides_no_change_and_is_none(
+    tmp_path: Path, factors: dict[str, float], quantity: str | None
+) -> None:
+    files = [written(tmp_path, BENCH, 1, 1000), written(tmp_path, changed(**factors), 2, 250)]
+    check = bayesbl.compare(*files, workers=1).summary["same_joint"]
+    assert check["items"]
+    assert check["agrees"] == (quantity is None), check["sentences"]
+    if quantity is not None:
+        assert any(quantity in sentence for sentence in check["sentences"])
+
+
+def with_drift(made: PointEstimate, drift_rpm: float) -> PointEstimate:
+    """The same recording, its speed drifting from begin to end."""
+    recording = made.recording
+    drift = drift_rpm * np.linspace(-0.5, 0.5, recording.samples)
+    speed = recording.motor_speed_rpm + drift
+    drifting = replace(recording, channels={**recording.channels, MOTOR_SPEED: speed})
+    return Estimator().estimate(drifting, np.random.SeedSequence(1))
+
+
+def test_a_mended_recording_is_compared_by_its_current_too(before: PointEstimate) -> None:
+    """A drift that was removed hid a changed gain, as the current was forgotten with it."""
+    softer = with_drift(point(changed(speed_gain_nm_s_per_rad=0.85), 8e-4, 5), 20.0)
+    assert softer.mended
+    check = same_joint([before, softer], (False, False))
+    assert any(PROPORTIONAL in sentence for sentence in check.sentences)
+    same = with_drift(point(BENCH, 8e-4, 5), 20.0)
+    assert same.mended
+    check = same_joint([before, same], (False, False))
+    assert {PROPORTIONAL, MEAN_CURRENT} <= {item.quantity for item in check.items}
+    assert check.agrees, check.sentences
+
+
+def test_a_line_of_the_motor_is_no_other_controller(before: PointEstimate) -> None:
+    """It is taken out of speed and current alike, so the law of the controller holds."""
+    ripple = {"torque_nm": 0.3, "order": 1.0, "phase_rad": 0.4}
+    values = {name: EffectParameterValue(value) for name, value in ripple.items()}
+    rippled = BENCH.with_effects(BenchEffect("motor_torque_ripple", values))
+    found = point(rippled, 8e-4, 5)
+    assert any("motor order 1" in note for note in found.notes)
+    check = same_joint([before, found], (False, False))
+    assert PROPORTIONAL in {item.quantity for item in check.items}
+    assert not any("gain" in sentence for sentence in check.sentences), check.sentences

@@ -1,0 +1,85 @@
+"""Lines of the motor in the speed: found in every turn of it, and taken out before the fit.
+
+A ripple of the torque, a transmission error or an encoder off centre makes a wave at a whole order
+of the motor's angle that goes on all the time. Near the ringing's frequency pulses at every few
+turns of the motor explain it better than any explain the impacts. Ringing is there for a short time
+behind each impact only, so the median over the turns is the line alone. What that takes from the
+ringing is a single one of hundreds of load orders.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.probabilities import normal_isf
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, ComplexArray, FloatArray, Recording
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+FALSE_ALARM = 1e-5
+"""Of a recording, over all orders."""
+
+HIGHEST_ORDER = 12
+FEWEST_SAMPLES = 2.5
+"""In a period of the line."""
+
+FEWEST_TURNS = 20
+SMALLEST_LINE = 0.02
+"""As a share of half the range of the speed, about the ringing's amplitude: a smaller line moves
+that by no more than such a share, and a bench without noise has some of every order."""
+
+ROUNDS = 3
+"""Each leaves a few per cent of the line, as no turn has a whole number of samples."""
+
+
+def without_motor_lines(recording: Recording) -> tuple[Recording, str] | None:
+    """The recording without such lines and a note of them; ``None`` where none stands out."""
+    speed = recording.motor_speed_rpm
+    angle = np.cumsum(speed * np.gradient(recording.time_s)) / RPM_PER_RAD_PER_S
+    turns = np.maximum.accumulate(np.abs(angle - angle[0])) // (2.0 * math.pi)
+    begins = np.searchsorted(turns, np.arange(turns[-1] + 1.0))
+    if begins.size - 1 < FEWEST_TURNS:
+        return None
+    samples_per_turn = (begins[-1] - begins[0]) / (begins.size - 1)
+    highest = min(HIGHEST_ORDER, int(samples_per_turn / FEWEST_SAMPLES))
+    bound = normal_isf(0.5 * FALSE_ALARM / max(2 * highest, 1))
+    least = SMALLEST_LINE * 0.5 * float(np.ptp(speed))
+    # The controller answers the line: with one of the two left, its law would not hold.
+    left = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
+    found = []
+    for order in range(1, highest + 1):
+        wave = np.exp(1j * order * angle)
+        line, error = _line(left[MOTOR_SPEED], wave, begins)
+        if not abs(line) > max(least, bound * error):
+            continue
+        found.append((order, abs(line)))
+        for _ in range(ROUNDS):
+            left = {n: row - (_line(row, wave, begins)[0] * wave).real for n, row in left.items()}
+    if not found:
+        return None
+    listed = " and ".join(f"{size:.2g} rpm at motor order {order}" for order, size in found)
+    note = (
+        f"A line of {listed} was taken out of the speed: a ripple of the torque, an error of "
+        "transmission or encoder, not the impacts."
+    )
+    return replace(recording, channels={**recording.channels, **left}), note
+
+
+def _line(
+    values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]
+) -> tuple[complex, float]:
+    """Amplitude c of the line Re(c · wave) and its standard error, from the medians over turns."""
+    whole = slice(int(begins[0]), int(begins[-1]))
+    starts, counts = begins[:-1] - begins[0], np.diff(begins)
+    mean = np.repeat(np.add.reduceat(values[whole], starts) / counts, counts)
+    turned = (values[whole] - mean) * wave[whole].conj()
+    each = 2.0 * np.add.reduceat(turned, starts) / counts
+    parts = np.stack([each.real, each.imag])
+    middle = np.median(parts, axis=1)
+    scatter = 1.4826 * np.median(np.abs(parts - middle[:, None]), axis=1)
+    # A median is less sharp than a mean by the square root of π/2.
+    error = math.sqrt(0.5 * math.pi / each.size) * float(np.linalg.norm(scatter))
+    return complex(middle[0], middle[1]), error

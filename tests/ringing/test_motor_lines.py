@@ -1,0 +1,81 @@
+"""A line of the motor is no ringing: with it and without, the same amplitude comes out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import CONFIGS
+
+from bayesbl.config.bench import load_bench
+from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.motor_lines import without_motor_lines
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+BENCH = load_bench(CONFIGS / "bench.toml")
+SPEED_RPM = 900.0
+"""15 turns a second: the motor's first order is beside the ringing, of some 11 Hz."""
+
+
+def made(
+    sampling_hz: float = 500.0, noise_rpm: float = 0.3, speed_rpm: float = SPEED_RPM
+) -> Recording:
+    bench = BENCH.with_parameters(reference_speed_rpm=speed_rpm)
+    recording = bench.simulate(
+        1.2e-3, rotations=3.2, sampling_hz=sampling_hz, start_angle_rad=0.4, name="made"
+    )
+    noise = np.random.default_rng(1).normal(0.0, noise_rpm, recording.samples)
+    return replace(recording, channels={MOTOR_SPEED: recording.motor_speed_rpm + noise})
+
+
+def with_line(recording: Recording, order: int, size_rpm: float) -> Recording:
+    speed = recording.motor_speed_rpm
+    angle = np.cumsum(speed) * recording.sampling_period_s / RPM_PER_RAD_PER_S
+    line = size_rpm * np.sin(order * angle + 0.7)
+    return replace(recording, channels={MOTOR_SPEED: speed + line})
+
+
+@pytest.mark.parametrize(("order", "size_rpm"), [(1, 12.0), (2, 6.0)])
+def test_a_line_of_the_motor_moves_no_amplitude(order: int, size_rpm: float) -> None:
+    plain = made()
+    seed = np.random.SeedSequence(1)
+    alone, beside = (
+        Estimator().estimate(each, seed) for each in (plain, with_line(plain, order, size_rpm))
+    )
+    (amplitude, *_), covariance = alone.ringing
+    assert beside.ringing[0][0] == pytest.approx(amplitude, abs=2.0 * math.sqrt(covariance[0, 0]))
+    (note,) = beside.notes
+    assert f"motor order {order}" in note
+    assert not alone.notes
+
+
+@pytest.mark.parametrize("noise_rpm", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("speed_rpm", [SPEED_RPM, -2000.0])
+def test_ringing_is_no_line(noise_rpm: float, speed_rpm: float) -> None:
+    assert without_motor_lines(made(noise_rpm=noise_rpm, speed_rpm=speed_rpm)) is None
+
+
+@pytest.mark.parametrize("size_rpm", [3.0, 10.0])
+def test_a_line_is_taken_out_whole(size_rpm: float) -> None:
+    """Also at 125 Hz, with 8 samples a turn, backwards, and another line beside it."""
+    for rate_hz, speed_rpm in ((125.0, SPEED_RPM), (1000.0, -2000.0)):
+        plain = made(rate_hz, speed_rpm=speed_rpm)
+        found = without_motor_lines(with_line(with_line(plain, 1, size_rpm), 2, size_rpm))
+        assert found is not None
+        cleaned, note = found
+        left = cleaned.motor_speed_rpm - plain.motor_speed_rpm
+        assert np.sqrt(np.mean(left**2)) < 0.05 * size_rpm
+        assert "motor order 1" in note
+        assert "motor order 2" in note
+
+
+def test_a_recording_of_a_few_turns_shows_no_line() -> None:
+    plain = with_line(made(), 1, 12.0)
+    few = slice(0, 500)
+    short = replace(
+        plain, time_s=plain.time_s[few], channels={MOTOR_SPEED: plain.motor_speed_rpm[few]}
+    )
+    assert without_motor_lines(short) is None
