@@ -92,8 +92,10 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
 
 
 def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:
-    """One entry for each channel."""
-    before, after = pair.seen.left_by(pair.before), pair.seen.left_by(pair.after)
+    """One entry for each channel, its RMS that of the samples that are compared."""
+    excluded = pair.seen.excluded
+    scale = 1.0 if excluded is None else float(np.mean(~excluded)) ** -0.5
+    before, after = (scale * pair.seen.left_by(made) for made in (pair.before, pair.after))
     return [
         piece_residuals(pair.seen.name, channel, pair.use, before[k], after[k], pair.seen.lag)
         for k, channel in enumerate(pair.seen.channels)
