@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -100,15 +100,7 @@ def inverse_problem(task: Task) -> Problem:
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
     _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
-    if channel == MOTOR_CURRENT and TORQUE_CONSTANT in bench.assumed:
-        raise ConfigError(
-            "Current can be compared only through the torque constant.",
-            file=config.bench,
-            where="[parameters]",
-            found="no torque_constant_nm_per_a",
-            expected="torque_constant_nm_per_a = {value = …}",
-        )
-    unit = bench.value(TORQUE_CONSTANT) if channel == MOTOR_CURRENT else 1.0
+    unit, unit_tolerance = _torque_per_unit(task, channel)
     every = POSITION_TERMS if load else TORQUE_TERMS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
@@ -140,50 +132,23 @@ def inverse_problem(task: Task) -> Problem:
             asked.motor_angle_known,
         )
 
-    cutoff = asked.cutoff_hz
-    if cutoff is None:
-        period = max(recording.sampling_period_s for recording in recordings)
-        positions = [r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels]
-        resolved = resolved_hz(positions, period) if positions else WIDEST / period
-        resolved = min(resolved, WIDEST / period)
-        cutoff = coherent_hz(with_released(comparison_below(resolved))[0]) or resolved
+    cutoff = asked.cutoff_hz or _cutoff_hz(recordings, comparison_below)
     stated = comparison_below(cutoff)
     comparison, released = with_released(stated)
     pieces, motions = comparison.pieces, comparison.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
-    notes += [
-        f"Speed and acceleration come from the {source}; both sides are compared behind a "
-        f"zero-phase Butterworth low pass of order 4 at {cutoff:.3g} Hz"
-        + ("." if asked.cutoff_hz else ", beyond which the bench explains less than half.")
-        for source in sorted({motion.source for motion in motions})
-    ]
+    notes += _notes_on_sources(motions, cutoff, given=asked.cutoff_hz is not None)
     if load:
-        share = _above(recordings, bench.value("gear_ratio"), cutoff)
-        notes.append(
-            f"What is faster than {cutoff:.3g} Hz was not compared: {share[1]:.3g} rad of the "
-            f"{share[0]:.3g} rad by which the load's position departs from the motor's over the "
-            "gear ratio, noise of both included. An effect that shows there alone would not have "
-            "been seen."
-        )
-    if any(motion.source == "speed" for motion in motions):
-        notes.append(
-            "Without position the motor angle is the integral of the speed: where it starts is "
-            "unknown, so a ripple has its own phase in every recording, and gravity's direction "
-            "is fitted."
-        )
+        notes.append(_not_compared(recordings, bench.value("gear_ratio"), cutoff))
     if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
-    scale_sd = 0.0
-    if channel == MOTOR_CURRENT:
-        tolerance = bench.tolerances.get(TORQUE_CONSTANT, 0.0) / unit
-        scale_sd = tolerance / math.sqrt(3.0)
-        if tolerance:
-            notes.append(
-                f"The current is compared by the torque constant, which the bench knows to ± "
-                f"{100.0 * tolerance:.2g} %: all torques and inertias found are as uncertain, "
-                "together."
-            )
+    if unit_tolerance:
+        notes.append(
+            f"The current is compared by the torque constant, which the bench knows to ± "
+            f"{100.0 * unit_tolerance:.2g} %: all torques and inertias found are as uncertain, "
+            "together."
+        )
     alarm = config.candidates.false_alarm
     gravity = bench.value(GRAVITY)
     used = tuple(dict.fromkeys(piece.name for piece in pieces if piece.use == "used"))
@@ -193,9 +158,66 @@ def inverse_problem(task: Task) -> Problem:
         tuple(notes),
         lambda made, fit: notes_on_released(made, fit, released, gravity),
         lambda made, fit, alarm: learned_or_gravity(made, fit, alarm, gravity),
-        scale_sd,
+        unit_tolerance / math.sqrt(3.0),
         lambda fit: around_fitted(comparison, fit),
         stated if released else None,
+    )
+
+
+def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
+    """Torque of one unit of the channel, N m, and its relative tolerance."""
+    bench = task.bench
+    if channel != MOTOR_CURRENT:
+        return 1.0, 0.0
+    if TORQUE_CONSTANT in bench.assumed:
+        raise ConfigError(
+            "Current can be compared only through the torque constant.",
+            file=task.config.bench,
+            where="[parameters]",
+            found="no torque_constant_nm_per_a",
+            expected="torque_constant_nm_per_a = {value = …}",
+        )
+    constant = bench.value(TORQUE_CONSTANT)
+    return constant, bench.tolerances.get(TORQUE_CONSTANT, 0.0) / constant
+
+
+def _cutoff_hz(
+    recordings: Sequence[Recording], comparison_below: Callable[[float], InverseComparison]
+) -> float:
+    """Up to where the bench explains half of what is measured, or the motion is resolved."""
+    period = max(recording.sampling_period_s for recording in recordings)
+    positions = [r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels]
+    resolved = WIDEST / period
+    if positions:
+        resolved = min(resolved_hz(positions, period), resolved)
+    return coherent_hz(with_released(comparison_below(resolved))[0]) or resolved
+
+
+def _notes_on_sources(motions: Sequence[Motion], cutoff_hz: float, *, given: bool) -> Iterator[str]:
+    """Where speed and acceleration are from, and behind which filter both sides are compared."""
+    sources = sorted({motion.source for motion in motions})
+    beyond = "." if given else ", beyond which the bench explains less than half."
+    for source in sources:
+        yield (
+            f"Speed and acceleration come from the {source}; both sides are compared behind a "
+            f"zero-phase Butterworth low pass of order 4 at {cutoff_hz:.3g} Hz{beyond}"
+        )
+    if "speed" in sources:
+        yield (
+            "Without position the motor angle is the integral of the speed: where it starts is "
+            "unknown, so a ripple has its own phase in every recording, and gravity's direction "
+            "is fitted."
+        )
+
+
+def _not_compared(recordings: Sequence[Recording], gear_ratio: float, cutoff_hz: float) -> str:
+    """How much of a load's position lies above the cut-off."""
+    whole, above = _above(recordings, gear_ratio, cutoff_hz)
+    return (
+        f"What is faster than {cutoff_hz:.3g} Hz was not compared: {above:.3g} rad of the "
+        f"{whole:.3g} rad by which the load's position departs from the motor's over the "
+        "gear ratio, noise of both included. An effect that shows there alone would not have "
+        "been seen."
     )
 
 
