@@ -53,9 +53,15 @@ def notes_on(
     ``draws``: of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: one file a snapshot, and
     not at the same position of the turn.
     """
-    level, largest = flanks.level, flanks.largest
+    yield from _on_flanks(flanks, draws)
+    yield from _on_torque(files, ratio_given=ratio_given)
+    yield from _on_positions(files, flanks, elsewhere=elsewhere)
+
+
+def _on_flanks(flanks: Flanks, draws: Mapping[str, FloatArray]) -> Iterator[str]:
+    """Whether they play, carry a preload or are soft, and which ramps told it."""
+    level = flanks.level
     assert level is not None
-    assert largest is not None
     if flanks.finding == "preloaded":
         width = 1e3 * float(np.median(draws["width_rad"]))
         lifts = float(np.median(draws["preload_torque_nm"]))
@@ -96,6 +102,10 @@ def notes_on(
             f"The ramps of {held} N m hardly move the joint, as friction holds it; those of "
             f"±{level.amplitude_nm:.3g} N m were used."
         )
+
+
+def _on_torque(files: Sequence[Ramps], *, ratio_given: bool) -> Iterator[str]:
+    """How it counts: from where, in which direction, at which side of the gear."""
     moved = [file.offset_nm for file in files if file.offset_nm]
     if moved:
         low, high = (f"{torque:.2g}" for torque in (min(moved), max(moved)))
@@ -108,6 +118,12 @@ def notes_on(
         yield "The torque counts against the position in the file, and was turned round."
     if not ratio_given:
         yield "No gear_ratio is given: position and torque are taken as those of the output."
+
+
+def _on_positions(files: Sequence[Ramps], flanks: Flanks, *, elsewhere: bool) -> Iterator[str]:
+    """How many of the turn δ is known at, and by how many cycles."""
+    level = flanks.level
+    assert level is not None
     missing = sum(not file for file in level.files)
     if missing:
         yield (
