@@ -258,3 +258,17 @@ def test_a_line_of_the_motor_that_grew_is_no_wear(growth: float, gap_rad: float)
     if growth != 1.0:
         assert "motor order 2" in (change_reason(check) or "")
         assert "gear_transmission_error" in check.could_be
+
+
+def test_the_change_of_a_ringing_that_is_withheld_is_none(tmp_path: Path) -> None:
+    """Noise in which no ringing is seen gave a change of its amplitude with a probability."""
+    files = []
+    for seed, noise_rpm in ((1, 0.5), (2, 80.0)):
+        made = BENCH.simulate(8e-4, rotations=2.2, sampling_hz=250.0, start_angle_rad=0.4)
+        noise = np.random.default_rng(seed).normal(0.0, noise_rpm, made.samples)
+        columns = {"time_s": made.time_s, MOTOR_SPEED: made.motor_speed_rpm + noise}
+        files.append(write_csv(tmp_path / f"{seed}.csv", columns))
+    summary = bayesbl.compare(*files, workers=1, gear_ratio=BENCH.value("gear_ratio")).summary
+    assert summary["outcome"] == "withheld"
+    assert summary["ringing_change"] is None
+    assert summary["probability_ringing_grew"] is None
