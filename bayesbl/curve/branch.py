@@ -56,7 +56,14 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         "was used instead."
     )
     notes = (*point.notes, note)
-    return replace(best, notes=notes, start=point.start, contenders=contenders, mended=point.mended)
+    return replace(
+        best,
+        notes=notes,
+        start=point.start,
+        contenders=contenders,
+        mended=point.mended,
+        lines=point.lines,
+    )
 
 
 def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:

@@ -9,7 +9,7 @@ Without a current a changed filter of the recorded speed shows in the colour of 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,7 @@ from bayesbl.measurement.noise_colour import (
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
+from bayesbl.ringing.motor_lines import MotorLine
 from bayesbl.units import number
 
 FALSE_ALARM = 0.01
@@ -40,6 +41,9 @@ FALSE_ALARM = 0.01
 FREQUENCY, DECAY = "ringing frequency", "ringing decay"
 FILTER = "share of the ringing that is recorded"
 """Its logarithm is compared, by the noise of the first snapshot and of another."""
+
+LINE = "line of the motor in the speed"
+"""A ripple or an error of transmission or encoder, where it stands out of the speed."""
 
 HARMLESS_SD = 0.5
 """Of the change of ln A: a 90 % interval that is off by so much holds the truth in 86 %."""
@@ -63,6 +67,9 @@ and 250 Hz (0.149 and 0.408, same command)."""
 SAME_RATE = 0.01
 """Share by which two sampling rates may differ and still show the same noise."""
 
+SAME_SPEED = 0.02
+"""Share by which two speeds may differ and the loop still answer a line of the motor alike."""
+
 START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
 """Scatter of ln quantity with the start angle on the reference bench (same command)."""
 
@@ -83,6 +90,7 @@ COULD_BE = {
     ),
     DECAY: ("shaft_damping_nm_s_per_rad", "speed_gain_nm_s_per_rad", "speed_sensor_lag"),
     FILTER: ("speed_averaging", "speed_sensor_lag"),
+    LINE: ("gear_transmission_error", "motor_torque_ripple", "encoder_eccentricity"),
 }
 """What of the joint would move each quantity."""
 
@@ -121,6 +129,7 @@ class _Seen:
     direction: float
     period_s: float
     noise: NoiseSpectrum | None
+    lines: Mapping[int, MotorLine]
 
 
 def same_joint(
@@ -149,7 +158,10 @@ def same_joint(
             pairs.append((first[said], snapshot))
         else:
             first[said] = snapshot
-    compared = sum(len(_compared(*pair)) + (not _gains_seen(*pair)) for pair in pairs)
+    compared = sum(
+        len(_compared(*pair)) + (not _gains_seen(*pair)) + len(list(_lines(*pair)))
+        for pair in pairs
+    )
     if not compared:
         return NOTHING_COMPARED
     bound = normal_isf(0.5 * FALSE_ALARM / compared)
@@ -205,6 +217,7 @@ def _seen(point: PointEstimate) -> _Seen:
         float(np.sign(recording.motor_speed_rpm.mean())),
         recording.sampling_period_s,
         noise_spectrum(point),
+        {line.order: line for line in point.lines},
     )
 
 
@@ -221,6 +234,8 @@ def _findings(
             yield item, _sentence_of_filter(change, snapshot)
         else:
             yield item, _sentence_of_level(first, other, change, bound, snapshot)
+    for item, order in _lines(first, other):
+        yield item, _sentence_of_line(first, other, item, order, bound, snapshot)
 
 
 def _gains_seen(first: _Seen, other: _Seen) -> bool:
@@ -259,6 +274,19 @@ def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
         z = beyond / _sd(name, first, other)
         items.append(CheckItem(name, after.value, before.value, before.unit, z))
     return items
+
+
+def _lines(first: _Seen, other: _Seen) -> Iterator[tuple[CheckItem, int]]:
+    """Every line of the motor with its order; one that does not stand out counts as none."""
+    if abs(other.log_speed - first.log_speed) > SAME_SPEED:
+        return
+    for order in sorted({*first.lines, *other.lines}):
+        before, after = (
+            seen.lines.get(order, MotorLine(order, 0.0, 0.0)) for seen in (first, other)
+        )
+        sd = math.hypot(before.standard_error_rpm, after.standard_error_rpm)
+        z = (after.size_rpm - before.size_rpm) / sd if sd > 0.0 else 0.0
+        yield CheckItem(LINE, after.size_rpm, before.size_rpm, "rpm", z), order
 
 
 def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[BlindSpot]:
@@ -372,6 +400,33 @@ def _sentence_of_filter(change: FilterChange, snapshot: str) -> str:
         f"from another source. Such a filter alone would {direction} the ringing by "
         f"{100.0 * least:.2g} % or more. Record all snapshots through the same filter, or the "
         "motor current as well."
+    )
+
+
+def _sentence_of_line(
+    first: _Seen, other: _Seen, item: CheckItem, order: int, bound: float, snapshot: str
+) -> str:
+    """Where a line that changed may be all that moved the ringing; else nothing.
+
+    What repeats with the motor is there when the teeth meet, so they meet faster or slower by as
+    much as it moves the motor: the ringing behind is that much louder at most.
+    """
+    moved = other.log_amplitude - first.log_amplitude
+    chance = bound * math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
+    furthest = abs(item.measured - item.expected) / math.exp(first.log_amplitude)
+    if (
+        abs(item.z) <= bound
+        or abs(moved) <= _harmless(first, other)
+        or furthest < abs(moved) - chance
+    ):
+        return ""
+    direction = "rose" if item.measured > item.expected else "fell"
+    where = f" in {snapshot}" if snapshot else ""
+    return (
+        f"The {LINE} at motor order {order} {direction} from {item.expected:.2g} to "
+        f"{item.measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
+        f"torque, not the gap. It could move the ringing by up to {100.0 * furthest:.2g} %, as "
+        "much as was seen."
     )
 
 

@@ -46,6 +46,9 @@ def summarise_comparison(tree: xr.DataTree) -> ComparisonSummary:
     total = _step(change["change_rad"].values if given else None, stored[0], stored[-1])
     steps = change["step_change_rad"].values if given else [None] * (len(names) - 1)
     ringing = change["ringing_change"].values if "ringing_change" in change else None
+    # With a curve it is δ that is withheld, which the curve alone may be the reason for.
+    if any(end.reason is not None and not end.curve for end in (stored[0], stored[-1])):
+        ringing = None
     of_ringing = _described(ringing, stored[0])
     return {
         "kind": "compare",

@@ -23,7 +23,7 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.cleaning import FINDERS
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
-from bayesbl.ringing.motor_lines import without_motor_lines
+from bayesbl.ringing.motor_lines import MotorLine, in_words, without_motor_lines
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.ringing.posterior import Posterior, sample_posterior
@@ -52,7 +52,9 @@ class PointEstimate:
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
     mended
-        Whether ``recording`` is not the one given: bursts, drift or unevenness were removed.
+        Whether ``recording`` is not the one given: lines, bursts, drift or unevenness were removed.
+    lines
+        Of the motor that were removed.
     """
 
     recording: Recording
@@ -65,6 +67,7 @@ class PointEstimate:
     start: str = ""
     contenders: tuple[Contender, ...] | None = None
     mended: bool = False
+    lines: tuple[MotorLine, ...] = ()
 
     @property
     def misfit(self) -> RepeatingMisfit:
@@ -114,6 +117,7 @@ class Fit:
             point.start,
             point.contenders,
             mended,
+            point.lines,
         )
 
 
@@ -134,6 +138,7 @@ class FinishedFit:
     start: str
     contenders: tuple[Contender, ...] | None
     mended: Recording | None
+    lines: tuple[MotorLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,10 +209,8 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         recording = ready_for_fit(recording, gear_ratio)
-        notes: list[str] = []
-        if (cleaned := without_motor_lines(recording)) is not None:
-            recording, note = cleaned
-            notes.append(note)
+        recording, lines = without_motor_lines(recording)
+        notes = [in_words(lines)] if lines else []
         point = self._optimal(recording, seed, gear_ratio, earlier)
         # Rotations with the same rounding are the same.
         for find in () if point.noise.rounding_repeats else FINDERS:
@@ -215,7 +218,7 @@ class Estimator:
             if mended is not None:
                 point = self._optimal(mended.recording, seed, gear_ratio, earlier)
                 notes.append(mended.note)
-        return replace(point, notes=tuple(notes), mended=bool(notes))
+        return replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
 
     def _optimal(
         self,
@@ -359,6 +362,7 @@ class Estimator:
             start=finished.start,
             contenders=finished.contenders,
             mended=finished.mended is not None,
+            lines=finished.lines,
         )
         return Fit(point, finished.posterior, finished.check)
 

@@ -10,7 +10,8 @@ ringing is a single one of hundreds of load orders.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,37 +36,60 @@ ROUNDS = 3
 """Each leaves a few per cent of the line, as no turn has a whole number of samples."""
 
 
-def without_motor_lines(recording: Recording) -> tuple[Recording, str] | None:
-    """The recording without such lines and a note of them; ``None`` where none stands out."""
+@dataclass(frozen=True, slots=True)
+class MotorLine:
+    """Amplitude of a line in the speed, at a whole order of the motor, with its standard error."""
+
+    order: int
+    size_rpm: float
+    standard_error_rpm: float
+
+
+def without_motor_lines(recording: Recording) -> tuple[Recording, tuple[MotorLine, ...]]:
+    """The recording without such lines, and each of them that stands out."""
     speed = recording.motor_speed_rpm
     angle = np.cumsum(speed * np.gradient(recording.time_s)) / RPM_PER_RAD_PER_S
     turns = np.maximum.accumulate(np.abs(angle - angle[0])) // (2.0 * math.pi)
     begins = np.searchsorted(turns, np.arange(turns[-1] + 1.0))
     if begins.size - 1 < FEWEST_TURNS:
-        return None
+        return recording, ()
     samples_per_turn = (begins[-1] - begins[0]) / (begins.size - 1)
     highest = min(HIGHEST_ORDER, int(samples_per_turn / FEWEST_SAMPLES))
     bound = normal_isf(0.5 * FALSE_ALARM / max(2 * highest, 1))
     least = SMALLEST_LINE * 0.5 * float(np.ptp(speed))
     # The controller answers the line: with one of the two left, its law would not hold.
     left = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
-    found = []
+    sizes: dict[int, complex] = {}
+    errors: dict[int, float] = {}
     for order in range(1, highest + 1):
-        wave = np.exp(1j * order * angle)
-        line, error = _line(left[MOTOR_SPEED], wave, begins)
-        if not abs(line) > max(least, bound * error):
-            continue
-        found.append((order, abs(line)))
-        for _ in range(ROUNDS):
-            left = {n: row - (_line(row, wave, begins)[0] * wave).real for n, row in left.items()}
-    if not found:
-        return None
-    listed = " and ".join(f"{size:.2g} rpm at motor order {order}" for order, size in found)
-    note = (
+        line, error = _line(left[MOTOR_SPEED], np.exp(1j * order * angle), begins)
+        if abs(line) > max(least, bound * error):
+            errors[order] = error
+            sizes[order] = _take(left, np.exp(1j * order * angle), begins)
+    if not sizes:
+        return recording, ()
+    for _ in range(ROUNDS):
+        for order in sizes:
+            sizes[order] += _take(left, np.exp(1j * order * angle), begins)
+    lines = tuple(MotorLine(order, abs(size), errors[order]) for order, size in sizes.items())
+    return replace(recording, channels={**recording.channels, **left}), lines
+
+
+def in_words(lines: Sequence[MotorLine]) -> str:
+    """What was taken out, as a note."""
+    listed = " and ".join(f"{line.size_rpm:.2g} rpm at motor order {line.order}" for line in lines)
+    return (
         f"A line of {listed} was taken out of the speed: a ripple of the torque, an error of "
         "transmission or encoder, not the impacts."
     )
-    return replace(recording, channels={**recording.channels, **left}), note
+
+
+def _take(channels: dict[str, FloatArray], wave: ComplexArray, begins: NDArray[np.intp]) -> complex:
+    """Subtract the line from each channel; returns what it was in the speed."""
+    lines = {name: _line(row, wave, begins)[0] for name, row in channels.items()}
+    for name, line in lines.items():
+        channels[name] = channels[name] - (line * wave).real
+    return lines[MOTOR_SPEED]
 
 
 def _line(

@@ -22,7 +22,7 @@ from bayesbl.measurement.joint_features import (
     folded_signal,
     harmonic_name,
 )
-from bayesbl.measurement.same_joint import change_reason, same_joint
+from bayesbl.measurement.same_joint import LINE, change_reason, same_joint
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 
@@ -239,3 +239,36 @@ def test_a_line_of_the_motor_is_no_other_controller(before: PointEstimate) -> No
     check = same_joint([before, found], (False, False))
     assert PROPORTIONAL in {item.quantity for item in check.items}
     assert not any("gain" in sentence for sentence in check.sentences), check.sentences
+
+
+@pytest.mark.parametrize(("growth", "gap_rad"), [(3.0, 8e-4), (1.0, 9.6e-4)])
+def test_a_line_of_the_motor_that_grew_is_no_wear(growth: float, gap_rad: float) -> None:
+    """A transmission error makes teeth meet slower: it lowered the ringing of the same gap."""
+
+    def erring(angle_rad: float, gap: float, seed: int) -> PointEstimate:
+        values = {"angle_rad": angle_rad, "order": 2.0, "phase_rad": 0.4}
+        parameters = {name: EffectParameterValue(value) for name, value in values.items()}
+        bench = BENCH.with_effects(BenchEffect("gear_transmission_error", parameters))
+        return point(bench, gap, seed, with_current=False)
+
+    first, other = erring(5e-5, 8e-4, 1), erring(5e-5 * growth, gap_rad, 2)
+    check = same_joint([first, other], (False, False))
+    assert any(item.quantity == LINE for item in check.items)
+    assert check.agrees == (growth == 1.0), check.sentences
+    if growth != 1.0:
+        assert "motor order 2" in (change_reason(check) or "")
+        assert "gear_transmission_error" in check.could_be
+
+
+def test_the_change_of_a_ringing_that_is_withheld_is_none(tmp_path: Path) -> None:
+    """Noise in which no ringing is seen gave a change of its amplitude with a probability."""
+    files = []
+    for seed, noise_rpm in ((1, 0.5), (2, 80.0)):
+        made = BENCH.simulate(8e-4, rotations=2.2, sampling_hz=250.0, start_angle_rad=0.4)
+        noise = np.random.default_rng(seed).normal(0.0, noise_rpm, made.samples)
+        columns = {"time_s": made.time_s, MOTOR_SPEED: made.motor_speed_rpm + noise}
+        files.append(write_csv(tmp_path / f"{seed}.csv", columns))
+    summary = bayesbl.compare(*files, workers=1, gear_ratio=BENCH.value("gear_ratio")).summary
+    assert summary["outcome"] == "withheld"
+    assert summary["ringing_change"] is None
+    assert summary["probability_ringing_grew"] is None
