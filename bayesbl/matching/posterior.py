@@ -51,6 +51,17 @@ FEWEST_EFFECTIVE = 100.0
 The share of the posterior between two quantiles of n draws has the standard deviation
 √(p (1 − p)/n), p its level.
 """
+OTHER_SHAPE = (
+    "the surrogate does not have the shape of the posterior. Narrow the bench's tolerances, or "
+    "find them from recordings (bayesbl identify)."
+)
+SAMPLED = "sampled_control__"
+FROM_TICK_TO_TICK = (
+    "the period of the drive's controller is not known, and the signals change with it from tick "
+    "to tick. State period_s and delay_periods of sampled_control under [[effects]] without sd, as "
+    "the drive's manual has them. If torque or current come late by a dead time besides, no bench "
+    "has that yet: it looks like a longer period or a lag."
+)
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
 TAILS = (0.05, 0.95)
@@ -184,7 +195,9 @@ def sample_direct(
         check = _Check.of(model, flat, expected)
         if withheld or check.is_passed:
             effective = check.effective_share * len(flat)
-            diagnostics = _judge(model, walked, draws, effective, failed)
+            # Of a gap that is not told, draws need no weight.
+            needed = math.inf if withheld else effective
+            diagnostics = _judge(model, walked, draws, needed, failed)
             chi_square = expected.reshape(draws.shape[:2])
             return DirectPosterior(
                 fit, draws, chi_square, effective, CHECKED, refits, diagnostics, as_it_is
@@ -199,7 +212,10 @@ def sample_direct(
         if best.effective >= GOOD_SHARE * len(flat):
             break
     assert best is not None
-    diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed)
+    why = OTHER_SHAPE
+    if best.effective < FEWEST_EFFECTIVE and _ticks_decide(model, surrogate, flat):
+        why = FROM_TICK_TO_TICK
+    diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed, why)
     picked = resampled(best.log_weights, best.draws.shape[1], np.random.default_rng(pick_seed))
     return DirectPosterior(
         fit,
@@ -358,18 +374,42 @@ def _covariance(points: FloatArray) -> FloatArray:
     return np.asarray(found + 1e-12 * np.diag(np.diag(found) + 1e-30))
 
 
+def _ticks_decide(model: SimulatedSignals, surrogate: Surrogate, draws: FloatArray) -> bool:
+    """Whether draws (m, d) would carry weight if the controller's ticks were known.
+
+    Draws as they are beside the ticks of their mean, by the regression on what belongs to them.
+    """
+    ticks = [k for k, u in enumerate(model.unknowns) if u.name.startswith(SAMPLED)]
+    if not ticks:
+        return False
+    covariance = _covariance(draws)
+    slopes = np.linalg.solve(covariance[np.ix_(ticks, ticks)], covariance[ticks])
+    known = draws[np.linspace(0, len(draws) - 1, CHECKED).astype(np.int64)]
+    known = np.clip(
+        known - (known[:, ticks] - draws[:, ticks].mean(axis=0)) @ slopes, model.low, model.high
+    )
+    weights = _log_weights(surrogate.chi_square(known), simulated_chi_square(model, known))
+    return effective_size(weights) * len(draws) / CHECKED >= FEWEST_EFFECTIVE
+
+
 def _judge(
-    model: SimulatedSignals, walked: Walk, draws: FloatArray, effective: float, failed: float
+    model: SimulatedSignals,
+    walked: Walk,
+    draws: FloatArray,
+    effective: float,
+    failed: float,
+    why: str = "",
 ) -> Diagnostics:
-    """The usual checks of sampling, and those special to this route, which withhold the answer."""
+    """The usual checks of sampling, and those special to this route, which withhold the answer.
+
+    ``why``: few draws carry the weight, with what to do about it.
+    """
     found = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
     failures = [*_at_bound(model, draws)]
     if effective < FEWEST_EFFECTIVE:
         failures.append(
             f"Only {effective:.0f} of {draws.shape[0] * draws.shape[1]} draws carry the weight "
-            f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): the surrogate does "
-            "not have the shape of the posterior. Narrow the bench's tolerances, or find "
-            "them from recordings (bayesbl identify)."
+            f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): {why}"
         )
     if failed > LARGEST_FAILED_SHARE:
         failures.append(
