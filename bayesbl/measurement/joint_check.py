@@ -13,6 +13,9 @@ from typing import cast
 
 from bayesbl.measurement.summary_types import JointCheckSummary
 
+NO_CURRENT = "no motor current can be compared"
+"""Reason of a blind spot: gains that change move the ringing by any size, as a gap does."""
+
 
 @dataclass(frozen=True, slots=True)
 class CheckItem:

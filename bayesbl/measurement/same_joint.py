@@ -14,7 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
+from bayesbl.measurement.joint_check import (
+    NO_CURRENT,
+    NOTHING_COMPARED,
+    BlindSpot,
+    CheckItem,
+    JointCheck,
+)
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
     MEAN_CURRENT,
@@ -110,10 +116,7 @@ SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current",
 """Of which it is told how much may change unseen, those of the ringing itself first."""
 
 WITHOUT_CURRENT = (
-    BlindSpot(
-        "the speed controller's gains, the torque constant and friction",
-        "no motor current can be compared",
-    ),
+    BlindSpot("the speed controller's gains, the torque constant and friction", NO_CURRENT),
 )
 
 

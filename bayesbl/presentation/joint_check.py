@@ -42,9 +42,19 @@ def unless(summary: ComparisonSummary) -> str:
     """The condition behind a probability of growth, where it could be something else."""
     if other_cause(summary) is not None:
         return ", if nothing else in the joint changed"
+    if (unseen := unseen_without_current(summary)) is not None:
+        return f", if {unseen} did not change"
     # By any size, and no ramp tells it from play.
     softer = ", if no flank became softer at small torque"
     return softer if torque_ramps.is_by_ramps(summary) else ""
+
+
+def unseen_without_current(summary: ComparisonSummary) -> str | None:
+    """What may have changed by any size, where no motor current shows it; ``None`` elsewhere."""
+    from bayesbl.measurement.joint_check import NO_CURRENT  # numbers are behind it
+
+    spots = summary["same_joint"]["blind_spots"]
+    return next((spot["change"] for spot in spots if spot["reason"] == NO_CURRENT), None)
 
 
 def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:

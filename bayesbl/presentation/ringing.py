@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import words
+from bayesbl.presentation import joint_check, words
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import MeasuredSummary
@@ -31,6 +31,11 @@ def headline(summary: MeasuredSummary) -> str:
         told += f"; probability that it grew: {words.probability(grew)}"
         if not summary["same_joint"]["agrees"]:
             told += ". Something other than the gap changed, so this says nothing of wear"
+        elif (unseen := joint_check.unseen_without_current(summary)) is not None:
+            told += (
+                f". This says something of the gap only if {unseen} did not change: no motor "
+                "current was recorded"
+            )
         return f"{told}."
     found = summary["amplitude_rpm"]
     if found is None:

@@ -6,6 +6,7 @@ import copy
 import io
 import json
 import re
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.routes import measure
+from bayesbl.measurement.same_joint import WITHOUT_CURRENT
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
@@ -187,6 +189,16 @@ def test_without_a_curve_the_ringing_alone_is_told():
     assert "mrad" not in text
     shrunk = ringing_alone(ringing_change=between(-0.3, -0.2), probability_ringing_grew=0.0)
     assert flat(printed(shrunk)).startswith("The ringing shrank by 25 %")
+
+
+def test_without_a_current_the_first_line_says_on_what_wear_rests():
+    spots = check(blind_spots=map(asdict, WITHOUT_CURRENT))
+    gains = WITHOUT_CURRENT[0].change
+    alone = answer.headline(ringing_alone(same_joint=spots))
+    assert alone.startswith("The ringing grew by 24 %")
+    assert f"only if {gains} did not change: no motor current was recorded." in alone
+    by_curve = answer.headline(comparison() | {"same_joint": spots})
+    assert by_curve.endswith(f"grew: > 99.9 %, if {gains} did not change.")
 
 
 def test_by_the_published_curve_the_first_line_says_whose_it_is_and_no_limit_is_asked():
