@@ -22,6 +22,7 @@ from bayesbl.naming.joint_change import (
     MOTOR_FRICTION,
     ChangedParameter,
     JointFindings,
+    Rival,
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
@@ -163,7 +164,7 @@ def undecided_gap(
 
     ``index``: of the recording; ``gap_rad``: draws of its δ; ``with_current``: it was recorded.
     """
-    apart = [(r.name, float(r.gaps_rad[index])) for r in found.rivals]
+    apart = [(r, float(r.gaps_rad[index])) for r in found.rivals]
     return _undecided(found, apart, gap_rad, level, "δ", with_current=with_current)
 
 
@@ -171,14 +172,14 @@ def undecided_change(
     found: JointFindings, change_rad: FloatArray, level: float, *, with_current: bool = True
 ) -> str | None:
     """The same of the change of δ from the first recording to the last."""
-    apart = [(r.name, float(r.gaps_rad[-1] - r.gaps_rad[0])) for r in found.rivals]
+    apart = [(r, float(r.gaps_rad[-1] - r.gaps_rad[0])) for r in found.rivals]
     what = "the change of δ"
     return _undecided(found, apart, change_rad, level, what, with_current=with_current)
 
 
 def _undecided(
     found: JointFindings,
-    rivals: Sequence[tuple[str, float]],
+    rivals: Sequence[tuple[Rival, float]],
     draws_rad: FloatArray,
     level: float,
     what: str,
@@ -186,19 +187,26 @@ def _undecided(
     with_current: bool,
 ) -> str | None:
     chosen_rad, width_rad = float(np.median(draws_rad)), _width(draws_rad, level)
-    apart = [(n, value) for n, value in rivals if abs(value - chosen_rad) > MATTERS * width_rad]
+    apart = [(r, value) for r, value in rivals if abs(value - chosen_rad) > MATTERS * width_rad]
     if not apart:
         return None
-    name, value = max(apart, key=lambda rival: abs(rival[1] - chosen_rad))
-    chosen = _listed([spoken(c.name) for c in found.changed], "and")
+    rival, value = max(apart, key=lambda own: abs(own[1] - chosen_rad))
+    chosen = _listed([_where(found, changed) for changed in found.changed], "and")
+    other = _where(found, rival)
     differs = "is not as the bench file says" if found.against_bench else "changed in the joint"
     record = "Record a second" if with_current else "Record the motor current too, record a second"
     return (
         f"Something other than the gap {differs}, and the recordings do not tell what: "
         f"if it is {chosen}, {what} is {1e3 * chosen_rad:.3g} mrad; if it is "
-        f"{spoken(name)}, {1e3 * value:.3g} mrad. {record} speed, direction or motion, or give "
+        f"{other}, {1e3 * value:.3g} mrad. {record} speed, direction or motion, or give "
         "what is known of the recording in [[recordings]] bench."
     )
+
+
+def _where(found: JointFindings, change: ChangedParameter | Rival) -> str:
+    """What changed, and in which of several recordings."""
+    own = change.recording if len(found.recordings) > 1 else None
+    return spoken(change.name) + (f" in {own}" if own else "")
 
 
 def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> str:

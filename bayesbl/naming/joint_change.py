@@ -92,11 +92,14 @@ class Rival:
     ----------
     name
         Of the effect or of what changed.
+    recording
+        In which; ``None`` for all.
     gaps_rad
         δ of each recording if it is the true one, shape (recordings,).
     """
 
     name: str
+    recording: str | None
     gaps_rad: FloatArray
 
 
@@ -199,7 +202,7 @@ def find_changes(
         tuple(_parameters(final)) if explained else (),
         tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),
         tuple(
-            Rival(rival.candidates[-1].name, _gaps(rival.fit))
+            Rival(rival.candidates[-1].name, rival.candidates[-1].recording, _gaps(rival.fit))
             for found in naming.effects
             for rival in found.indistinguishable
         ),
