@@ -17,5 +17,5 @@ def test_rivals_of_one_name_are_told_by_their_recordings() -> None:
     draws = 8.0e-4 + 1e-6 * np.linspace(-1.0, 1.0, 101)
     told = undecided_gap(found, 1, draws, 0.9)
     assert told is not None
-    assert "if it is torsional damping D_s in before, δ is 0.8 mrad" in told
-    assert "if it is torsional damping D_s in after, 0.76 mrad" in told
+    assert f"({DAMPING}) in before, δ is 0.8 mrad" in told
+    assert f"({DAMPING}) in after, 0.76 mrad" in told
