@@ -163,9 +163,9 @@ def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
 def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
     """Whitened residuals (n,) by rotation, (r, lag).
 
-    Two that lack no more than their rounding are two: what they lack is taken for zero.
+    The last may lack its rounding, as by the samples that whitening takes: that is taken for zero.
     """
-    rotations = max(row.size // lag, min(2, math.floor(row.size / lag + ROUNDING)))
+    rotations = math.floor(row.size / lag + ROUNDING)
     padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
     return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
 
