@@ -119,10 +119,16 @@ class DirectPosterior:
             slope = float(np.cov(own, gap)[0, 1]) / float(own.var(ddof=1))
             shift = abs(slope) * 0.5 * (unknown.high - unknown.low)
             if shift > 0.5 * (high - low):
+                effect, dot, parameter = unknown.name.partition("__")
+                if dot:
+                    width = "range that it is sought in"
+                    mend = f"Something else acts like it, or {effect} belongs in the bench file."
+                else:
+                    width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
                 return (
-                    f"δ depends on {unknown.name}, which lies at the {side} edge of its tolerance: "
-                    f"half the tolerance more would move δ by {1e3 * shift:.2g} mrad, further than "
-                    "its interval. Correct the bench file, or widen this tolerance."
+                    f"δ depends on {effect}{'.' if dot else ''}{parameter}, which lies at the "
+                    f"{side} edge of the {width}: half as much again would move δ by "
+                    f"{1e3 * shift:.2g} mrad, further than its interval. {mend}"
                 )
         return None
 

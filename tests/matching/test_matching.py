@@ -14,6 +14,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError, RecordingError
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import observed
+from bayesbl.matching.predictive_check import whole_rotations
 from bayesbl.matching.signals import (
     SimulatedSignals,
     Unknown,
@@ -57,6 +58,11 @@ def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
     assert stretch == (seen.samples if effects else seen.lag)
     whole = noise.whiten(seen.signals - asked.signals(POINTS, 0))
     assert asked.whitened(POINTS) == pytest.approx(whole.reshape(len(POINTS), -1), abs=1e-9)
+
+
+@pytest.mark.parametrize(("samples", "rotations"), [(300, 3), (298, 3), (297, 2), (203, 2)])
+def test_what_whitening_takes_of_a_rotation_leaves_it_one(samples: int, rotations: int) -> None:
+    assert whole_rotations(np.ones(samples), 100).shape == (rotations, 100)
 
 
 def test_recordings_of_one_name_are_refused() -> None:
