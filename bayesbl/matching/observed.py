@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED
@@ -31,6 +32,8 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
+
+ComplexArray = NDArray[np.complex128]
 
 LARGEST_SPEED_ERROR = 0.01
 """Relative difference of a recording's mean speed from the one it is simulated at: on the reference
@@ -226,6 +229,7 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
     motion = recorded_motion(time, channels.get(REFERENCE_SPEED), channels.get(REFERENCE_POSITION))
     asked = motion.speed_rpm(time)
     require_same_motion(recording, asked)
+    _require_current_sign(recording, bench, asked)
     cycle = cycle_of(asked)
     signals = _signals(recording, bench)
     fastest = float(np.max(np.abs(asked)))
@@ -252,8 +256,13 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
     return np.stack(rows)
 
 
-def _require_current_sign(recording: Recording, bench: Bench) -> None:
+def _require_current_sign(
+    recording: Recording, bench: Bench, asked_rpm: FloatArray | None = None
+) -> None:
     """A speed loop answers to more speed with less current, so the current falls with the speed.
+
+    ``asked_rpm``: of a motion, which the loop answers to what the speed lacks of; a drive may feed
+    it and its acceleration forward besides, so what goes with these says nothing of the sign.
 
     Above the corners of its integrators, 2 K_i/K_p and 3 √(K_pos K_i/K_p), the slope of i on e is
     −K_p/K_t, less where e holds noise that the loop does not see. Below them ∫e and the position
@@ -272,8 +281,12 @@ def _require_current_sign(recording: Recording, bench: Bench) -> None:
     )
     kept = np.ones(recording.samples) if recording.excluded is None else 1.0 - recording.excluded
     taper = kept * np.hanning(recording.samples)
-    pair = (recording.motor_speed_rpm / RPM_PER_RAD_PER_S, recording.channels[MOTOR_CURRENT])
-    speed, current = (np.fft.rfft(taper * (row - row[kept > 0.0].mean())) for row in pair)
+    asked = np.zeros(recording.samples) if asked_rpm is None else asked_rpm
+    error = (recording.motor_speed_rpm - asked) / RPM_PER_RAD_PER_S
+    speed, current, ahead = (
+        np.fft.rfft(taper * (row - row[kept > 0.0].mean()))
+        for row in (error, recording.channels[MOTOR_CURRENT], asked)
+    )
     rate = 2.0 * math.pi * np.fft.rfftfreq(taper.size, recording.sampling_period_s)
     corner = max(2.0 * integral / proportional, 3.0 * math.sqrt(outer * integral / proportional))
     motor = bench.value("motor_inertia_kg_m2") * bench.value("gear_ratio") ** 2
@@ -282,6 +295,9 @@ def _require_current_sign(recording: Recording, bench: Bench) -> None:
     highest = max(RINGING_BAND * corner, 2.0 * ringing)
     rings = (rate > corner) & (rate < highest)
     speed, current = speed[rings], current[rings]
+    if asked_rpm is not None:
+        fed = np.stack([ahead[rings], 1j * rate[rings] * ahead[rings]])
+        speed, current = (_beside(row, fed) for row in (speed, current))
     squares = max(float(np.sum(np.abs(speed) ** 2)), 1e-300)
     slope = float(np.real(np.vdot(speed, current))) / squares
     left = np.abs(current - slope * speed) ** 2
@@ -298,6 +314,13 @@ def _require_current_sign(recording: Recording, bench: Bench) -> None:
         expected=f"down to {-gain:.3g}, as the bench's controller answers; reverse it under "
         "[columns]: motor_current_a = {name = …, reversed = true}",
     )
+
+
+def _beside(spectrum: ComplexArray, fed: ComplexArray) -> ComplexArray:
+    """What of a spectrum (k,) is no real multiple of others, (m, k)."""
+    columns = np.concatenate([fed.real, fed.imag], axis=1).T
+    real = np.concatenate([spectrum.real, spectrum.imag])
+    return np.asarray(spectrum - np.linalg.lstsq(columns, real, rcond=None)[0] @ fed)
 
 
 def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[Rounding, ...]:

@@ -10,6 +10,7 @@ import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError, RecordingError
 from bayesbl.matching.least_squares import fit_simulated
@@ -92,6 +93,28 @@ def test_a_current_of_the_other_sign_is_refused_in_either_direction(
     turned = {MOTOR_CURRENT: -recording.channels[MOTOR_CURRENT]}
     with pytest.raises(RecordingError, match="rises with the speed"):
         observed(replace(recording, channels={**recording.channels, **turned}), bench)
+
+
+@pytest.mark.parametrize("position_gain_per_s", [0.0, 5.0])
+@pytest.mark.parametrize("fed_forward_a_s_per_rpm", [0.0, 2e-3])
+def test_in_a_motion_too_whatever_the_drive_feeds_forward(
+    position_gain_per_s: float, fed_forward_a_s_per_rpm: float
+) -> None:
+    """Current for the acceleration, several times what it takes, and the speed that it leads to."""
+    bench = replace(reference_bench(), measurement=NOISE)
+    bench = bench.with_parameters(position_gain_per_s=position_gain_per_s)
+    motion = strokes(bench.value("gear_ratio"), (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
+    made = bench.simulate_motion(8e-4, motion, seed=np.random.default_rng(1))
+    acceleration = np.gradient(motion.speed_rpm(made.time_s), made.time_s)
+    speed = made.motor_speed_rpm + 2e-3 * acceleration * (fed_forward_a_s_per_rpm > 0.0)
+    for sign in (1.0, -1.0):
+        current = sign * (made.channels[MOTOR_CURRENT] + fed_forward_a_s_per_rpm * acceleration)
+        channels = {**made.channels, MOTOR_SPEED: speed, MOTOR_CURRENT: current}
+        if sign > 0.0:
+            observed(replace(made, channels=channels), bench)
+        else:
+            with pytest.raises(RecordingError, match="rises with the speed"):
+                observed(replace(made, channels=channels), bench)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
