@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
+from bayesbl.identification.beyond_data_sheet import FURTHEST_WRONG
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import FALSE_ALARM, Problem
 from bayesbl.matching.impacts import IMPACTS_DIFFER
@@ -33,11 +34,12 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
         return with_bench_file_hint(lacks, (members[0] for members in found.missing))
     if found.verdict == "unexplained" or _stands_out(found):
         return (
-            "No values within the tolerances, no single value beyond its tolerance and no effect "
-            "of the catalogue explains these recordings: something of the joint is not in the "
-            "bench, several values of the data sheet are wrong, or the gap was not the same in "
-            f"all recordings (give their dates). {left_over(found.check)} Check the data sheet, "
-            "or widen its tolerances."
+            "No values within the tolerances, no single value up to "
+            f"{FURTHEST_WRONG:.0f} times off and no effect of the catalogue explains these "
+            "recordings: something of the joint is not in the bench, several values of the data "
+            "sheet are wrong, or the gap was not the same in all recordings (give their dates). "
+            f"{left_over(found.check)} Check the data sheet, or widen its tolerances."
+            f"{_stopped(found)}"
         )
     if found.posterior.diagnostics.outcome == "withheld":
         return " ".join(found.posterior.diagnostics.reasons)
@@ -86,6 +88,14 @@ def _decided_by_edges(
                 f"{1e3 * before:.3g} mrad. Correct the data sheet, or widen its tolerances."
             )
     return None
+
+
+def _stopped(found: Identification) -> str:
+    """Values that only their tolerances held, behind a space; the wrong one is often among them."""
+    if found.wider is None:
+        return ""
+    names = ", ".join(map(in_words, found.wider.at_edges))
+    return f" At the edge of its tolerance: {names}."
 
 
 def left_over(check: Sequence[RepeatingPower]) -> str:

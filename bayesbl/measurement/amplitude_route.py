@@ -75,7 +75,8 @@ class AmplitudeMeasurer(Measurer):
                 "a motion.",
                 file=recording.place,
                 found="a reference that varies over time",
-                expected="the direct route, which needs a bench: --bench FILE",
+                expected="the direct route, which needs a bench (--bench FILE); `bayesbl init "
+                "--bench` begins one, and `bayesbl identify` of three such motions completes it",
             )
         self.source.require_usable(recording)
 

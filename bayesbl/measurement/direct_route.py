@@ -310,16 +310,17 @@ def _disagreement_in_words(entries: Sequence[RepeatingPower], moving: bool) -> s
     worst = max(entries, key=lambda entry: entry.ratio)
     others = sorted({f"{e.channel} of {e.recording}" for e in entries})
     which = f"up to load order {worst.highest_order}" if worst.highest_order else "in the mean"
-    repeats = "repeats every rotation"
+    repeats, look = "repeats every rotation", "`bayesbl diagnose` looks for what is missing."
     if moving:
         which = which.replace("load order", "order") + " of the cycle"
         repeats = "is left"
+        look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
     return (
         "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
         f"{worst.channel} of {worst.recording}, {which}, what {repeats} has "
         f"{worst.ratio:.3g} times the power that noise would leave (disagreement in "
         f"{', '.join(others)}). The bench file lacks an effect or has wrong "
-        "values; `bayesbl diagnose` looks for what is missing."
+        f"values; {look}"
     )
 
 

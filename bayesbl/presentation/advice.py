@@ -82,6 +82,8 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
         return _of_ringing(summary)
     if last["delta_rad"] is None:
         again = "longer and at one constant speed"
+        if "motion" in last:
+            again = "the motion two times or more in a row"
         if torque_ramps.is_by_ramps(summary):
             again = "with the ramps that are asked for"
         return Advice(

@@ -45,15 +45,16 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
         alike = effect["indistinguishable_from"]
         told = f" Cannot be told apart from {', '.join(map(in_words, alike))}." if alike else ""
         yield Sentence(words.capitalised(f"{in_words(effect['name'])}: {found}.{told}"))
-    for together in summary["not_told_apart"]:
+    is_found = summary["outcome"] != "withheld"
+    for together in summary["not_told_apart"] if is_found else []:
         yield Sentence(_together(together))
     unlearned = [n for n, p in summary["parameters"].items() if p["learned"] < LITTLE]
-    if unlearned:
+    if unlearned and is_found:
         names = ", ".join(map(in_words, unlearned))
         yield Sentence(f"These recordings tell no more than the data sheet about: {names}.")
     yield disagreement_table(summary["disagreement"])
     yield Sentence("Before: the data sheet's values. After: the bench found.", "aside")
-    if summary["suggested_recording"] is not None:
+    if summary["suggested_recording"] is not None and is_found:
         yield Sentence(suggestion(summary["suggested_recording"]))
 
 

@@ -9,11 +9,12 @@ from pathlib import Path
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import load_bench
-from bayesbl.config.printed_units import reduced_inertia_kg_m2
+from bayesbl.config.printed_units import STANDARD_GRAVITY, reduced_inertia_kg_m2
 from bayesbl.runs.workflow import Plan
 
 USUAL_FREQUENCY_HZ = (2.0, 100.0)
 USUAL_INERTIA_RATIO = (0.05, 50.0)
+USUAL_PENDULUM_M = (0.05, 3.0)
 """Of robot joints, small arms to heavy ones; beyond them a unit is more probably wrong."""
 
 
@@ -46,6 +47,14 @@ def _doubts(bench: Bench) -> Iterator[str]:
         yield _unusual("natural frequency", f"{frequency:.3g} Hz", USUAL_FREQUENCY_HZ, "stiffness")
     if not USUAL_INERTIA_RATIO[0] < ratio < USUAL_INERTIA_RATIO[1]:
         yield _unusual("inertia ratio", f"{ratio:.3g}", USUAL_INERTIA_RATIO, "gear ratio")
+    pendulum_m = _pendulum_m(bench)
+    if pendulum_m is not None and not USUAL_PENDULUM_M[0] < pendulum_m < USUAL_PENDULUM_M[1]:
+        low, high = USUAL_PENDULUM_M
+        yield (
+            f"load inertia and gravity torque are those of a pendulum {pendulum_m:.3g} m long "
+            f"(usually {low:g} to {high:g}): check load_inertia_kg_m2 and gravity_torque_nm, and "
+            "their units. A spring or counterweight makes it longer."
+        )
     if _steady_current_a(bench) > bench.value("current_limit_a"):
         yield (
             f"gravity takes {_steady_current_a(bench):.3g} A with the arm level, and the drive "
@@ -77,6 +86,12 @@ def _frequency_hz(bench: Bench) -> float:
 def _inertia_ratio(bench: Bench) -> float:
     motor = bench.value("gear_ratio") ** 2 * bench.value("motor_inertia_kg_m2")
     return bench.value("load_inertia_kg_m2") / motor
+
+
+def _pendulum_m(bench: Bench) -> float | None:
+    """J_l g/(m g l): length of a point mass that swings as the load does; ``None`` if none does."""
+    torque = bench.value("gravity_torque_nm")
+    return bench.value("load_inertia_kg_m2") * STANDARD_GRAVITY / torque if torque > 0.0 else None
 
 
 def _steady_current_a(bench: Bench) -> float:

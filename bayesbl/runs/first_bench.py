@@ -109,7 +109,7 @@ SOURCES: Mapping[str, Source] = {
     ),
     "reference_speed_rpm": Source(
         "The motor's speed in most recordings. Others are given with their recording, or are "
-        "taken from its mean.",
+        "taken from its mean. Of a joint that only strokes, what its strokes reach.",
         "500 to 3000 rpm",
         "{value = 2000.0}",
     ),

@@ -177,9 +177,10 @@ def _method(
                 "each.",
                 file=moving[0].place,
                 found="a speed that varies",
-                expected="recordings of one speed each; or `bayesbl fit RECORDING --bench FILE`, "
-                'which also names what contradicts the bench; or drive = "rigid" in a copy of the '
-                "bench, for motions slower than the shaft",
+                expected="recordings of one speed each; or `bayesbl identify RECORDINGS --bench "
+                "FILE --effects catalogue`, which finds wrong values and what is missing from "
+                "motions; "
+                'or drive = "rigid" in a copy of the bench, for motions slower than the shaft',
             )
         return "forward", "the bench has a shaft with a gap, and each recording is of one speed"
     if _everywhere(recordings, (MOTOR_TORQUE, MOTOR_CURRENT)):

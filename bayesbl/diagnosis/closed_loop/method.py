@@ -131,8 +131,8 @@ def forward_problem(
                 "A diagnosis compares recordings of one speed each, and this is of a motion.",
                 file=str(entry.file),
                 found="a reference that varies over time",
-                expected="bayesbl fit RECORDING --bench FILE, which also names what contradicts "
-                "the bench",
+                expected="bayesbl identify RECORDINGS --bench FILE --effects catalogue, which "
+                "finds wrong values and what is missing from motions",
             )
         seen = observed(recording, bench, entry.reference_speed_rpm)
         seen = replace(
