@@ -140,7 +140,7 @@ def test_a_motion_of_a_joint_with_a_gap_is_refused_with_what_to_do() -> None:
     moving.channels[MOTOR_SPEED] *= np.linspace(-1.0, 1.0, moving.samples)
     with pytest.raises(RecordingError) as refused:
         guess_diagnosis(reference_bench(), [moving])
-    assert "bayesbl fit" in str(refused.value.expected)
+    assert "bayesbl identify" in str(refused.value.expected)
 
 
 def test_the_file_says_what_the_command_does(tmp_path, monkeypatch, capsys) -> None:
