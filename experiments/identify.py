@@ -257,12 +257,13 @@ def stroked(
     rng: np.random.Generator,
     pace: float = 1.0,
     reach: float = 1.0,
+    **effects: float,
 ) -> Observed:
     """A recording of strokes about hanging, as fast as leaves the drive a reserve.
 
-    ``pace``, ``reach``: shares of that speed and of the way.
+    ``pace``, ``reach``: shares of that speed and of the way. ``effects``: what the joint has more.
     """
-    values = {parameter: item.value for parameter, item in joint.parameters.items()}
+    values = {parameter: item.value for parameter, item in joint.parameters.items()} | effects
     way = reach * STROKES_RAD[0], reach * STROKES_RAD[1]
     truth = plant(values | {"gap_rad": gap_rad, "start_angle_rad": way[0]})
     reference = strokes(

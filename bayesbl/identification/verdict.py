@@ -95,7 +95,7 @@ def _stopped(found: Identification) -> str:
     if found.wider is None:
         return ""
     names = ", ".join(map(in_words, found.wider.at_edges))
-    return f" At the edge of its tolerance: {names}."
+    return f" At the edges of their tolerances: {names}."
 
 
 def left_over(check: Sequence[RepeatingPower]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypedDict
+
 import numpy as np
 
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
@@ -26,6 +28,14 @@ ENCODER_ROUNDS = 2
 """An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
 
 
+class _Rest(TypedDict):
+    """What every simulator takes besides parameters and samples."""
+
+    accuracy_rpm: float
+    workers: int
+    failures: str
+
+
 def accuracy_rpm(noise: ChannelNoise, seen: Observed) -> float:
     """How near its simulations have to be to a recording of this noise."""
     coarsest = ACCURACY * abs(seen.reference_speed_rpm)
@@ -41,16 +51,16 @@ def simulated(
     matrix: FloatArray,
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
-    rest = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": failures}
+    rest = _Rest(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
     if seen.motion is not None:
-        made = simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)  # type: ignore[arg-type]
+        made = simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)
         return made[:, seen.rows]
     if seen.motor_start_rad is not None:
         matrix = _begun_at(matrix, seen.motor_start_rad, workers)
     size = samples, seen.sampling_hz
     if len(seen.signals) == 1:
-        return simulate_speeds(matrix, *size, **rest)[:, None, :]  # type: ignore[arg-type]
-    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]  # type: ignore[arg-type]
+        return simulate_speeds(matrix, *size, **rest)[:, None, :]
+    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]
 
 
 def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:

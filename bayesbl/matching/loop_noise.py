@@ -17,20 +17,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.motion import Motion, held_motion, through
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import ROUNDING, Observed, begin_of
+from bayesbl.matching.observed import ROUNDING, Observed, begin_of, whole_rotations
 from bayesbl.matching.signals import REFERENCE_DELAY
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.probabilities import f_sf, normal_isf
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-ComplexArray = NDArray[np.complex128]
 
 ROTATIONS = 40
 """Simulated with noise, at least: the factor's root is then good to a ninth."""
@@ -59,9 +56,7 @@ def turns_of(rows: FloatArray, seen: Observed) -> FloatArray:
     """
     rows = rows[:, begin_of(seen) :]
     lag = seen.lag if seen.motion is None or seen.cycle is not None else rows.shape[1]
-    count = math.floor(rows.shape[1] / lag + ROUNDING)
-    whole = np.pad(rows, ((0, 0), (0, lag)))[:, : count * lag]
-    return whole.reshape(len(rows), count, lag).swapaxes(0, 1).reshape(count, -1)
+    return np.concatenate([whole_rotations(row, lag) for row in rows], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

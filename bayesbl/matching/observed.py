@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED
@@ -28,12 +27,11 @@ from bayesbl.recording.types import (
     REFERENCE_POSITION,
     REFERENCE_SPEED,
     BoolArray,
+    ComplexArray,
     FloatArray,
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-ComplexArray = NDArray[np.complex128]
 
 LARGEST_SPEED_ERROR = 0.01
 """Relative difference of a recording's mean speed from the one it is simulated at: on the reference
@@ -60,7 +58,7 @@ SURE_SLOPE, LEAST_SLOPE = 4.0, 0.02
 has the other sign: noise that the loop does not see makes the slope small, never of another sign.
 """
 ROUNDING = 0.02
-"""Of a rotation that a recording may lack of two: its own rounding, and the few samples that
+"""Of a rotation that a recording may lack of its last: its own rounding, and the few samples that
 whitening takes."""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
@@ -385,3 +383,13 @@ def _without(seen: Observed, left_out: BoolArray) -> Observed:
 def begin_of(seen: Observed) -> int:
     """First sample of a motion that is compared."""
     return 0 if seen.motion is None or seen.excluded is None else int(np.argmin(seen.excluded))
+
+
+def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
+    """Whitened residuals (n,) by rotation, (r, lag).
+
+    The last may lack its rounding, as by the samples that whitening takes: that is taken for zero.
+    """
+    rotations = math.floor(row.size / lag + ROUNDING)
+    padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
+    return np.asarray(padded[: rotations * lag].reshape(rotations, lag))

@@ -7,7 +7,6 @@ does not repeat.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,14 +14,13 @@ import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import (
-    ComplexArray,
     degrees_of_freedom,
     loop_noise,
     rounded_rotations,
 )
-from bayesbl.matching.observed import ROUNDING, Observed, begin_of
+from bayesbl.matching.observed import Observed, begin_of, whole_rotations
 from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import ComplexArray, FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
 """Highest load order of each band; slow misfit stands out of few orders, fast out of many.
@@ -158,16 +156,6 @@ def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[i
 def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
     """Whether no entry stands out, at a family-wise false-alarm rate (Bonferroni)."""
     return all(entry.probability * len(found) > false_alarm for entry in found)
-
-
-def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
-    """Whitened residuals (n,) by rotation, (r, lag).
-
-    The last may lack its rounding, as by the samples that whitening takes: that is taken for zero.
-    """
-    rotations = math.floor(row.size / lag + ROUNDING)
-    padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
-    return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
 
 
 def _spectrum(turns: FloatArray) -> ComplexArray:

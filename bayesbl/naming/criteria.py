@@ -8,12 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import begin_of
+from bayesbl.matching.observed import begin_of, whole_rotations
 from bayesbl.matching.predictive_check import (
     RepeatingPower,
     agrees,
     disagreements,
-    whole_rotations,
 )
 from bayesbl.naming.explanation import BEHIND, Explanation, distance, noise_between
 from bayesbl.probabilities import f_isf

@@ -389,7 +389,7 @@ class _Search:
         remains = left(base) - gains
         least = min(remains, default=0.0)
         if rival is not None:
-            least = float(remains[[c is rival for c in self._candidates].index(True)])
+            least = float(remains[self._candidates.index(rival)])
         needed = 0.0
         if len(base.candidates) == self._max_effects - 1:
             needed = WORTH_FITTING * self._least_ratio(base)

@@ -77,7 +77,7 @@ def suggestion(found: NextRecordingSummary) -> str:
     direction = "in reverse" if found["reference_speed_rpm"] < 0.0 else "forward"
     what, length = f"one at {speed:g} rpm {direction}", "five rotations"
     if found["motion_of"] is not None:
-        what = f"the motion of {found['motion_of']} at {speed:g} rpm at most"
+        what = f"the motion of {found['motion_of']}, at up to {speed:g} rpm,"
         length = "as long as that one"
     name = "the gap" if found["sharpens"] == "gap_rad" else in_words(found["sharpens"])
     return (

@@ -34,7 +34,7 @@ def headline(summary: MeasuredSummary) -> str:
         elif (unseen := joint_check.unseen_without_current(summary)) is not None:
             told += (
                 f". This says something of the gap only if {unseen} did not change: no motor "
-                "current was recorded"
+                "current can be compared"
             )
         return f"{told}."
     found = summary["amplitude_rpm"]

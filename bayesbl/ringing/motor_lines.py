@@ -2,9 +2,11 @@
 
 A ripple of the torque, a transmission error or an encoder off centre makes a wave at a whole order
 of the motor's angle that goes on all the time. Near the ringing's frequency pulses at every few
-turns of the motor explain it better than any explain the impacts. Ringing is there for a short time
-behind each impact only, so the median over the turns is the line alone. What that takes from the
-ringing is a single one of hundreds of load orders.
+turns of the motor explain it better than any explain the impacts. Ringing is there for a short
+time behind each impact only, so the median over the turns is the line alone. What that takes from
+the ringing is a single one of hundreds of load orders. Behind a gear of a low ratio the motor turns
+only a few times between two impacts, and ringing may fill most of its turns: it has another phase
+in each, where a line has the same in all.
 """
 
 from __future__ import annotations
@@ -31,6 +33,10 @@ FEWEST_TURNS = 20
 SMALLEST_LINE = 0.02
 """As a share of half the range of the speed, about the ringing's amplitude: a smaller line moves
 that by no more than such a share, and a bench without noise has some of every order."""
+
+UNSTEADY_SHARE = 0.5
+"""Of its size, by which three turns of four may be off it: those of ringing that fills the turns
+have any phase, those of a line only noise."""
 
 ROUNDS = 3
 """Each leaves a few per cent of the line, as no turn has a whole number of samples."""
@@ -62,8 +68,9 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, tuple[MotorLin
     sizes: dict[int, complex] = {}
     errors: dict[int, float] = {}
     for order in range(1, highest + 1):
-        line, error = _line(left[MOTOR_SPEED], np.exp(1j * order * angle), begins)
-        if abs(line) > max(least, bound * error):
+        each = _each_turn(left[MOTOR_SPEED], np.exp(1j * order * angle), begins)
+        line, error = _line(each)
+        if abs(line) > max(least, bound * error) and _is_steady(each, line):
             errors[order] = error
             sizes[order] = _take(left, np.exp(1j * order * angle), begins)
     if not sizes:
@@ -86,24 +93,31 @@ def in_words(lines: Sequence[MotorLine]) -> str:
 
 def _take(channels: dict[str, FloatArray], wave: ComplexArray, begins: NDArray[np.intp]) -> complex:
     """Subtract the line from each channel; returns what it was in the speed."""
-    lines = {name: _line(row, wave, begins)[0] for name, row in channels.items()}
+    lines = {n: _line(_each_turn(row, wave, begins))[0] for n, row in channels.items()}
     for name, line in lines.items():
         channels[name] = channels[name] - (line * wave).real
     return lines[MOTOR_SPEED]
 
 
-def _line(
-    values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]
-) -> tuple[complex, float]:
-    """Amplitude c of the line Re(c · wave) and its standard error, from the medians over turns."""
+def _each_turn(values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]) -> ComplexArray:
+    """Amplitude c of Re(c · wave) in each turn, about its mean, shape (turns,)."""
     whole = slice(int(begins[0]), int(begins[-1]))
     starts, counts = begins[:-1] - begins[0], np.diff(begins)
     mean = np.repeat(np.add.reduceat(values[whole], starts) / counts, counts)
     turned = (values[whole] - mean) * wave[whole].conj()
-    each = 2.0 * np.add.reduceat(turned, starts) / counts
+    return np.asarray(2.0 * np.add.reduceat(turned, starts) / counts)
+
+
+def _line(each: ComplexArray) -> tuple[complex, float]:
+    """Median over turns (turns,), and its standard error."""
     parts = np.stack([each.real, each.imag])
     middle = np.median(parts, axis=1)
     scatter = 1.4826 * np.median(np.abs(parts - middle[:, None]), axis=1)
     # A median is less sharp than a mean by the square root of π/2.
     error = math.sqrt(0.5 * math.pi / each.size) * float(np.linalg.norm(scatter))
     return complex(middle[0], middle[1]), error
+
+
+def _is_steady(each: ComplexArray, line: complex) -> bool:
+    """Whether three turns of four, (turns,), have the line with its size and phase."""
+    return float(np.quantile(np.abs(each - line), 0.75)) < UNSTEADY_SHARE * abs(line)

@@ -179,8 +179,8 @@ def _method(
                 found="a speed that varies",
                 expected="recordings of one speed each; or `bayesbl identify RECORDINGS --bench "
                 "FILE --effects catalogue`, which finds wrong values and what is missing from "
-                "motions; "
-                'or drive = "rigid" in a copy of the bench, for motions slower than the shaft',
+                'motions; or drive = "rigid" in a copy of the bench, for motions slower than the '
+                "shaft",
             )
         return "forward", "the bench has a shaft with a gap, and each recording is of one speed"
     if _everywhere(recordings, (MOTOR_TORQUE, MOTOR_CURRENT)):

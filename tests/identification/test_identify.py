@@ -127,15 +127,21 @@ def gap_deviations(found: Identification) -> float:
     return float((gaps.mean() - math.log(GAP_RAD)) / gaps.std())
 
 
+def recovered_draws(found: Identification, asked: Problem) -> FloatArray:
+    """Logarithms of the parameters; they and the gap lie within 3.5 standard deviations."""
+    assert found.verdict == "agrees"
+    assert reason_of(found, asked) is None
+    assert abs(gap_deviations(found)) < 3.5
+    draws = np.log(parameter_draws(found, asked.parameters))
+    truth = np.log([joint().value(name) for name in asked.parameters])
+    assert np.all(np.abs(draws.mean(axis=0) - truth) < 3.5 * draws.std(axis=0))
+    return draws
+
+
 def test_the_true_gap_and_parameters_are_found_although_the_data_sheet_is_off() -> None:
     """Each within 3.5 posterior standard deviations: fails by chance once in 200 seeds."""
     found, sheet = identified(), problem(data_sheet())
-    assert found.verdict == "agrees"
-    assert reason_of(found, sheet) is None
-    assert abs(gap_deviations(found)) < 3.5
-    draws = np.log(parameter_draws(found, sheet.parameters))
-    truth = np.log([joint().value(name) for name in sheet.parameters])
-    assert np.all(np.abs(draws.mean(axis=0) - truth) < 3.5 * draws.std(axis=0))
+    draws = recovered_draws(found, sheet)
     prior = np.log(1.0 + SHARE) - np.log(1.0 - SHARE)
     assert np.all(draws.std(axis=0) < prior / math.sqrt(12.0))
 
@@ -202,12 +208,7 @@ def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
         stroked.append(observed(made, data_sheet()))
     of_strokes = replace(problem(data_sheet()), used=tuple(stroked))
     found = identify(of_strokes, SETTINGS, np.random.SeedSequence(2))
-    assert found.verdict == "agrees"
-    assert reason_of(found, of_strokes) is None
-    assert abs(gap_deviations(found)) < 3.5
-    draws = np.log(parameter_draws(found, of_strokes.parameters))
-    truth = np.log([joint().value(name) for name in of_strokes.parameters])
-    assert np.all(np.abs(draws.mean(axis=0) - truth) < 3.5 * draws.std(axis=0))
+    recovered_draws(found, of_strokes)
     # The joint has not shown that it can turn round.
     suggested = next_recording(found.final.fit)
     assert suggested is not None

@@ -14,8 +14,7 @@ from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError, RecordingError
 from bayesbl.matching.least_squares import fit_simulated
-from bayesbl.matching.observed import observed
-from bayesbl.matching.predictive_check import whole_rotations
+from bayesbl.matching.observed import observed, whole_rotations
 from bayesbl.matching.signals import (
     SimulatedSignals,
     Unknown,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from places import CONFIGS
 
+from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import load_bench
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing.estimator import Estimator
@@ -18,6 +19,15 @@ from bayesbl.units import RPM_PER_RAD_PER_S
 BENCH = load_bench(CONFIGS / "bench.toml")
 SPEED_RPM = 900.0
 """15 turns a second: the motor's first order is beside the ringing, of some 11 Hz."""
+
+SLOWEST_DECAY_PER_S = 1.0
+LOAD_SIDE = {
+    "load_inertia_kg_m2": 2,
+    "shaft_stiffness_nm_per_rad": 2,
+    "shaft_damping_nm_s_per_rad": 2,
+    "gravity_torque_nm": 1,
+}
+"""With the power of the gear ratio that they go with, seen at the motor."""
 
 
 def made(
@@ -56,6 +66,25 @@ def test_a_line_of_the_motor_moves_no_amplitude(order: int, size_rpm: float) -> 
 @pytest.mark.parametrize("speed_rpm", [SPEED_RPM, -2000.0])
 def test_ringing_is_no_line(noise_rpm: float, speed_rpm: float) -> None:
     assert without_motor_lines(made(noise_rpm=noise_rpm, speed_rpm=speed_rpm))[1] == ()
+
+
+@pytest.mark.parametrize("gear_ratio", [6.0, 8.0, 10.0])
+def test_ringing_that_fills_the_few_turns_of_a_low_ratio_is_no_line(gear_ratio: float) -> None:
+    """Joints that ring as the bench does, but for a factor of two, and whose ringing ends."""
+    rng, share = np.random.default_rng(0), gear_ratio / BENCH.value("gear_ratio")
+    for _ in range(20):
+        scaled = {
+            name: BENCH.value(name) * share**power * 2.0 ** rng.uniform(-1.0, 1.0)
+            for name, power in LOAD_SIDE.items()
+        }
+        bench = BENCH.with_parameters(gear_ratio=gear_ratio, **scaled)
+        rates = contact_rates(bench.vector())[0].real
+        if rates[np.abs(rates) > 1e-6].max() > -SLOWEST_DECAY_PER_S:
+            continue
+        recording = bench.simulate(
+            8e-4 / share, rotations=6.0, reference_speed_rpm=float(rng.choice([1000.0, 2000.0]))
+        )
+        assert without_motor_lines(recording)[1] == ()
 
 
 @pytest.mark.parametrize("size_rpm", [3.0, 10.0])
