@@ -35,9 +35,9 @@ SMALLEST_LINE = 0.02
 that by no more than such a share, and a bench without noise has some of every order."""
 
 UNSTEADY_SHARE = 0.75
-"""Of its size, by which the quartiles over the turns may be off it along its phase. Of ringing that
-filled the turns, 37 cases at gear ratios 6 to 10, the lower one was off by 0.97 or more; of lines of
-1 rpm in noise of 1.5 rpm at 1 kHz by 0.58 at most."""
+"""Of its size, by which the quartiles over the turns may be off it along its phase. Of ringing
+that filled the turns, 37 cases at gear ratios 6 to 10, the lower one was off by 0.97 or more; of
+lines of 1 rpm in noise of 1.5 rpm at 1 kHz by 0.58 at most."""
 
 ROUNDS = 3
 """Each leaves a few per cent of the line, as no turn has a whole number of samples."""
