@@ -100,6 +100,7 @@ _UNIT_OF_ENDING = {
     "_nm_per_s": "N m/s",
     "_kg_m2": "kg m²",
     "_rad_per_s": "rad/s",
+    "_s_per_rad": "s/rad",
     "_per_s": "1/s",
     "_per_rad": "1/rad",
     "_rpm": "rpm",

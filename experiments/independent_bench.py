@@ -107,6 +107,7 @@ class Plant(NamedTuple):
     encoder_eccentricity__phase_rad: float = 0.0
     stiffness_hardening__stiffness_nm_per_rad3: float = 0.0
     flank_asymmetry__share: float = 0.0
+    contact_damping__factor_s_per_rad: float = 0.0
     shaft_hysteresis__torque_nm: float = 0.0
     shaft_hysteresis__angle_rad: float = 1e-3
     current_loop_lag__time_s: float = 0.0
@@ -136,7 +137,7 @@ class Plant(NamedTuple):
     outside__ripple_order: float = 4.0
     outside__position_friction_nm: float = 0.0  # of the load, over its angle
     outside__position_friction_phase_rad: float = 0.0
-    outside__contact_damping_nm_s_per_rad2: float = 0.0  # times the compression
+    outside__contact_damping_nm_s_per_rad: float = 0.0  # times √compression, of 1 rad
     outside__bouc_wen_nm: float = 0.0
     outside__bouc_wen_rad: float = 5e-4
     outside__encoder_1_rad: float = 0.0  # errors of the disc: orders 1, 2 and 4 of the motor
@@ -282,7 +283,8 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         compression = twist - math.copysign(gap, twist)
         shaft += p.stiffness_hardening__stiffness_nm_per_rad3 * compression**3
         shaft += p.flank_asymmetry__share * stiffness * abs(compression)
-        shaft += p.outside__contact_damping_nm_s_per_rad2 * abs(compression) * slip
+        shaft += p.contact_damping__factor_s_per_rad * stiffness * abs(compression) * slip
+        shaft += p.outside__contact_damping_nm_s_per_rad * math.sqrt(abs(compression)) * slip
     shaft += p.shaft_hysteresis__torque_nm * y[7]
     dy[10] = 0.0
     if p.outside__bouc_wen_nm != 0.0:

@@ -48,10 +48,10 @@ LAWS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
     "Stribeck, exponent 1": ("outside__stribeck_1_nm", 0.2, MOTOR_FRICTION),
     "ripple with harmonics": ("outside__ripple_nm", 0.04, ("motor_torque_ripple",)),
     "friction over position": ("outside__position_friction_nm", 8.0, LOAD_FRICTION),
-    "damping by compression": (
-        "outside__contact_damping_nm_s_per_rad2",
-        5e4,
-        ("shaft_damping_nm_s_per_rad",),
+    "damping by root of compression": (
+        "outside__contact_damping_nm_s_per_rad",
+        3e3,
+        ("contact_damping", "shaft_damping_nm_s_per_rad"),
     ),
     "Bouc-Wen": ("outside__bouc_wen_nm", 12.0, ("shaft_hysteresis",)),
 }

@@ -89,6 +89,7 @@ class Slot(IntEnum):
     encoder_eccentricity__phase_rad = auto()
     stiffness_hardening__stiffness_nm_per_rad3 = auto()
     flank_asymmetry__share = auto()
+    contact_damping__factor_s_per_rad = auto()
     shaft_hysteresis__torque_nm = auto()
     shaft_hysteresis__angle_rad = auto()
     current_loop_lag__time_s = auto()
@@ -655,6 +656,8 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             compression = math.copysign(max(0.0, abs(seen) - c.gap), seen)
             shaft += p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3
             shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
+            damping = p[Slot.contact_damping__factor_s_per_rad] * c.stiffness * abs(compression)
+            shaft += damping * seen_speed
             shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]
     if c.effects:
         lag = p[Slot.current_loop_lag__time_s]
@@ -1068,6 +1071,7 @@ def is_stiffer(p):  # type: ignore[no-untyped-def]
         p[Slot.speed_sensor_lag__time_s] > 0.0
         or p[Slot.shaft_hysteresis__torque_nm] != 0.0
         or p[Slot.stiffness_hardening__stiffness_nm_per_rad3] != 0.0
+        or p[Slot.contact_damping__factor_s_per_rad] != 0.0
     )
 
 

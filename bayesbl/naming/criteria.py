@@ -112,12 +112,29 @@ def stands_out_of_misfit(
 def _misfit(fit: SimulatedFit, false_alarm: float) -> tuple[float, float]:
     """What repeats beyond noise: its χ² per degree of freedom, and how many degrees it has.
 
-    Of P = |s|² + noise at every order, with the noise's χ² of two degrees, Σ(P − 2) and
-    Σ(P² − 8P + 8) estimate Σ|s|² and Σ|s|⁴, and 2 (Σ|s|²)²/Σ|s|⁴ is the number of degrees that a
-    misfit of few orders has. (1, ∞) where all that is left is noise.
+    2 (Σ|s|²)²/Σ|s|⁴ is the number of degrees that a misfit of few orders has. (1, ∞) where all
+    that is left is noise.
     """
     if agrees(disagreements(fit), false_alarm):
         return 1.0, math.inf
+    first, second = _repeating(fit)
+    if first <= 0.0 or second <= 0.0:
+        return 1.0, math.inf
+    degrees = 2.0 * first**2 / second
+    return max(first / degrees, 1.0), degrees
+
+
+def repeating_misfit(fit: SimulatedFit) -> float:
+    """χ² beyond noise of what repeats; about zero, either sign, where only noise is."""
+    return _repeating(fit)[0]
+
+
+def _repeating(fit: SimulatedFit) -> tuple[float, float]:
+    """Σ|s|² and Σ|s|⁴ of what repeats.
+
+    Of P = |s|² + noise at every order, with the noise's χ² of two degrees, Σ(P − 2) and
+    Σ(P² − 8P + 8) estimate them.
+    """
     first = second = 0.0
     parts = fit.model.by_recording(fit.residual)
     for seen, part in zip(fit.model.recordings, parts, strict=True):
@@ -129,10 +146,7 @@ def _misfit(fit: SimulatedFit, false_alarm: float) -> tuple[float, float]:
             power[0] *= 0.5
             first += float(np.sum(power - 2.0))
             second += float(np.sum(power**2 - 8.0 * power + 8.0))
-    if first <= 0.0 or second <= 0.0:
-        return 1.0, math.inf
-    degrees = 2.0 * first**2 / second
-    return max(first / degrees, 1.0), degrees
+    return first, second
 
 
 def explains(

@@ -27,6 +27,7 @@ _POWERS = {
     "N m s/rad": (1, -1),
     "N m s²/rad²": (1, -2),
     "rad/s": (0, 1),
+    "s/rad": (0, -1),
 }
 """Of torque and speed in each unit."""
 

@@ -36,6 +36,7 @@ from bayesbl.naming.explanation import (
     reduced,
     refitted,
 )
+from bayesbl.naming.law_forms import form_leaves, without_mends
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.naming import NamedCandidate, Naming
 from bayesbl.progress import Progress
@@ -96,34 +97,34 @@ def name_missing(
     progress
         Called with (fits made, fits expected).
     """
-    search = _Search(
-        candidates(order_peaks(nominal_fit)), false_alarm, max_effects, screened, progress
-    )
     nominal = nominal_explanation(nominal_fit)
+    search = _Search(
+        nominal, candidates(order_peaks(nominal_fit)), false_alarm, max_effects, screened, progress
+    )
     before = disagreements(nominal_fit)
-    first = search.first(nominal)
+    first = search.first()
     far: list[Explanation] = []
     # In motions a search through the whole range of every candidate would take an hour.
     moving = any(seen.motion is not None for seen in nominal_fit.model.recordings)
     if first and is_gross(first[0]) and not moving:
         # What is missing may have drawn the gap to another optimum.
-        far = search.from_afar(nominal)
+        far = search.from_afar()
         first = search.first_from_afar(first, far)
-    final = search.extended(nominal, first, most=2)
+    final = search.extended(first, most=2)
     if far and is_gross(first[0]) and not search.agrees(final):
-        final = _better(final, search.extended(nominal, search.beside(far)))
+        final = _better(final, search.extended(search.beside(far)))
     if final.candidates and search.add_late(candidates(order_peaks(final.fit)), final):
         final = search.continued(final)
     if len(final.candidates) == 2 and not search.is_done(final):
-        final = _better(final, search.extended(nominal, first))
-    final = search.settled(nominal, final, first)
+        final = _better(final, search.extended(first))
+    final = search.settled(final, first)
     alone = tuple(first)
     if not final.candidates:
         return Naming(nominal, nominal, (), alone, not agrees(before, false_alarm))
     if not explains(nominal, final, before, disagreements(final.fit), false_alarm):
         return Naming(nominal, nominal, (), alone, True)
-    effects = tuple(search.named(nominal, final, first))
-    return Naming(nominal, final, effects, alone, False)
+    effects = tuple(search.named(final, first))
+    return without_mends(Naming(nominal, final, effects, alone, False))
 
 
 class _Search:
@@ -131,12 +132,14 @@ class _Search:
 
     def __init__(
         self,
+        nominal: Explanation,
         candidates: Sequence[Candidate],
         false_alarm: float,
         max_effects: int,
         screened: bool,
         progress: Progress | None,
     ) -> None:
+        self._nominal = nominal
         self._candidates = tuple(candidates)
         self._false_alarm = false_alarm
         self._max_effects = max_effects
@@ -148,32 +151,32 @@ class _Search:
         self._promises: dict[int, tuple[Explanation, FloatArray]] = {}
         self._polished: dict[int, tuple[Explanation, Explanation]] = {}
 
-    def first(self, nominal: Explanation) -> list[Explanation]:
+    def first(self) -> list[Explanation]:
         """All candidates that come into question, one at a time, most probable first.
 
         Where the bench as believed agrees with the recordings, what is missing is small and its
         derivatives tell what it could gain: what promises nothing is not fitted.
         """
         tried = self._candidates
-        if not is_gross(nominal) and (self._screened_first or self.agrees(nominal)):
+        if not is_gross(self._nominal) and (self._screened_first or self.agrees(self._nominal)):
             least = WORTH_FITTING * self._threshold(1)
             if self._screened_first:
-                least = max(least, WORTH_FITTING * self._best_promise(nominal))
-            promised = zip(tried, self._promised(nominal), strict=True)
+                least = max(least, WORTH_FITTING * self._best_promise(self._nominal))
+            promised = zip(tried, self._promised(self._nominal), strict=True)
             tried = tuple(c for c, gain in promised if gain > least)
-        return self._contenders([self._fit(nominal, c) for c in tried])
+        return self._contenders([self._fit(self._nominal, c) for c in tried])
 
-    def from_afar(self, nominal: Explanation) -> list[Explanation]:
+    def from_afar(self) -> list[Explanation]:
         """Candidates that move the gap, each sought in its whole range, most probable first.
 
         They are sought with a constant torque free in every recording, so that friction of the
         motor does not draw the gap away, and then stand without it, not fitted again. What acts in
         one recording alone is sought where that one is far off and another is not.
         """
-        model = nominal.fit.model
+        model = self._nominal.fit.model
         steady = steady_torque(model.bench, model.recordings)
-        free = (None if steady is None else self._fit(nominal, steady)) or nominal
-        off = gross_recordings(nominal)
+        free = (None if steady is None else self._fit(self._nominal, steady)) or self._nominal
+        off = gross_recordings(self._nominal)
         alone = off if len(off) < len(model.recordings) else ()
         sought = [c for c in self._candidates if c.scanned and c.recording in (None, *alone)]
         found = []
@@ -181,7 +184,7 @@ class _Search:
             found.append(from_afar(free, candidate))
             self._report(len(sought) - len(found))
         best = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
-        return [last_alone(nominal, e) for e in best]
+        return [last_alone(self._nominal, e) for e in best]
 
     def first_from_afar(
         self, first: Sequence[Explanation], far: Sequence[Explanation]
@@ -198,16 +201,14 @@ class _Search:
                 break
         return self._contenders(pairs)
 
-    def extended(
-        self, nominal: Explanation, first: Sequence[Explanation], most: int | None = None
-    ) -> Explanation:
+    def extended(self, first: Sequence[Explanation], most: int | None = None) -> Explanation:
         """The most probable explanation by as many candidates as it takes, at most so many."""
         most = self._max_effects if most is None else min(most, self._max_effects)
-        beams = [e for e in first if self.is_significant(nominal, e)]
-        final = beams[0] if beams else nominal
-        if not self.agrees(nominal):
+        beams = [e for e in first if self.is_significant(self._nominal, e)]
+        final = beams[0] if beams else self._nominal
+        if not self.agrees(self._nominal):
             # One of two effects alone may fit one recording better and another worse.
-            beams = [e for e in first if self._gains_enough(nominal, e)]
+            beams = [e for e in first if self._gains_enough(self._nominal, e)]
         beams = _apart(beams)[: BEAMS if self.agrees(final) else BEAMS_ALONE]
         while beams and len(final.candidates) < most and not self.is_done(final):
             following: list[Explanation] = []
@@ -233,12 +234,14 @@ class _Search:
     def next(self, base: Explanation, rival: Explanation | None = None) -> list[Explanation]:
         """The few candidates that the derivatives speak for, added to ``base`` and significant.
 
-        ``rival``: tried is only what promises to leave less than this one does.
+        What promises no more than the form of a law may leave is not tried, nor, with a
+        ``rival``, what promises to leave more than this one does.
         """
-        tried = self._screened(base)
+        least = WORTH_FITTING * form_leaves(self._nominal, base)
         if rival is not None:
-            promised = dict(zip(map(id, self._candidates), self._promised(base), strict=True))
-            tried = [c for c in tried if left(base) - promised[id(c)] < left(rival)]
+            least = max(least, left(base) - left(rival))
+        promised = dict(zip(map(id, self._candidates), self._promised(base), strict=True))
+        tried = [c for c in self._screened(base) if promised[id(c)] > least]
         fits = self._contenders([self._fit(base, c) for c in tried])
         return [f for f in fits if self.is_significant(base, f)]
 
@@ -267,45 +270,37 @@ class _Search:
         """Whether nothing repeats any more and no further candidate promises anything."""
         return self.agrees(explanation) and self._best_promise(explanation) < self._threshold(1)
 
-    def settled(
-        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
-    ) -> Explanation:
+    def settled(self, final: Explanation, first: Sequence[Explanation]) -> Explanation:
         """Leave out and exchange candidates until neither helps.
 
         What came first was chosen alone, and may only have stood in for what was to follow.
         """
         for _ in range(MOST_EXCHANGES):
-            final = self.without_idle(nominal, final, first)
-            better = self._exchanged(nominal, final, first)
+            final = self.without_idle(final, first)
+            better = self._exchanged(final, first)
             if better is None:
                 break
             final = better
         return final
 
-    def _exchanged(
-        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
-    ) -> Explanation | None:
+    def _exchanged(self, final: Explanation, first: Sequence[Explanation]) -> Explanation | None:
         """The most probable explanation with one candidate replaced, if that is a better one."""
         if len(final.candidates) < 2:
             return None
         others = [
-            e
-            for k in range(len(final.candidates))
-            for e in self._alternatives(nominal, final, k, first)
+            e for k in range(len(final.candidates)) for e in self._alternatives(final, k, first)
         ]
         best = max(others, key=lambda e: e.log_evidence, default=final)
         return best if best.log_evidence > final.log_evidence + CLEARLY_BETTER else None
 
-    def without_idle(
-        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
-    ) -> Explanation:
+    def without_idle(self, final: Explanation, first: Sequence[Explanation]) -> Explanation:
         """Leave out what the others have made superfluous."""
         if len(final.candidates) < 2:
             return final
         for k in range(len(final.candidates)):
-            rest = self._rebuilt(nominal, final, k, first)
+            rest = self._rebuilt(final, k, first)
             if rest is not None and not self._is_worth_naming(rest, final):
-                return self.without_idle(nominal, rest, first)
+                return self.without_idle(rest, first)
         return final
 
     def _is_worth_naming(self, rest: Explanation, final: Explanation) -> bool:
@@ -314,29 +309,25 @@ class _Search:
             rest, final, len(self._candidates), self._false_alarm
         )
 
-    def named(
-        self, nominal: Explanation, final: Explanation, first: Sequence[Explanation]
-    ) -> list[NamedCandidate]:
+    def named(self, final: Explanation, first: Sequence[Explanation]) -> list[NamedCandidate]:
         """Each effect with the set that it belongs to."""
         found = []
         for k, candidate in enumerate(final.candidates):
-            rest = self._rebuilt(nominal, final, k, first)
+            rest = self._rebuilt(final, k, first)
             if rest is not None:
                 gain = rest.fit.chi_square - final.fit.chi_square
-                rivals = self._rivals(
-                    final, candidate, self._alternatives(nominal, final, k, first)
-                )
+                rivals = self._rivals(final, candidate, self._alternatives(final, k, first))
                 found.append(NamedCandidate(candidate, gain, rivals))
         return found
 
     def _alternatives(
-        self, nominal: Explanation, final: Explanation, k: int, first: Sequence[Explanation]
+        self, final: Explanation, k: int, first: Sequence[Explanation]
     ) -> list[Explanation]:
         """Explanations with another candidate in place of the ``k``-th."""
         candidate = final.candidates[k]
         if len(final.candidates) == 1:
             return [e for e in first if e.candidates[-1] is not candidate]
-        rest = self._rebuilt(nominal, final, k, first)
+        rest = self._rebuilt(final, k, first)
         if rest is None:
             return []
         tried = [c for c in self._screened(rest, candidate) if c is not candidate]
@@ -361,15 +352,15 @@ class _Search:
         return tuple(sorted(near, key=lambda e: -e.log_evidence))
 
     def _rebuilt(
-        self, nominal: Explanation, final: Explanation, without: int, first: Sequence[Explanation]
+        self, final: Explanation, without: int, first: Sequence[Explanation]
     ) -> Explanation | None:
         """The explanation without one of its candidates, fitted again."""
         rest = [c for k, c in enumerate(final.candidates) if k != without]
         if not rest:
-            return nominal
+            return self._nominal
         key = id(final), without
         if key not in self._rests:
-            found = [reduced(nominal, final, without)]
+            found = [reduced(self._nominal, final, without)]
             found += [e for e in first if len(rest) == 1 and e.candidates[-1] is rest[0]]
             known = [e for e in found if e is not None]
             best = min(known, key=lambda e: e.fit.chi_square, default=None)

@@ -103,6 +103,7 @@ def reference_slopes(t, y, p, piece, width):
     if abs(x) > delta:
         shaft += p[S.stiffness_hardening__stiffness_nm_per_rad3] * (x - delta * np.sign(x)) ** 3
         shaft += p[S.flank_asymmetry__share] * ks * (abs(x) - delta)
+        shaft += p[S.contact_damping__factor_s_per_rad] * ks * (abs(x) - delta) * v
     shaft += p[S.shaft_hysteresis__torque_nm] * dahl
     dahl_slope = 0.0
     if p[S.shaft_hysteresis__angle_rad] > 0.0:
@@ -296,6 +297,7 @@ EFFECT_RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "encoder_eccentricity": {"angle_rad": (-0.01, 0.01), "phase_rad": (-3, 3)},
     "stiffness_hardening": {"stiffness_nm_per_rad3": (-1e9, 5e9)},
     "flank_asymmetry": {"share": (-0.4, 0.4)},
+    "contact_damping": {"factor_s_per_rad": (0.1, 2.0)},
     "shaft_hysteresis": {"torque_nm": (5.0, 60.0), "angle_rad": (1e-4, 2e-3)},
     "current_loop_lag": {"time_s": (5e-4, 3e-3)},
     "speed_sensor_lag": {"time_s": (5e-4, 3e-3)},

@@ -215,15 +215,21 @@ def test_encoder_eccentricity_shows_in_the_position() -> None:
     assert np.ptp(speed) > 2.0 * 0.005 * 1900.0
 
 
-def twist_under(torque: float, **effect: float) -> float:
-    """Twist, rad, of a shaft that stands between a torque at the load and one at the motor, N m."""
+def wound_up(torque: float, damping: float, **effect: float) -> np.ndarray:
+    """Parameters of a shaft that stands between a torque at the load and one at the motor, N m."""
     p = BENCH.vector(gap_rad=0.0, **effect)[0]
     for slot in (Slot.speed_gain_nm_s_per_rad, Slot.integral_gain_nm_per_rad):
         p[slot] = 0.0
     p[Slot.gravity_torque_nm] = 0.0
-    p[Slot.shaft_damping_nm_s_per_rad] = 3e3
+    p[Slot.shaft_damping_nm_s_per_rad] = damping
     p[Slot.load_torque_offset__torque_nm] = torque
     p[Slot.motor_torque_offset__torque_nm] = -torque / 120.0
+    return p
+
+
+def twist_under(torque: float, **effect: float) -> float:
+    """Twist, rad, at which that shaft comes to rest."""
+    p = wound_up(torque, 3e3, **effect)
     return float(simulate_states(p, np.zeros(STATES), 1000, 500.0)[kernel.TWIST, -1])
 
 
@@ -257,6 +263,25 @@ def test_a_motion_begins_at_rest_on_flanks_of_any_law(effect: dict[str, float]) 
         p = BENCH.vector(gap_rad=GAP, start_angle_rad=start_angle, **effect)
         speed = simulate_motions(p, waiting, 300, 1000.0)[0, SPEED]
         assert np.abs(speed).max() < 0.05
+
+
+def small_ringing(torque: float, damping: float, **effect: float) -> np.ndarray:
+    """Twist, rad, of that shaft let go 1 % short of its rest."""
+    start = np.zeros(STATES)
+    start[kernel.TWIST] = 0.99 * torque / 1.2e5
+    p = wound_up(torque, damping, **effect)
+    return simulate_states(p, start, 200, 1000.0, accuracy_rpm=1e-4)[kernel.TWIST]
+
+
+@pytest.mark.parametrize("torque", [425.0, -425.0])
+def test_a_compressed_contact_damps_by_its_load(torque: float) -> None:
+    """About a load T, λ K_s |e| is λ T: the shaft's own damping, larger by that."""
+    factor = 0.5
+    found = small_ringing(torque, 231.0, contact_damping__factor_s_per_rad=factor)
+    same = small_ringing(torque, 231.0 + factor * abs(torque))
+    without = small_ringing(torque, 231.0)
+    # the compression differs by 1 % at most, and so does what it adds
+    assert np.max(np.abs(found - same)) < 0.01 * np.max(np.abs(without - same))
 
 
 def test_hysteresis_stays_bounded_and_takes_energy() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
@@ -39,10 +39,12 @@ from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed
 from bayesbl.naming.explanation import Explanation, reduced, with_own_noise
+from bayesbl.naming.law_forms import FORM_OF_GAP, FORM_SHARE, form_sd, is_within_form, laws_of_shaft
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
 
@@ -150,7 +152,7 @@ def search(
         pairs = simulated_pairs(final, final, held_out)
         after, remaining = before, describe_unexplained(before)
     learned = None
-    if naming.repeats or remaining:
+    if naming.repeats or (remaining and not is_within_form(naming)):
         learned = learned_term(final, remaining, settings.false_alarm, settings.motor_angle_known)
     if learned is not None:
         with_it = simulated_pairs(naming.nominal, learned.explanation, held_out)
@@ -196,6 +198,7 @@ def diagnosis_of(
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
     kinds = {candidate.kind for candidate in final.candidates}
     withheld = _why_no_gap(found, posterior, level)
+    form = form_sd(naming)
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
@@ -227,10 +230,10 @@ def diagnosis_of(
         ),
         found.remaining,
         disagreement_table(pieces, in_units_of_noise=True),
-        tuple(notes),
+        (*notes, *_forms_in_words(found, form)),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=None if withheld else _delta_after(found, sampled),
+        delta_after=None if withheld else _delta_after(found, sampled, form),
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
@@ -306,11 +309,43 @@ def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
     return list(zip(found.values(), map(float, weights / weights.sum()), strict=True))
 
 
-def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:
-    """δ with what was named and learned; ``None`` where it is known."""
+def _forms_in_words(found: Findings, form: float) -> Iterator[str]:
+    """What the form of a law that is named does to δ, and to what is left."""
+    laws = " and ".join(in_words(law.name) for law in laws_of_shaft(found.naming))
+    if form > 0.0:
+        yield (
+            f"No real shaft follows the law of {laws} exactly. What it does to the gap is taken as "
+            f"known to {100.0 * FORM_OF_GAP:.0f} %, which adds {100.0 * form:.2g} % to the gap's "
+            "standard deviation."
+        )
+    if found.remaining and is_within_form(found.naming):
+        yield (
+            f"What is left is less than {100.0 * FORM_SHARE:.1g} % of what {laws} explains. The "
+            "form of that law may leave as much: nothing is named for it."
+        )
+
+
+def _delta_after(found: Findings, sampled: DirectPosterior | None, form: float) -> Estimate | None:
+    """δ with what was named and learned; ``None`` where it is known.
+
+    ``form``: standard deviation of ln δ that the forms of the shaft's laws add.
+    """
     if found.learned is None:
-        return _averaged_delta(found.naming, found.final, sampled)
-    return _delta(found.final, sampled)
+        estimate = _averaged_delta(found.naming, found.final, sampled)
+    else:
+        estimate = _delta(found.final, sampled)
+    return estimate if estimate is None or form == 0.0 else _widened(estimate, form)
+
+
+def _widened(estimate: Estimate, sd: float) -> Estimate:
+    """The same with a normal error more of its logarithm, independent of its draws' order."""
+    draws = estimate.draws
+    if draws is not None:
+        scrambled = np.argsort(np.arange(draws.size) * GOLDEN_RATIO % 1.0)
+        quantiles = norm.ppf((scrambled + 0.5) / draws.size)
+        draws = draws * np.exp(sd * quantiles).reshape(draws.shape)
+    own = sd if estimate.logarithmic else sd * estimate.value
+    return replace(estimate, sd=math.hypot(estimate.sd, own), draws=draws)
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:

@@ -1,0 +1,103 @@
+"""What the form of a law may do to names and to δ.
+
+No real shaft follows the catalogue's laws to the last digit. Beside one that explains nearly all,
+what its form leaves looks like a small error of something else that shapes the ringing; and what a
+law does to δ is known no better than its form is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from bayesbl.bench.effects import effect_named
+from bayesbl.matching.signals import GAP
+from bayesbl.naming.candidates import Candidate
+from bayesbl.naming.criteria import left, repeating_misfit
+from bayesbl.naming.explanation import Explanation, reduced
+from bayesbl.naming.naming import NamedCandidate, Naming
+
+FORM_SHARE = 0.01
+"""Of what a law of the shaft explains, in χ²: what its form may leave, and another name mend.
+
+A law is taken to be right to a tenth of what it does. Of eleven joints whose shaft follows
+Bouc-Wen's law, Dahl's left up to that share, and false names gained up to 0.0014 of it.
+"""
+
+FORM_OF_GAP = 0.03
+"""Standard deviation of ln δ that a law's form leaves, over what the law does to ln δ.
+
+Root mean square of δ's error over that in twelve joints whose shaft follows a law of the right
+family but another form (Bouc-Wen for Dahl, a root of the compression for the compression):
+``configs/open_world.toml``, first row.
+"""
+
+
+def without_mends(naming: Naming) -> Naming:
+    """Only those names that explain more than the form of a law of the shaft may leave."""
+    mends = [e for e in naming.effects if e.gain < _form_leaves(naming)]
+    kept = _less(naming, mends)
+    if not mends or kept is None:
+        return naming
+    effects = tuple(e for e in naming.effects if e not in mends)
+    return replace(naming, final=kept, effects=effects)
+
+
+def is_within_form(naming: Naming) -> bool:
+    """Whether what repeats beyond noise is no more than the form of a named law may leave."""
+    return repeating_misfit(naming.final.fit) < _form_leaves(naming)
+
+
+def _form_leaves(naming: Naming) -> float:
+    return FORM_SHARE * max((law.gain for law in laws_of_shaft(naming)), default=0.0)
+
+
+def form_leaves(nominal: Explanation, one: Explanation) -> float:
+    """χ² that the form of a law of the shaft that explains alone may leave; 0 of all else."""
+    if len(one.candidates) != 1 or not _is_law_of_shaft(one.candidates[0]):
+        return 0.0
+    return FORM_SHARE * (left(nominal) - left(one))
+
+
+def laws_of_shaft(naming: Naming) -> list[NamedCandidate]:
+    """What is named of torques over the twist, whose form a real joint has its own of."""
+    return [e for e in naming.effects if _is_law_of_shaft(e.candidate)]
+
+
+def _is_law_of_shaft(candidate: Candidate) -> bool:
+    if candidate.kind != "effect":
+        return False
+    effect = effect_named(candidate.name)
+    return "twist" in effect.depends_on and effect.replaces != GAP
+
+
+def form_sd(naming: Naming) -> float:
+    """Standard deviation of ln δ for the forms of the shaft's laws that are named.
+
+    Parameters named beside a law may stand in for its form: what they do counts as its own.
+    """
+    laws = laws_of_shaft(naming)
+    if not laws or GAP not in [u.name for u in naming.nominal.fit.model.unknowns]:
+        return 0.0
+    rest = _less(
+        naming, [e for e in naming.effects if e in laws or e.candidate.kind == "parameter"]
+    )
+    return 0.0 if rest is None else FORM_OF_GAP * abs(_log_gap(naming.final) - _log_gap(rest))
+
+
+def _less(naming: Naming, names: Sequence[NamedCandidate]) -> Explanation | None:
+    """The final explanation without these, fitted again; ``None`` if it cannot be simulated."""
+    rest: Explanation | None = naming.final
+    for named in names:
+        if rest is not None and len(rest.candidates) == 1:
+            rest = naming.nominal
+        elif rest is not None:
+            rest = reduced(naming.nominal, rest, rest.candidates.index(named.candidate))
+    return rest
+
+
+def _log_gap(explanation: Explanation) -> float:
+    fit = explanation.fit
+    place = [u.name for u in fit.model.unknowns].index(GAP)
+    return math.log(float(fit.model.unknowns[place].value(fit.point[place])))
