@@ -80,7 +80,7 @@ def are_alike(a: Explanation, b: Explanation, scale: float = 1.0) -> bool:
     return apart < ALIKE or apart < ALIKE * math.sqrt(float(np.mean(noise_between(a, b))))
 
 
-def misfit_scale(fit: SimulatedFit, false_alarm: float) -> float:
+def misfit_scale(fit: SimulatedFit, false_alarm: float = 0.01) -> float:
     """Variance, over that of noise, of what repeats and no name explains; 1 where only noise is."""
     scale, _ = _misfit(fit, false_alarm)
     return scale

@@ -37,7 +37,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
-from bayesbl.naming.criteria import enough_closed
+from bayesbl.naming.criteria import enough_closed, misfit_scale
 from bayesbl.naming.explanation import Explanation, reduced, with_own_noise
 from bayesbl.naming.law_forms import FORM_OF_GAP, FORM_SHARE, form_sd, is_within_form, laws_of_shaft
 from bayesbl.naming.naming import Naming
@@ -121,9 +121,9 @@ def search(
         If the bench cannot be simulated or a recording is too short.
     """
     nominal = fit_aligned(bench, used, unknowns, settings.workers)
-    naming = name_missing(
-        nominal,
-        partial(
+    missing = partial(
+        name_missing,
+        candidates=partial(
             candidates,
             bench,
             used,
@@ -137,6 +137,7 @@ def search(
         false_alarm=settings.false_alarm,
         progress=progress,
     )
+    naming = missing(nominal)
     # What was missing is not noise: intervals rest on the noise estimated without it.
     final = naming.final
     if final.candidates:
@@ -162,6 +163,16 @@ def search(
         else:
             final, pairs, after = learned.explanation, with_it, explained
             naming, remaining = _with_candidates(naming, final), describe_unexplained(after)
+    if learned is not None and not naming.effects and not agrees(disagreements(final.fit)):
+        # Behind what was learned a law of the catalogue may have been hidden.
+        beside = missing(final.fit)
+        if beside.effects:
+            final = with_own_noise(beside.final)
+            learned = learned.beside(final)
+            naming = replace(beside, nominal=naming.nominal, alone=naming.alone)
+            pairs = simulated_pairs(naming.nominal, final, held_out)
+            after = _analysis(pairs, final, "after")
+            remaining = describe_unexplained(after)
     return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
 
 
@@ -198,7 +209,10 @@ def diagnosis_of(
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
     kinds = {candidate.kind for candidate in final.candidates}
     withheld = _why_no_gap(found, posterior, level)
-    form = form_sd(naming)
+    form = 0.0 if found.learned else form_sd(naming)
+    misfit = math.sqrt(misfit_scale(final.fit))
+    gap_is_given = not withheld and GAP in [u.name for u in final.fit.model.unknowns]
+    doubts = _doubts_in_words(found, form, misfit) if gap_is_given else ()
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
@@ -230,10 +244,10 @@ def diagnosis_of(
         ),
         found.remaining,
         disagreement_table(pieces, in_units_of_noise=True),
-        (*notes, *_forms_in_words(found, form)),
+        (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=None if withheld else _delta_after(found, sampled, form),
+        delta_after=None if withheld else _delta_after(found, sampled, form, misfit),
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
@@ -309,8 +323,8 @@ def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
     return list(zip(found.values(), map(float, weights / weights.sum()), strict=True))
 
 
-def _forms_in_words(found: Findings, form: float) -> Iterator[str]:
-    """What the form of a law that is named does to δ, and to what is left."""
+def _doubts_in_words(found: Findings, form: float, misfit: float) -> Iterator[str]:
+    """What the form of a law that is named, and what is left, do to δ."""
     laws = " and ".join(in_words(law.name) for law in laws_of_shaft(found.naming))
     if form > 0.0:
         yield (
@@ -323,29 +337,41 @@ def _forms_in_words(found: Findings, form: float) -> Iterator[str]:
             f"What is left is less than {100.0 * FORM_SHARE:.1g} % of what {laws} explains. The "
             "form of that law may leave as much: nothing is named for it."
         )
+    if misfit > 1.0:
+        yield (
+            "What is left repeats, and counts as noise for the gap: its interval is "
+            f"{misfit:.2g} times as wide."
+        )
 
 
-def _delta_after(found: Findings, sampled: DirectPosterior | None, form: float) -> Estimate | None:
+def _delta_after(
+    found: Findings, sampled: DirectPosterior | None, form: float, misfit: float
+) -> Estimate | None:
     """δ with what was named and learned; ``None`` where it is known.
 
-    ``form``: standard deviation of ln δ that the forms of the shaft's laws add.
+    ``form``: standard deviation of ln δ that the forms of the shaft's laws add. ``misfit``: of what
+    is left over that of noise.
     """
     if found.learned is None:
         estimate = _averaged_delta(found.naming, found.final, sampled)
     else:
         estimate = _delta(found.final, sampled)
-    return estimate if estimate is None or form == 0.0 else _widened(estimate, form)
+    if estimate is None or (misfit == 1.0 and form == 0.0):
+        return estimate
+    return _widened(estimate, misfit, form)
 
 
-def _widened(estimate: Estimate, sd: float) -> Estimate:
-    """The same with a normal error more of its logarithm, independent of its draws' order."""
+def _widened(estimate: Estimate, factor: float, sd: float) -> Estimate:
+    """The same, so many times as wide, with a normal error more of its logarithm."""
     draws = estimate.draws
     if draws is not None:
+        logs = np.log(draws)
+        # In an order of their own, so that errors and draws are independent.
         scrambled = np.argsort(np.arange(draws.size) * GOLDEN_RATIO % 1.0)
-        quantiles = norm.ppf((scrambled + 0.5) / draws.size)
-        draws = draws * np.exp(sd * quantiles).reshape(draws.shape)
+        error = sd * norm.ppf((scrambled + 0.5) / draws.size).reshape(draws.shape)
+        draws = np.exp(logs.mean() + factor * (logs - logs.mean()) + error)
     own = sd if estimate.logarithmic else sd * estimate.value
-    return replace(estimate, sd=math.hypot(estimate.sd, own), draws=draws)
+    return replace(estimate, sd=math.hypot(factor * estimate.sd, own), draws=draws)
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:

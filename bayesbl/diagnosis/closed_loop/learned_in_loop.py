@@ -67,6 +67,12 @@ class Learned:
     gap_share: float
     reaches_ringing: bool
 
+    def beside(self, explanation: Explanation) -> Learned:
+        """The same as it is in an explanation that has names beside it."""
+        term = _learned(explanation.fit, type(self.term))
+        share = gap_share(explanation.fit, term)
+        return replace(self, explanation=explanation, term=term, gap_share=share)
+
 
 def learned_term(
     base: Explanation,
