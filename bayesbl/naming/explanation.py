@@ -202,6 +202,21 @@ def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanatio
         return None
 
 
+def effects_alone(nominal: Explanation, full: Explanation) -> Explanation | None:
+    """An explanation without its parameters, fitted from where it is; ``None`` if that is none.
+
+    Of parameters more is asked, and beside an effect they may be too many.
+    """
+    kinds = [c.kind for c in full.candidates]
+    if len(set(kinds)) < 2:
+        return None
+    rest: Explanation | None = full
+    for place in reversed(range(len(kinds))):
+        if rest is not None and kinds[place] == "parameter":
+            rest = reduced(nominal, rest, place)
+    return rest
+
+
 def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArray:
     """Drop of χ² that the derivatives at the base promise of each candidate, shape (candidates,).
 

@@ -25,6 +25,7 @@ from bayesbl.naming.criteria import (
 from bayesbl.naming.explanation import (
     Explanation,
     distance,
+    effects_alone,
     explain,
     from_afar,
     gain_threshold,
@@ -36,7 +37,7 @@ from bayesbl.naming.explanation import (
     reduced,
     refitted,
 )
-from bayesbl.naming.law_forms import form_leaves, without_mends
+from bayesbl.naming.law_forms import least_beside, without_mends
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
 from bayesbl.naming.naming import NamedCandidate, Naming
 from bayesbl.progress import Progress
@@ -121,10 +122,11 @@ def name_missing(
     alone = tuple(first)
     if not final.candidates:
         return Naming(nominal, nominal, (), alone, not agrees(before, false_alarm))
-    if not explains(nominal, final, before, disagreements(final.fit), false_alarm):
-        return Naming(nominal, nominal, (), alone, True)
-    effects = tuple(search.named(final, first))
-    return without_mends(Naming(nominal, final, effects, alone, False))
+    for answer in (final, effects_alone(nominal, final)):
+        if answer and explains(nominal, answer, before, disagreements(answer.fit), false_alarm):
+            effects = tuple(search.named(answer, first))
+            return without_mends(Naming(nominal, answer, effects, alone, False))
+    return Naming(nominal, nominal, (), alone, True)
 
 
 class _Search:
@@ -237,7 +239,7 @@ class _Search:
         What promises no more than the form of a law may leave is not tried, nor, with a
         ``rival``, what promises to leave more than this one does.
         """
-        least = WORTH_FITTING * form_leaves(self._nominal, base)
+        least = WORTH_FITTING * least_beside(self._nominal, base)
         if rival is not None:
             least = max(least, left(base) - left(rival))
         promised = dict(zip(map(id, self._candidates), self._promised(base), strict=True))

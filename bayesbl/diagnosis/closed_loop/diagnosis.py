@@ -38,7 +38,7 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed, misfit_scale
-from bayesbl.naming.explanation import Explanation, reduced, with_own_noise
+from bayesbl.naming.explanation import Explanation, effects_alone, reduced, with_own_noise
 from bayesbl.naming.law_forms import FORM_OF_GAP, FORM_SHARE, form_sd, is_within_form, laws_of_shaft
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
@@ -146,12 +146,20 @@ def search(
     before = _analysis(pairs, naming.nominal, "before")
     after = _analysis(pairs, final, "after")
     remaining = describe_unexplained(after)
-    if final.candidates and remaining and _share_closed(before, after) < enough_closed(final):
-        # It helps a little, as a parameter may where a line in time remains: no explanation.
-        final = naming.nominal
-        naming = replace(naming, repeats=True, final=final, effects=())
-        pairs = simulated_pairs(final, final, held_out)
-        after, remaining = before, describe_unexplained(before)
+    if remaining and not _is_closed(before, after, final):
+        # It helps a little, as a parameter may where a line in time remains: no explanation, unless
+        # its effects are one without its parameters, of which more is asked.
+        fewer = effects_alone(naming.nominal, naming.final)
+        if fewer is not None:
+            final = with_own_noise(fewer)
+            pairs = simulated_pairs(naming.nominal, final, held_out)
+            after = _analysis(pairs, final, "after")
+            naming = _with_candidates(replace(naming, final=fewer), final)
+        if fewer is None or not _is_closed(before, after, final):
+            final = naming.nominal
+            naming = replace(naming, repeats=True, final=final, effects=())
+            pairs, after = simulated_pairs(final, final, held_out), before
+        remaining = describe_unexplained(after)
     learned = None
     if naming.repeats or (remaining and not is_within_form(naming)):
         learned = learned_term(final, remaining, settings.false_alarm, settings.motor_angle_known)
@@ -174,6 +182,11 @@ def search(
             after = _analysis(pairs, final, "after")
             remaining = describe_unexplained(after)
     return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
+
+
+def _is_closed(before: ResidualAnalysis, after: ResidualAnalysis, final: Explanation) -> bool:
+    """Whether an explanation removes enough of what is no noise."""
+    return not final.candidates or _share_closed(before, after) >= enough_closed(final)
 
 
 def _with_candidates(naming: Naming, final: Explanation) -> Naming:
