@@ -306,7 +306,11 @@ def _rounded(fit: SimulatedFit, place: int, vector: FloatArray) -> FloatArray:
 def _simulated(
     fit: SimulatedFit, place: int, disturbance_rpm: FloatArray, ticks_hz: float
 ) -> FloatArray:
-    """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick."""
+    """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick.
+
+    From the second tick on: a motion starts at the speed asked for, load and all, and by noise of
+    the sensor no load turns faster.
+    """
     model, seen = fit.model, fit.model.recordings[place]
     point = fit.point.copy()
     time = np.arange(disturbance_rpm.size) / ticks_hz
@@ -322,7 +326,8 @@ def _simulated(
         # The reference is late; the noise, which is put into it, is not.
         asked = seen.motion.speed_rpm(time - float(np.sum(point[late])))
         point[late] = 0.0
-    speed = (asked - disturbance_rpm) / RPM_PER_RAD_PER_S
+    asked[1:] -= disturbance_rpm[1:]
+    speed = asked / RPM_PER_RAD_PER_S
     ticks = held_motion(Motion(through(time, speed), time[-1]), time.size, ticks_hz)
     alone = replace(
         model,
