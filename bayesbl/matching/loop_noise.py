@@ -144,6 +144,13 @@ def factors_along(fit: SimulatedFit, change: FloatArray) -> FloatArray:
     return found / total if total > 0.0 else np.ones(1)
 
 
+def factors_of_estimates(fit: SimulatedFit, weights: FloatArray) -> FloatArray:
+    """Variance of a sum of estimates (d,) of the unknowns, some likely values, as
+    :func:`factors_along` of J C w: in units of what the covariance C makes of it.
+    """
+    return factors_along(fit, fit.derivatives() @ (fit.covariance @ weights))
+
+
 def _factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArray:
     """Of a recording, (k,) or (1,): of its noise in the loop, or of rounding alike in rotations."""
     if fit.model.noise[place].repeats:
