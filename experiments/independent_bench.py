@@ -623,6 +623,8 @@ def plant(values: Mapping[str, float], **settings: float) -> Plant:
             raise ValueError("a digital controller differentiates the encoder: no speed filter")
         if made.speed_averaging__time_s > 0.0:
             raise ValueError("a digital controller shows the speed of its ticks: no average")
+        if made.sampled_control__delay_periods > 1.0:
+            raise ValueError("this digital controller has one torque on its way: no dead time")
     sharpness = (made.outside__belt_turns / made.outside__belt_width_rad) ** 2
     return made._replace(outside__belt_mean=float(special.i0e(sharpness)))
 

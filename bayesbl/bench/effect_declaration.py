@@ -99,13 +99,15 @@ class Shape(EffectParameter):
     """A parameter that says how, not how much.
 
     ``positive_scale``: the simulator refuses zero and below while an amplitude is not zero.
-    ``share``: it refuses what is not between 0 and 1.
+    ``bounded``: it refuses what is not between ``low`` and ``high``. ``starts``: where a search
+    begins besides ``neutral``; empty for a grid over the range.
     """
 
     _: KW_ONLY
     role: Role = "shape"
     positive_scale: bool = False
-    share: bool = False
+    bounded: bool = False
+    starts: tuple[float, ...] = ()
 
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0

@@ -6,7 +6,8 @@ of the outermost function, so a right-hand side kept elsewhere could go stale un
 State, shape (12,), SI: motor angle, motor speed, twist Δθ, twist speed Δω, integral of the speed
 error, then (only while an effect is on) lagged drive torque, lagged speed, Dahl z, then (only where
 the controller is sampled) the torque it holds, the one it has computed since, angle and speed that
-it saw at its last tick. The load angle is θ_m/N − Δθ. Twist and twist speed are states of their own
+it saw at its last tick. Where more than one torque is on its way, the older ones follow, the newest
+first. The load angle is θ_m/N − Δθ. Twist and twist speed are states of their own
 because the contact depends on them alone and their error is what the step control must see.
 
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
@@ -203,6 +204,7 @@ class Constants(NamedTuple):
     held: bool
     plain: bool
     sampled: bool
+    waiting: int
     direction: float
     fastest_reference: float
     follows: bool
@@ -226,6 +228,17 @@ _OPTIONS: dict[str, Any] = {
 _jit = compiled(**_OPTIONS)
 # In the innermost loop a call with its two dozen constants costs as much as the work.
 _inlined = compiled(**_OPTIONS, forceinline=True)
+
+
+@_jit
+def waiting_torques(p):  # type: ignore[no-untyped-def]
+    """How many torques of a sampled controller wait behind the one it computed last.
+
+    That of tick j acts from (j + d) T on, so just after a tick the next to act is so many older.
+    """
+    if not p[Slot.sampled_control__period_s] > 0.0:
+        return 0
+    return max(0, math.ceil(p[Slot.sampled_control__delay_periods]) - 1)
 
 
 @_jit
@@ -276,6 +289,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         held,
         plain,
         sampled,
+        waiting_torques(p),
         math.copysign(1.0, p[Slot.reference_speed_rpm]),
         fastest_reference,
         False,
@@ -324,6 +338,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.held,
         c.plain,
         c.sampled,
+        c.waiting,
         1.0,
         c.fastest_reference,
         True,
@@ -476,7 +491,7 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
 @_jit
 def states_of(c):  # type: ignore[no-untyped-def]
     """How many states the bench has."""
-    return STATES if c.sampled else moving_states(c)
+    return STATES + c.waiting if c.sampled else moving_states(c)
 
 
 @_jit
@@ -496,6 +511,26 @@ def rest_the_loop(y, speed, torque, p, c):  # type: ignore[no-untyped-def]
         y[NEXT_TORQUE] = torque
         y[TICK_ANGLE] = filtered_angle(y, p, c)
         y[TICK_SPEED] = speed
+        y[STATES:] = torque
+
+
+@_jit
+def next_to_act(y, c):  # type: ignore[no-untyped-def]
+    """The oldest torque that a sampled controller has computed and that does not act yet, N m."""
+    return y[STATES + c.waiting - 1] if c.waiting > 0 else y[NEXT_TORQUE]
+
+
+@_jit
+def logged_torque(y, repeated, p, c):  # type: ignore[no-untyped-def]
+    """Torque that a sampled drive shows at its tick, N m: what acts, or its mean till the next.
+
+    The mean where the delay is longer than a period: so it is d periods old for any d above one,
+    and smooth in d. A recorder that sees each torque for several samples shows what acts.
+    """
+    if repeated or c.waiting == 0:
+        return y[HELD_TORQUE]
+    share = p[Slot.sampled_control__delay_periods] - c.waiting
+    return share * y[HELD_TORQUE] + (1.0 - share) * next_to_act(y, c)
 
 
 @_jit
@@ -509,6 +544,10 @@ def filtered_angle(y, p, c):  # type: ignore[no-untyped-def]
 def tick(t, y, p, c):  # type: ignore[no-untyped-def]
     """What a sampled controller does at its tick: a difference, a sum, a torque for later."""
     period = p[Slot.sampled_control__period_s]
+    for i in range(STATES + c.waiting - 1, STATES, -1):
+        y[i] = y[i - 1]
+    if c.waiting > 0:
+        y[STATES] = y[NEXT_TORQUE]
     turned = filtered_angle(y, p, c)
     speed = (turned - y[TICK_ANGLE]) / period
     y[TICK_ANGLE] = turned
@@ -922,7 +961,7 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
             out[POSITION, index], _ = sensed(y, p, c)
             continue
         if rows == STATES:
-            for i in range(y.size):
+            for i in range(min(y.size, STATES)):
                 out[i, index] = y[i]
             continue
         speed, _, torque, _ = controller(time, y, p, c)
@@ -1108,11 +1147,13 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
     if c.sampled:
         number = int(math.floor((t - start) / period + AT_TICK)) + 1
         next_tick = start + number * period
-        due = start + (number - 1 + delay) * period
+        due = start + (number - 1 - c.waiting + delay) * period
         if due <= t:
             due = math.inf
     pause = min(piece_end, next_tick, due)
-    current, changed = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a] if c.sampled else 0.0, t
+    current, changed = 0.0, t
+    if c.sampled:
+        current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
     has_edges = c.gap > 0.0 and not c.rigid
     layer = 0.0 if c.hard else 1.0 / c.sharpness
     margin = CLEAR * layer
@@ -1235,17 +1276,17 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                 c = on_piece(c, pieces, piece)
                 piece_end = pieces[piece + 1, 0] if piece + 1 < len(pieces) else math.inf
             if t == due:
-                y[HELD_TORQUE] = y[NEXT_TORQUE]
+                y[HELD_TORQUE] = next_to_act(y, c)
                 due = math.inf
             ticks = t == next_tick
             if ticks:
-                due = start + (number + delay) * period
+                due = start + (number - c.waiting + delay) * period
                 number += 1
                 next_tick = start + number * period
                 old = y[TICK_SPEED] * RPM
                 tick(t, y, p, c)
                 if due <= t:
-                    y[HELD_TORQUE] = y[NEXT_TORQUE]
+                    y[HELD_TORQUE] = next_to_act(y, c)
                     due = math.inf
                 if logged and not averaged:
                     next_sample[SPEED] = emit_logged(
@@ -1254,7 +1295,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                     )  # fmt: skip
             if logged and out.shape[0] == 3 and not lagged and (repeated or ticks):
                 old = current
-                current = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
+                current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
                 next_sample[CURRENT] = emit_logged(
                     changed, t, p, CURRENT, next_sample[CURRENT], start, dt, out, old, current
                 )

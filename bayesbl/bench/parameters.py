@@ -214,7 +214,12 @@ _SCALES = [
     for scale in effect.shapes
     if scale.positive_scale
 ]
-_SHARES = [effect.slots[item.name] for effect in EFFECTS for item in effect.shapes if item.share]
+_RANGES = {
+    effect.slots[item.name]: (item.low, item.high)
+    for effect in EFFECTS
+    for item in effect.shapes
+    if item.bounded
+}
 
 
 _LEARNED = (
@@ -232,17 +237,21 @@ def _check_effects(matrix: FloatArray) -> None:
     for slot, bound, unit in _BOUNDED:
         expected = f"between -{bound:g} and {bound:g} {unit}".rstrip()
         _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
-    for slot in _SHARES:
+    for slot, (low, high) in _RANGES.items():
         values = matrix[:, slot]
-        _refuse_where((values < 0.0) | (values > 1.0), matrix, slot, "a number from 0 to 1")
+        wrong = (values < low) | (values > high)
+        _refuse_where(wrong, matrix, slot, f"a number from {low:g} to {high:g}")
     for scale, amplitudes in _SCALES:
         wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
         _refuse_where(wrong, matrix, scale, "a number above zero")
 
 
-def is_share(name: str) -> bool:
-    """Whether :func:`check_parameters` refuses values of a slot beyond one."""
-    return name in Slot.__members__ and Slot[name] in _SHARES
+def largest(name: str) -> float:
+    """Value of a slot beyond which :func:`check_parameters` refuses it; infinite if there is none.
+
+    ``name``: ``effect__parameter``.
+    """
+    return _RANGES.get(Slot[name], (-math.inf, math.inf))[1]
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:

@@ -139,10 +139,10 @@ def simulate_states(
 
     States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
     sensed speed, Dahl z (these three zero while no effect is on); of a sampled controller, which
-    has just had a tick, torque held, torque to come, angle and speed at the tick. The position
-    loop's ramp starts at the initial motor angle. Dry friction changes its sign over the given
-    width at the motor, by default over what holds elsewhere. No check of the parameters, so gains
-    may be zero here.
+    has just had a tick, torque held, torque computed last, angle and speed at the tick; torques
+    that wait behind it follow in the initial state. The position loop's ramp starts at the initial
+    motor angle. Dry friction changes its sign over the given width at the motor, by default over
+    what holds elsewhere. No check of the parameters, so gains may be zero here.
     """
     c = kernel.constants(parameters, initial_state[0], 0.0)
     if friction_width_rad_per_s is not None:
@@ -173,8 +173,12 @@ def simulate_states(
 
 
 def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = None) -> FloatArray:
-    """States at the first sample of a steady rotation, shape (m, 12), SI."""
-    states = np.empty((parameter_matrix.shape[0], STATES))
+    """States at the first sample of a steady rotation, SI.
+
+    Shape (m, 12), or as many more as torques of a sampled controller wait.
+    """
+    waiting = max(map(kernel.waiting_torques, parameter_matrix), default=0)
+    states = np.empty((parameter_matrix.shape[0], STATES + waiting))
     out = np.empty((parameter_matrix.shape[0], 1, 1))
     _fill(parameter_matrix, out, 1.0, accuracy_rpm, 1, "raise", states)
     return states
@@ -192,7 +196,8 @@ def _fill(
     accuracy = _accuracy_rpm(accuracy_rpm, matrix[:, Slot.reference_speed_rpm])
     matrix = _sound(matrix, out, sampling_hz, accuracy)
     settling = settling_time_s(matrix, accuracy, failures)
-    ends = np.empty((matrix.shape[0], STATES)) if states is None else states
+    waiting = max(map(kernel.waiting_torques, matrix), default=0)
+    ends = np.empty((matrix.shape[0], STATES + waiting)) if states is None else states
 
     def run(row: int) -> int:
         if math.isnan(settling[row]):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy import linalg
 
-from bayesbl.bench.kernel import RPM, Slot
+from bayesbl.bench.kernel import RPM, Slot, waiting_torques
 from bayesbl.bench.parameters import label, rotation_period_s
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import ComplexArray, FloatArray
@@ -29,6 +29,7 @@ _LOOP = (
     Slot.integral_gain_nm_per_rad,
     Slot.shaft_damping_nm_s_per_rad,
     Slot.sampled_control__period_s,
+    Slot.sampled_control__delay_periods,
 )
 
 SPEED, TWIST, TWIST_SPEED, INTEGRAL, TORQUE, SENSED, ANGLE = range(7)
@@ -103,12 +104,13 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Of one parameter vector, shape (SLOTS,). States at a tick, after the controller's work: those of
     :func:`contact_matrices` with the angle since the last tick, the angle until then, the torque
-    that acts, the one to come, and the speed that the controller saw move.
+    that acts, the one computed last, the speed that the controller saw move, and, of a delay above
+    one period, the w torques that are older and do not act yet, the newest first.
 
     Returns
     -------
-    Transition over a period, shape (11, 11); and what an error of the speed that the controller
-    sees at its end adds, shape (11,), SI.
+    Transition over a period, shape (11 + w, 11 + w); and what an error of the speed that the
+    controller sees at its end adds, shape (11 + w,), SI.
     """
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
@@ -119,29 +121,36 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     free = parameters.copy()
     free[Slot.position_gain_per_s] = 1.0  # keeps the angle among the states
+    waiting = waiting_torques(parameters)
+    states = 11 + waiting
+    oldest = states - 1 if waiting else COMING
+    late = delay - waiting
     plant = np.zeros((11, 11))
     plant[:7, :7] = contact_matrices(free[None, :])[0]
     plant[TORQUE, :7] = 0.0
     plant[:, INTEGRAL] = plant[INTEGRAL, :] = 0.0
     torque_lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
     plant[TORQUE, [TORQUE, ACTING]] = -1.0 / torque_lag, 1.0 / torque_lag
-    apply = np.eye(11)
-    apply[ACTING] = apply[COMING]
-    motion = linalg.expm(plant * (1.0 - delay) * period) @ apply
-    motion = motion @ linalg.expm(plant * delay * period)
+    apply = np.eye(states)
+    apply[ACTING] = apply[oldest]
+    before, after = np.eye(states), np.eye(states)
+    before[:11, :11] = linalg.expm(plant * late * period)
+    after[:11, :11] = linalg.expm(plant * (1.0 - late) * period)
+    motion = after @ apply @ before
 
-    turned = np.zeros(11)
+    turned = np.zeros(states)
     turned[ANGLE], turned[SENSED] = 1.0, -speed_lag
     error = -turned / period
     error[ANGLE] -= outer
     error[UNTIL] -= outer
-    work = np.eye(11)
+    work = np.eye(states)
+    work[11:] = np.eye(states)[[COMING, *range(11, states)][:waiting]]
     work[ANGLE] -= turned
     work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
     work[SEEN] = turned / period
     work[INTEGRAL] = work[INTEGRAL] + period * error if integral > 0.0 else 0.0
     work[COMING] = gain * error + integral * work[INTEGRAL]
-    noise = np.zeros(11)
+    noise = np.zeros(states)
     noise[INTEGRAL] = -period if integral > 0.0 else 0.0
     noise[COMING] = -gain + integral * noise[INTEGRAL]
     if delay == 0.0:
@@ -150,16 +159,18 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def contact_rates(matrix: FloatArray) -> ComplexArray:
-    """Rates of the linear bench's modes on one tooth flank, in time. Shape (m, 11), 1/s.
+    """Rates of the linear bench's modes on one tooth flank, in time, 1/s.
 
-    A mode that a bench does not have decays at once.
+    Shape (m, 11), or as many more as torques of a sampled controller wait. A mode that a bench does
+    not have decays at once.
     """
-    rates = np.full((matrix.shape[0], 11), complex(_ABSENT))
+    waiting = max((waiting_torques(row) for row in matrix), default=0)
+    rates = np.full((matrix.shape[0], 11 + waiting), complex(_ABSENT))
     rates[:, :7] = np.linalg.eigvals(contact_matrices(matrix))
     for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
         factors = np.linalg.eigvals(sampled_period(matrix[row])[0])
         factors = np.where(np.abs(factors) < _GONE, _GONE, factors)
-        rates[row] = np.log(factors) / matrix[row, Slot.sampled_control__period_s]
+        rates[row, : factors.size] = np.log(factors) / matrix[row, Slot.sampled_control__period_s]
     return rates
 
 
@@ -182,7 +193,7 @@ def settling_time_s(
         slowest = np.where(slowest > 0.0, slowest, np.nan)
     if np.any(slowest <= 0.0):
         row = matrix[int(np.argmin(slowest))]
-        causes = _LOOP[: 4 if row[Slot.sampled_control__period_s] > 0.0 else 3]
+        causes = _LOOP[: 5 if row[Slot.sampled_control__period_s] > 0.0 else 3]
         raise BenchError(
             "The speed loop is unstable even without a gap, so there is no steady rotation.",
             where=", ".join(label(slot) for slot in causes),
@@ -265,16 +276,25 @@ def _noise_through_ticks(
 ) -> tuple[FloatArray, FloatArray]:
     """As :func:`noise_through_loop`, of a sampled controller as it logs itself."""
     period = parameters[Slot.sampled_control__period_s]
+    delay = parameters[Slot.sampled_control__delay_periods]
     transition, by_noise = sampled_period(parameters)
     samples = np.arange(noise_rpm.size) * sampling_s
     last = np.floor(samples / period + 1e-6).astype(int)
     source = np.floor(np.arange(last[-1] + 1) * period / sampling_s + 1e-6).astype(int)
-    torque = TORQUE if parameters[Slot.current_loop_lag__time_s] > 0.0 else ACTING
-    state = np.zeros(11)
+    state = np.zeros(by_noise.size)
+    torque = np.zeros(by_noise.size)
+    waiting = waiting_torques(parameters)
+    if parameters[Slot.current_loop_lag__time_s] > 0.0:
+        torque[TORQUE] = 1.0
+    elif waiting == 0:
+        torque[ACTING] = 1.0
+    else:
+        # As the drive logs it: the mean till the next tick (kernel.logged_torque).
+        torque[ACTING], torque[-1] = delay - waiting, 1.0 - (delay - waiting)
     shown = np.empty((source.size, 2))
     for number, value in enumerate(noise_rpm[source] / RPM):
         state = transition @ state + by_noise * value
-        shown[number] = state[SEEN], state[torque]
+        shown[number] = state[SEEN], torque @ state
     motion, answer = shown[last].T
     return motion * RPM, answer / parameters[Slot.torque_constant_nm_per_a]
 

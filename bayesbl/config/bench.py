@@ -193,7 +193,8 @@ class EffectEntry(Section):
     """An entry of ``[[effects]]``: what the joint has beside its parameters (``bayesbl effects``).
 
     A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
-    period of its speed controller.
+    period of its speed controller. Its torque acts ``delay_periods`` after the encoder was read, 1
+    if not given; 17 with a dead time of 4 ms besides.
     """
 
     name: Annotated[str, AfterValidator(_effect_name)]

@@ -10,7 +10,7 @@ import numpy as np
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
-from bayesbl.matching.loop_noise import factors_along
+from bayesbl.matching.loop_noise import factors_along, factors_of_estimates
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.naming.candidates import Candidate
 from bayesbl.naming.criteria import are_alike
@@ -166,7 +166,9 @@ def beyond_data_sheet(
     unknown = chosen.fit.model.unknowns[-1]
     estimate = float(chosen.fit.point[-1])
     ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
-    sd = float(np.sqrt(chosen.fit.covariance[-1, -1]))
+    own = np.eye(chosen.fit.point.size)[-1]
+    noise = float(np.mean(factors_of_estimates(chosen.fit, own)))
+    sd = math.sqrt(noise * float(chosen.fit.covariance[-1, -1]))
     return chosen, BeyondDataSheet(
         name,
         value,

@@ -144,6 +144,13 @@ def factors_along(fit: SimulatedFit, change: FloatArray) -> FloatArray:
     return found / total if total > 0.0 else np.ones(1)
 
 
+def factors_of_estimates(fit: SimulatedFit, weights: FloatArray) -> FloatArray:
+    """Variance of a sum of estimates (d,) of the unknowns, some likely values, as
+    :func:`factors_along` of J C w: in units of what the covariance C makes of it.
+    """
+    return factors_along(fit, fit.derivatives() @ (fit.covariance @ weights))
+
+
 def _factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArray:
     """Of a recording, (k,) or (1,): of its noise in the loop, or of rounding alike in rotations."""
     if fit.model.noise[place].repeats:
@@ -306,7 +313,11 @@ def _rounded(fit: SimulatedFit, place: int, vector: FloatArray) -> FloatArray:
 def _simulated(
     fit: SimulatedFit, place: int, disturbance_rpm: FloatArray, ticks_hz: float
 ) -> FloatArray:
-    """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick."""
+    """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick.
+
+    From the second tick on: a motion starts at the speed asked for, load and all, and by noise of
+    the sensor no load turns faster.
+    """
     model, seen = fit.model, fit.model.recordings[place]
     point = fit.point.copy()
     time = np.arange(disturbance_rpm.size) / ticks_hz
@@ -322,7 +333,8 @@ def _simulated(
         # The reference is late; the noise, which is put into it, is not.
         asked = seen.motion.speed_rpm(time - float(np.sum(point[late])))
         point[late] = 0.0
-    speed = (asked - disturbance_rpm) / RPM_PER_RAD_PER_S
+    asked[1:] -= disturbance_rpm[1:]
+    speed = asked / RPM_PER_RAD_PER_S
     ticks = held_motion(Motion(through(time, speed), time[-1]), time.size, ticks_hz)
     alone = replace(
         model,

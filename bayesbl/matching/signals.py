@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import PARAMETER_INFO, is_share
+from bayesbl.bench.parameters import PARAMETER_INFO, largest
 from bayesbl.matching.as_observed import (
     accuracy_rpm,
     continued,
@@ -178,8 +178,7 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
                 found += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
-                high = 1.0 if is_share(name) else math.inf
-                found.append(Unknown(name, low, high, given.value, given.sd))
+                found.append(Unknown(name, low, largest(name), given.value, given.sd))
     for learned in bench.learned_terms:
         found += shift_unknowns(learned, recordings)
         known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)

@@ -151,17 +151,15 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         main = next(p for p in sought if isinstance(p, Amplitude))
         grid = main.high * np.array(_SCANNED_SHARES)
         scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
-    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape) and not p.share]
+    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape) and not p.starts]
     if shape:
         i = shape[0]
         middle = np.geomspace(sought[i].low, sought[i].high, 7)[2:6]
         starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
         if scanned:
             scanned[i] = middle
-    # At the ends of a share the equations may be others: a torque that is out at once, or later.
-    for i in (i for i, p in enumerate(sought) if isinstance(p, Shape) and p.share):
-        ends = sorted({sought[i].low, sought[i].high} - {neutral[i]})
-        starts += tuple(np.where(np.arange(neutral.size) == i, end, neutral) for end in ends)
+    for i, own in ((i, p.starts) for i, p in enumerate(sought) if isinstance(p, Shape)):
+        starts += tuple(np.where(np.arange(neutral.size) == i, start, neutral) for start in own)
     return Candidate(
         effect.name, "effect", unknowns, neutral, starts, scanned, _neutral_effect(effect)
     )

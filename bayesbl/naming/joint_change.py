@@ -236,7 +236,7 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     fit = final.fit
     names = [seen.name for seen in fit.model.recordings]
     for candidate in final.candidates:
-        where, places = candidate.recording, amplitude_places(candidate)
+        where, places = candidate.recording, _told_places(candidate)
         slots = [candidate.unknowns[place].name for place in places]
         others = [n for n in names if n != where and not _frees(final, slots, n)]
         turned = (
@@ -260,6 +260,16 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
                 sd,
                 _unit(slot),
             )
+
+
+def _told_places(candidate: Candidate) -> list[int]:
+    """Places of what a bench file needs: a period without its dead time is half of it."""
+    places = amplitude_places(candidate)
+    if candidate.effect is None:
+        return places
+    effect = effect_named(candidate.name)
+    told = {effect.slots[shape.name].name for shape in effect.shapes if shape.starts}
+    return places + [i for i, u in enumerate(candidate.unknowns) if u.name in told]
 
 
 def _frees(final: Explanation, slots: Sequence[str], recording: str) -> bool:
@@ -374,17 +384,22 @@ def _furthest(value: float, tolerance: float) -> tuple[float, float]:
 
 
 def _own_effects(bench: Bench) -> list[Candidate]:
-    """Effects that the bench has, grown or shrunk."""
+    """Effects that the bench has, grown or shrunk; a controller's dead time, which may be any."""
     found = []
     for present in bench.effects:
-        values = present.complete()
-        for amplitude in effect_named(present.name).amplitudes:
-            value = values[amplitude.name]
-            if value == 0.0:
-                continue
-            low, high = sorted((value / FURTHEST_CHANGE, value * FURTHEST_CHANGE))
-            unknown = Unknown(f"{present.name}__{amplitude.name}", low, high)
-            found.append(Candidate(present.name, "parameter", (unknown,), np.array([value])))
+        values, effect = present.complete(), effect_named(present.name)
+        ranges = {
+            item.name: sorted(
+                (values[item.name] / FURTHEST_CHANGE, values[item.name] * FURTHEST_CHANGE)
+            )
+            for item in effect.amplitudes
+            if values[item.name] != 0.0
+        }
+        ranges |= {item.name: [item.low, item.high] for item in effect.shapes if item.starts}
+        for name, (low, high) in ranges.items():
+            unknown = Unknown(f"{present.name}__{name}", low, high)
+            neutral = np.array([values[name]])
+            found.append(Candidate(present.name, "parameter", (unknown,), neutral))
     return found
 
 

@@ -149,7 +149,8 @@ def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> 
 
 DRIVE = """\
 # How often the drive's speed controller computes (its manual: sampling or cycle time, 62.5 µs to
-# 4 ms). Above 100 µs it matters.
+# 4 ms). Above 100 µs it matters. With dead time of a bus or torque filter also delay_periods: the
+# periods from reading the encoder to the torque (1 where it is not given).
 # [[effects]]
 # name = "sampled_control"
 # parameters = {period_s = {value = 250e-6}}

@@ -336,13 +336,16 @@ def test_each_effect_keeps_the_promise(name: str) -> None:
 def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndarray:
     """As ``reference_channels`` under a sampled controller, at its ticks, from one of them on.
 
-    From tick to tick the equations have no controller but a constant torque on the motor.
+    From tick to tick the equations have no controller but a constant torque on the motor. Torques
+    wait in a list until they act; the current shown is max(1, d) periods old.
     """
     period, delay = p[S.sampled_control__period_s], p[S.sampled_control__delay_periods]
     n, constant = p[S.gear_ratio], p[S.torque_constant_nm_per_a]
     free = p.copy()
     free[[S.speed_gain_nm_s_per_rad, S.integral_gain_nm_per_rad]] = 0.0
-    y, (held, coming, angle, speed) = state[:8].copy(), state[8:]
+    y, (held, coming, angle, speed, *older) = state[:8].copy(), state[8:]
+    on_the_way = [coming, *older]  # the newest first
+    late = delay - len(older)
     y[2], y[3] = state[0] / n - state[2], state[1] / n - state[3]
     total, reference = state[4], p[S.reference_speed_rpm] / RPM
 
@@ -363,21 +366,24 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
 
     logged = []
     for _ in range(samples):
-        logged.append((speed * RPM, held / constant))
-        y = moved(y, held, delay * period)
-        held = coming
-        y = moved(y, held, (1.0 - delay) * period)
+        shown = late * held + (1.0 - late) * on_the_way[-1] if older else held
+        logged.append((speed * RPM, shown / constant))
+        y = moved(y, held, late * period)
+        held = on_the_way.pop()
+        y = moved(y, held, (1.0 - late) * period)
         speed, angle = (y[0] - angle) / period, y[0]
         total += period * (reference - speed)
         coming = p[S.speed_gain_nm_s_per_rad] * (reference - speed)
         coming += p[S.integral_gain_nm_per_rad] * total
+        on_the_way.insert(0, coming)
         if delay == 0.0:
             held = coming
     return np.array(logged).T
 
 
 @pytest.mark.parametrize(
-    ("period_s", "delay"), [(2e-3, 0.0), (2e-3, 0.4), (2e-3, 1.0), (2e-4, 0.4)]
+    ("period_s", "delay"),
+    [(2e-3, 0.0), (2e-3, 0.4), (2e-3, 1.0), (2e-4, 0.4), (1e-3, 3.0), (1e-3, 1.6), (2e-4, 16.0)],
 )
 @pytest.mark.parametrize("effects", [[], ["load_coulomb_friction", "gear_transmission_error"]])
 def test_a_sampled_controller_keeps_the_promise(

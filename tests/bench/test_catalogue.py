@@ -132,8 +132,8 @@ def test_the_simulator_refuses_what_the_declaration_excludes_and_nothing_else(
         assert refused(effect, item, 1e9) is (item.smaller_than is not None)
     for item in effect.shapes:
         assert refused(effect, item, 0.0) is item.positive_scale
-        assert refused(effect, item, -abs(item.typical)) is (item.positive_scale or item.share)
-        assert refused(effect, item, 1e9) is item.share
+        assert refused(effect, item, -abs(item.typical)) is (item.positive_scale or item.bounded)
+        assert refused(effect, item, 1e9) is item.bounded
 
 
 def torque_of(effect: Effect, speed: float) -> np.ndarray:

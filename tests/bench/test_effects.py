@@ -331,7 +331,7 @@ def sampled(period_s: float = PERIOD_S, delay: float = 1.0) -> dict[str, float]:
     return {"sampled_control__period_s": period_s, "sampled_control__delay_periods": delay}
 
 
-@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("delay", [0, 1, 3])
 def test_a_sampled_controller_is_a_difference_and_a_sum_held_for_a_period(delay: int) -> None:
     # At its ticks all is known: the recording begins with one.
     position, speed, current = simulate_channels(
@@ -349,6 +349,21 @@ def test_a_sampled_controller_is_a_difference_and_a_sum_held_for_a_period(delay:
     )[0, [SPEED, CURRENT]]
     assert np.array_equal(often, np.repeat(often[:, ::4], 4, axis=1))
     assert often[:, ::4] == pytest.approx(np.array([speed, current])[:, :1000], abs=1e-6)
+
+
+def test_a_delay_in_periods_is_a_dead_time() -> None:
+    """A delay smooth in its size: half-way between two, the signals are; whatever the period."""
+    halves = [channels(**sampled(delay=delay)) for delay in (2.5, 3.0, 3.5)]
+    between = 0.5 * (halves[0] + halves[2])
+    for row in (SPEED, CURRENT):
+        bend = np.max(np.abs(halves[1][row] - between[row]))
+        assert bend < 0.1 * np.max(np.abs(halves[2][row] - halves[0][row]))
+    # The motor moves as a loop that is (1 + d) T late has it, 5 ms here, whatever the period.
+    slow, fast, later = (
+        np.diff(channels(**sampled(period, delay))[POSITION], n=2)
+        for period, delay in ((1e-3, 4.0), (2.5e-4, 19.0), (1e-3, 5.0))
+    )
+    assert np.max(np.abs(fast - slow)) < 0.1 * np.max(np.abs(later - slow))
 
 
 def test_a_short_period_is_a_continuous_controller() -> None:
@@ -384,15 +399,21 @@ def test_the_linear_loop_knows_its_ticks() -> None:
     assert np.max(slower.real) > 0.9 * np.max(continuous.real)
 
 
-def test_noise_through_a_sampled_controller_is_answered_a_period_later() -> None:
+@pytest.mark.parametrize("delay", [1, 4])
+def test_noise_through_a_sampled_controller_is_answered_as_late_as_its_torque_acts(
+    delay: int,
+) -> None:
     kick = np.zeros(200)
     kick[10] = 3.0
-    motion, answer = noise_through_loop(BENCH.vector(**sampled())[0], kick, PERIOD_S)
+    loop = BENCH.vector(**sampled(delay=delay))[0]
+    motion, answer = noise_through_loop(loop, kick, PERIOD_S)
     first = -(0.185 + 8.0 * PERIOD_S) * 3.0 / RPM / TORQUE_CONSTANT
-    assert answer[:11] == pytest.approx(0.0, abs=1e-12)
-    assert answer[11] == pytest.approx(first, rel=1e-9)
+    assert answer[: 10 + delay] == pytest.approx(0.0, abs=1e-12)
+    assert answer[10 + delay] == pytest.approx(first, rel=1e-9)
     # Half of what that torque does in a period, at first against the motor's inertia alone.
-    assert motion[12] == pytest.approx(first * TORQUE_CONSTANT / 1.21e-3 * 5e-4 * RPM, rel=0.05)
+    assert motion[11 + delay] == pytest.approx(
+        first * TORQUE_CONSTANT / 1.21e-3 * 5e-4 * RPM, rel=0.05
+    )
 
 
 def test_friction_drift_grows_from_rotation_to_rotation() -> None:

@@ -244,9 +244,13 @@ def test_fingerprint_knows_what_decides_the_signals() -> None:
         ({"integral_gain_nm_per_rad": 1e3, "current_loop_lag__time_s": 0.01}, "unstable"),
         (
             {"sampled_control__period_s": 4e-3, "sampled_control__delay_periods": 1.0},
-            "period_s: The speed loop is unstable",
+            "period_s, sampled_control.delay_periods: The speed loop is unstable",
         ),
-        ({"sampled_control__delay_periods": 1.5}, "sampled_control.delay_periods"),
+        ({"sampled_control__delay_periods": 129.0}, "sampled_control.delay_periods"),
+        (
+            {"sampled_control__period_s": 1e-3, "sampled_control__delay_periods": 12.0},
+            "delay_periods: The speed loop is unstable",
+        ),
         ({"current_limit_a": 3.0}, "cannot turn the load round"),
         ({"stiffness_hardening__stiffness_nm_per_rad3": -3e10}, "diverged"),
     ],

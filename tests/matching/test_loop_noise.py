@@ -11,7 +11,7 @@ from test_impacts import fitted, turning
 
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.loop_noise import LoopNoise
+from bayesbl.matching.loop_noise import LoopNoise, factors_of_estimates
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.explanation import (
     Explanation,
@@ -89,6 +89,8 @@ def test_what_noise_in_the_loop_gains_names_nothing(independent: ModuleType, in_
     base, more = explanations(fit, fit.derivatives()[:, 0], 1.3 * gain_threshold(1, 10, 0.01))
     assert (noise_between(base, more).mean() > 1.5) == in_loop
     assert gains_more_than_chance(base, more, 10, 0.01) != in_loop
+    # The gap's own estimate scatters as much more.
+    assert (factors_of_estimates(fit, np.array([1.0, 0.0])).mean() > 1.5) == in_loop
 
 
 def explanations(

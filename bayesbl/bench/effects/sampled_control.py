@@ -4,8 +4,10 @@
     K_t i = K_p e_k + K_i I_k  held from t = (k + d) T to (k + 1 + d) T
 
 The difference lags by half a period, what is held by another half, the computation by d periods: in
-all about (1 + d) T that the loop is late, and its gain is K_i T/2 higher. Drives show speed and
-current as they are at their ticks; a recording begins with one.
+all about (1 + d) T that the loop is late, and its gain is K_i T/2 higher. A dead time of bus or
+torque filter is part of d, which may be any number of periods. Drives show speed and current as
+they are at their ticks, with d above one the mean current from there to the next; a recording
+begins with a tick.
 """
 
 from __future__ import annotations
@@ -32,12 +34,15 @@ EFFECT = Effect(
         Shape(
             "delay_periods",
             "",
-            "computing time d as a share of the period",
+            "computing and dead time d in periods",
             low=0.0,
-            high=1.0,
+            high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
             typical=1.0,
             neutral=1.0,
-            share=True,
+            bounded=True,
+            # At 0 the torque is out at once, which no slope leads to. Then each four times as far,
+            # as the periods that a search tries: dead times from 0.4 to 14 ms.
+            starts=(0.0, 4.0, 16.0),
         ),
     ),
     enters="loop",

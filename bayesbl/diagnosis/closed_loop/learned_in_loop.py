@@ -22,6 +22,7 @@ from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, Wha
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.loop_noise import factors_of_estimates
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate, amplitude_places
@@ -126,7 +127,11 @@ def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
         amplitudes = amplitude_places(candidate)
         some = np.ix_([at[k] for k in amplitudes], [at[k] for k in amplitudes])
         size = away[amplitudes]
-        gain = float(size @ np.linalg.solve(fit.covariance[some], size))
+        weights = np.zeros(fit.point.size)
+        weights[some[0].ravel()] = np.linalg.solve(fit.covariance[some], size)
+        gain = float(weights[some[0].ravel()] @ size)
+        # Noise in the speed loop may have more variance along it than is counted.
+        gain /= float(np.mean(factors_of_estimates(fit, weights)))
         enough = gain_threshold(len(at), len(explanation.candidates), false_alarm)
         if gain < enough and (faintest is None or gain < faintest[0]):
             faintest = gain, candidate, at
