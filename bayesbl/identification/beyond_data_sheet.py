@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
+from bayesbl.identification.wrong_by_far import REACH, explanations_from_afar
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import factors_along, factors_of_estimates
@@ -24,9 +25,6 @@ from bayesbl.naming.explanation import (
 )
 from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray
-
-FURTHEST_WRONG = 3.0
-"""Factor by which a value of the data sheet may be wrong beyond its tolerance, up or down."""
 
 WIDER = 1.5
 """Times a tolerance, where its edge has stopped a match."""
@@ -149,11 +147,23 @@ def beyond_an_edge(
 def beyond_data_sheet(
     nominal: Explanation, problem: Problem
 ) -> tuple[Explanation, BeyondDataSheet] | None:
-    """One parameter beyond its tolerance that explains all, the others within theirs."""
+    """One parameter near beyond its tolerance that explains all, the others within theirs."""
     wider = [
         _widened(nominal, name) for name in problem.parameters if problem.bench.value(name) > 0.0
     ]
     rough = [e for e in (explain(nominal, c) for c in wider) if e is not None]
+    return _best_beyond(rough, problem)
+
+
+def far_beyond_data_sheet(problem: Problem) -> tuple[Explanation, BeyondDataSheet] | None:
+    """The same where it may be wrong by a unit: from wherever in its whole range it fits best."""
+    return _best_beyond(explanations_from_afar(problem), problem)
+
+
+def _best_beyond(
+    rough: list[Explanation], problem: Problem
+) -> tuple[Explanation, BeyondDataSheet] | None:
+    """The best of rough fits that explains all once fitted to the end, beyond its tolerance."""
     best = sorted(rough, key=lambda e: e.fit.chi_square)[:POLISHED]
     fitted = [with_noise(polished(e), remaining_noise(e.fit)) for e in best]
     outside = [e for e in fitted if _is_outside(e, problem)]
@@ -175,8 +185,14 @@ def beyond_data_sheet(
         half,
         float(unknown.value(np.array(estimate))),
         min(abs(estimate - end) for end in ends) / sd,
-        tuple(e.candidates[-1].name for e in others if are_alike(chosen, e)),
+        _alike(chosen, others),
     )
+
+
+def _alike(chosen: Explanation, others: list[Explanation]) -> tuple[str, ...]:
+    """Other parameters that the recordings do not tell from the chosen one, each once."""
+    names = [e.candidates[-1].name for e in others if are_alike(chosen, e)]
+    return tuple(n for n in dict.fromkeys(names) if n != chosen.candidates[-1].name)
 
 
 def _is_outside(explanation: Explanation, problem: Problem) -> bool:
@@ -192,7 +208,7 @@ def _widened(nominal: Explanation, name: str) -> Candidate:
     at = fit.model.index(name)
     value, half = fit.model.bench.value(name), fit.model.bench.tolerances[name]
     low = value - half if half < value else value
-    ends = math.log(low / FURTHEST_WRONG), math.log((value + half) * FURTHEST_WRONG)
+    ends = math.log(low / REACH), math.log((value + half) * REACH)
     unknown = Unknown(name, *ends, logarithmic=True)
     start = np.log(fit.model.unknowns[at].value(fit.point[at : at + 1]))
     return Candidate(name, "parameter", (unknown,), start)

@@ -98,11 +98,17 @@ def _identified(found: Identification, problem: Problem, bench: Bench) -> xr.Dat
 
 
 def _disagreement(found: Identification, problem: Problem) -> DisagreementTable:
-    """Before: the data sheet's values with gap and start angles fitted."""
+    """Before: the data sheet's values with gap and start angles fitted.
+
+    What no joint can be is not simulated: nothing then differs from what was found.
+    """
     own = set(problem.parameters)
     unknowns = [u for u in problem.unknowns if u.name not in own]
-    sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
-    pairs = simulated_pairs(nominal_explanation(sheet), found.final, problem.held_out)
+    before = found.nominal
+    if before is not found.final:
+        sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
+        before = nominal_explanation(sheet)
+    pairs = simulated_pairs(before, found.final, problem.held_out)
     pieces = [piece for pair in pairs for piece in residuals_of(pair)]
     return disagreement_table(pieces, in_units_of_noise=True)
 

@@ -27,9 +27,11 @@ from bayesbl.identification.beyond_data_sheet import (
     WiderTolerances,
     beyond_an_edge,
     beyond_data_sheet,
+    far_beyond_data_sheet,
     with_wider_tolerances,
 )
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
+from bayesbl.identification.wrong_by_far import is_plausible
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
@@ -74,7 +76,8 @@ class Identification:
     Attributes
     ----------
     nominal
-        The data sheet within its tolerances, with the effects asked for.
+        The data sheet within its tolerances, with the effects asked for; ``final`` where no joint
+        can be as it says, and a value found far beyond explains all.
     final
         With what was found beside it.
     beyond
@@ -116,6 +119,15 @@ def identify(
     UserError
         If the bench cannot be simulated or a recording is too short.
     """
+    plausible = is_plausible(problem)
+    if not plausible:
+        # A match with it would take minutes or fail, only to be further off.
+        far = far_beyond_data_sheet(problem)
+        if far is not None:
+            found, value = far
+            posterior = _posterior(found.fit, sampler, seed, progress)
+            check = tuple(disagreements(found.fit))
+            return Identification(found, found, "agrees", value, (), check, None, posterior)
     naming = of_stage(progress, "Naming what is missing")
     nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
@@ -131,6 +143,8 @@ def identify(
             final, missing = _named(nominal, steady, problem, naming)
         if not missing:
             wrong = beyond_data_sheet(nominal, problem)
+            if wrong is None and plausible and not rubs:
+                wrong = far_beyond_data_sheet(problem)
             if wrong is not None:
                 final, beyond = wrong
             elif not rubs:
@@ -148,15 +162,19 @@ def identify(
         if wrong is not None:
             final, beyond, wider = *wrong, None
             check = tuple(disagreements(final.fit))
-    posterior = sample_direct(
-        final.fit,
-        sampler,
-        seed,
-        of_stage(progress, "Sampling"),
-        of_stage(progress, "Simulating draws"),
-    )
-    posterior = widened(posterior, *seed.spawn(1))
+    posterior = _posterior(final.fit, sampler, seed, progress)
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
+
+
+def _posterior(
+    fit: SimulatedFit,
+    sampler: SamplerSettings,
+    seed: np.random.SeedSequence,
+    progress: StageProgress | None,
+) -> DirectPosterior:
+    """Draws about a fit, as wide as impacts that are not alike ask for."""
+    drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
+    return widened(sample_direct(fit, sampler, seed, drawing, simulating), *seed.spawn(1))
 
 
 def _nominal(problem: Problem, progress: Progress | None) -> Explanation:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
-from bayesbl.identification.beyond_data_sheet import FURTHEST_WRONG
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import FALSE_ALARM, Problem
+from bayesbl.identification.well_known_factors import guess_of
+from bayesbl.identification.wrong_by_far import furthest
 from bayesbl.matching.impacts import IMPACTS_DIFFER
 from bayesbl.matching.predictive_check import RepeatingPower, agrees
 from bayesbl.matching.signals import GAP
@@ -23,7 +24,7 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
     if moving:
         return f"{' and '.join(moving)}: {IMPACTS_DIFFER}"
     if found.beyond is not None:
-        return beyond_in_words(found)
+        return beyond_in_words(found, problem)
     if found.missing and not found.completed:
         names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
         lacks = (
@@ -35,7 +36,7 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
     if found.verdict == "unexplained" or _stands_out(found):
         return (
             "No values within the tolerances, no single value up to "
-            f"{FURTHEST_WRONG:.0f} times off and no effect of the catalogue explains these "
+            f"{furthest(problem):.3g} times off and no effect of the catalogue explains these "
             "recordings: something of the joint is not in the bench, several values of the data "
             "sheet are wrong, or the gap was not the same in all recordings (give their dates). "
             f"{left_over(found.check)} Check the data sheet, or widen its tolerances."
@@ -55,7 +56,7 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
     return None
 
 
-def beyond_in_words(found: Identification) -> str:
+def beyond_in_words(found: Identification, problem: Problem) -> str:
     """Which value of the data sheet is wrong, by how much, and what else it could be."""
     wrong = found.beyond
     assert wrong is not None
@@ -65,6 +66,8 @@ def beyond_in_words(found: Identification) -> str:
     )
     if wrong.could_be:
         text += f" It could also be {' or '.join(wrong.could_be)}."
+    ratio = problem.bench.value("gear_ratio")
+    text += guess_of(wrong.believed, wrong.tolerance, wrong.found, ratio)
     return text + " Correct the data sheet, or widen this tolerance, and identify again."
 
 
