@@ -37,6 +37,5 @@ def guess_of(believed: float, tolerance: float, found: float, gear_ratio: float)
         return ""
     rounded = float(f"{max(factor, 1.0 / factor):.3g}")
     how = f"{rounded:g} times" if factor > 1.0 else f"1/{rounded:g} of"
-    return (
-        f" It is about {how} of the data sheet's: {' or '.join(apart[a] for a in sorted(apart))}?"
-    )
+    told = " or ".join(apart[a] for a in sorted(apart))
+    return f" It is about {how} the data sheet's, as by {told}."
