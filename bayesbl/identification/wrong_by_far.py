@@ -125,11 +125,9 @@ def _place(model: SimulatedSignals, name: str, value: float) -> Place | None:
     middle = np.array([u.middle for u in beside.unknowns])
     if not _can_be(beside, middle):
         return None
-    gaps = {
-        k: np.linspace(u.low, u.high, SCANNED_GAPS)
-        for k, u in enumerate(beside.unknowns)
-        if u.name == GAP
-    }
+    # Gaps of recordings of their own are scanned one by one, as aligned_starts does.
+    own = [k for k, u in enumerate(beside.unknowns) if u.name == GAP and u.recording is None]
+    gaps = {k: np.linspace(beside.low[k], beside.high[k], SCANNED_GAPS) for k in own}
     point = aligned_starts(beside, gaps)[0]
     residual = beside.whitened(point)[0]
     chi_square = float(residual @ residual)
@@ -137,15 +135,18 @@ def _place(model: SimulatedSignals, name: str, value: float) -> Place | None:
 
 
 def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
-    """Whether its loop forgets within a rotation, and neither loop nor shaft is too fast.
+    """Whether its drive lifts its load, its loop forgets in time, and nothing is too fast.
 
-    Within a motion's recording: what does not forget would not repeat.
+    In a rotation, or a motion's recording: what does not forget would not repeat.
     """
     row = model.vectors(point[None], model.recordings[0])[0]
     lasting_s = max(
         seen.samples / seen.sampling_hz if seen.motion is not None else seen.rotation_period_s
         for seen in model.recordings
     )
+    torque_nm = row[Slot.torque_constant_nm_per_a] * row[Slot.current_limit_a]
+    if row[Slot.gravity_torque_nm] > row[Slot.gear_ratio] * torque_nm:
+        return False
     slowest_per_s = -float(np.max(contact_rates(row[None]).real))
     return slowest_per_s * lasting_s > 1.0 and _fastest_per_s(row) < FASTEST_PER_S
 
