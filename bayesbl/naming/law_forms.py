@@ -34,9 +34,13 @@ of its compression; the larger of the two.
 """
 
 
-def without_mends(naming: Naming) -> Naming:
-    """Only those names that explain more than the form of a law of the shaft may leave."""
-    mends = [e for e in naming.effects if e.gain < _form_leaves(naming)]
+def without_mends(naming: Naming, explained: float = 0.0) -> Naming:
+    """Only those names that explain more than the form of a law of the shaft may leave.
+
+    ``explained``: χ² by what was learned beside them, which has a form too.
+    """
+    least = max(_form_leaves(naming), FORM_SHARE * explained)
+    mends = [e for e in naming.effects if e.gain < least]
     kept = _less(naming, mends)
     if not mends or kept is None:
         return naming

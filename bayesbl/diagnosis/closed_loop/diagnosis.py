@@ -9,7 +9,6 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
@@ -21,6 +20,7 @@ from bayesbl.diagnosis.closed_loop.prediction import (
 )
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
+    GOLDEN_RATIO,
     Diagnosis,
     Estimate,
     LearnedAnswer,
@@ -37,13 +37,19 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
-from bayesbl.naming.criteria import enough_closed, misfit_scale
+from bayesbl.naming.criteria import enough_closed, left, misfit_scale
 from bayesbl.naming.explanation import Explanation, effects_alone, reduced, with_own_noise
-from bayesbl.naming.law_forms import FORM_OF_GAP, FORM_SHARE, form_sd, is_within_form, laws_of_shaft
+from bayesbl.naming.law_forms import (
+    FORM_OF_GAP,
+    FORM_SHARE,
+    form_sd,
+    is_within_form,
+    laws_of_shaft,
+    without_mends,
+)
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
 from bayesbl.progress import Progress
-from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
@@ -53,9 +59,6 @@ LEAST_LEARNED = 0.5
 
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
-
-GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Its multiples modulo 1 fill the unit interval evenly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +176,7 @@ def search(
             naming, remaining = _with_candidates(naming, final), describe_unexplained(after)
     if learned is not None and not naming.effects and not agrees(disagreements(final.fit)):
         # Behind what was learned a law of the catalogue may have been hidden.
-        beside = missing(final.fit)
+        beside = without_mends(missing(final.fit), left(naming.nominal) - left(final))
         if beside.effects:
             final = with_own_noise(beside.final)
             learned = learned.beside(final)
@@ -371,20 +374,7 @@ def _delta_after(
         estimate = _delta(found.final, sampled)
     if estimate is None or (misfit == 1.0 and form == 0.0):
         return estimate
-    return _widened(estimate, misfit, form)
-
-
-def _widened(estimate: Estimate, factor: float, sd: float) -> Estimate:
-    """The same, so many times as wide, with a normal error more of its logarithm."""
-    draws = estimate.draws
-    if draws is not None:
-        logs = np.log(draws)
-        # In an order of their own, so that errors and draws are independent.
-        scrambled = np.argsort(np.arange(draws.size) * GOLDEN_RATIO % 1.0)
-        error = sd * norm.ppf((scrambled + 0.5) / draws.size).reshape(draws.shape)
-        draws = np.exp(logs.mean() + factor * (logs - logs.mean()) + error)
-    own = sd if estimate.logarithmic else sd * estimate.value
-    return replace(estimate, sd=math.hypot(factor * estimate.sd, own), draws=draws)
+    return estimate.widened(misfit, form)
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
@@ -418,14 +408,14 @@ def _averaged_delta(
     chosen = _delta(final, posterior)
     if chosen is None:
         return None
-    draws = _normal_draws(chosen, AVERAGED_DRAWS) if chosen.draws is None else chosen.draws
+    draws = chosen.normal_draws(AVERAGED_DRAWS) if chosen.draws is None else chosen.draws
     averaged = draws.ravel().copy()
     order, begin = np.argsort(np.arange(averaged.size) * GOLDEN_RATIO % 1.0), 0
     for explanation, weight in _weighted(naming):
         other, count = _delta(explanation), round(weight * averaged.size)
         if explanation is naming.final or other is None or count == 0:
             continue
-        averaged[order[begin : begin + count]] = _normal_draws(other, count)
+        averaged[order[begin : begin + count]] = other.normal_draws(count)
         begin += count
     if begin == 0:
         return chosen
@@ -436,13 +426,6 @@ def _averaged_delta(
         averaged.reshape(draws.shape),
         chosen.logarithmic,
     )
-
-
-def _normal_draws(estimate: Estimate, count: int) -> FloatArray:
-    """Evenly spaced quantiles of an estimate's normal approximation, in the value's unit."""
-    quantiles = norm.ppf((np.arange(count) + 0.5) / count)
-    coordinate = estimate.value + estimate.sd * quantiles
-    return np.asarray(np.exp(coordinate) if estimate.logarithmic else coordinate)
 
 
 def _analysis(
