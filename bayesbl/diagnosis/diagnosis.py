@@ -57,7 +57,10 @@ class Estimate:
         return np.asarray(np.exp(coordinate) if self.logarithmic else coordinate)
 
     def widened(self, factor: float, sd: float) -> Estimate:
-        """A positive value so many times as wide, with a normal error more of its logarithm."""
+        """A positive value so many times as wide, with a normal error more of its logarithm.
+
+        ``factor`` multiplies the standard deviation; ``sd``, a pure number, is that of the error.
+        """
         draws = self.draws
         if draws is not None:
             logs = np.log(draws)

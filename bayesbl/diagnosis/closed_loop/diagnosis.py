@@ -38,7 +38,13 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import enough_closed, left, misfit_scale
-from bayesbl.naming.explanation import Explanation, effects_alone, reduced, with_own_noise
+from bayesbl.naming.explanation import (
+    Explanation,
+    effects_alone,
+    nominal_explanation,
+    reduced,
+    with_own_noise,
+)
 from bayesbl.naming.law_forms import (
     FORM_OF_GAP,
     FORM_SHARE,
@@ -141,34 +147,34 @@ def search(
         progress=progress,
     )
     naming = missing(nominal)
+
+    def compared(explanation: Explanation) -> tuple[list[SimulatedPair], ResidualAnalysis]:
+        pairs = simulated_pairs(nominal_explanation(nominal), explanation, held_out)
+        return pairs, _analysis(pairs, explanation, "after")
+
     # What was missing is not noise: intervals rest on the noise estimated without it.
-    final = naming.final
-    if final.candidates:
-        final = with_own_noise(final)
-    pairs = simulated_pairs(naming.nominal, final, held_out)
+    final = with_own_noise(naming.final) if naming.final.candidates else naming.final
+    pairs, after = compared(final)
     before = _analysis(pairs, naming.nominal, "before")
-    after = _analysis(pairs, final, "after")
     remaining = describe_unexplained(after)
     if remaining and not _is_closed(before, after, final):
-        # It helps a little, as a parameter may where a line in time remains: no explanation, unless
-        # its effects are one without its parameters, of which more is asked.
+        # More is asked of parameters: the effects may do without them.
         fewer = effects_alone(naming.nominal, naming.final)
         if fewer is not None:
             final = with_own_noise(fewer)
-            pairs = simulated_pairs(naming.nominal, final, held_out)
-            after = _analysis(pairs, final, "after")
+            pairs, after = compared(final)
             naming = _with_candidates(replace(naming, final=fewer), final)
         if fewer is None or not _is_closed(before, after, final):
+            # It helps a little, as a parameter may where a line in time remains: no explanation.
             final = naming.nominal
             naming = replace(naming, repeats=True, final=final, effects=())
-            pairs, after = simulated_pairs(final, final, held_out), before
+            pairs, after = compared(final)
         remaining = describe_unexplained(after)
     learned = None
     if naming.repeats or (remaining and not is_within_form(naming)):
         learned = learned_term(final, remaining, settings.false_alarm, settings.motor_angle_known)
     if learned is not None:
-        with_it = simulated_pairs(naming.nominal, learned.explanation, held_out)
-        explained = _analysis(with_it, learned.explanation, "after")
+        with_it, explained = compared(learned.explanation)
         if _share_closed(after, explained) < LEAST_LEARNED:
             learned = None
         else:
@@ -181,8 +187,7 @@ def search(
             final = with_own_noise(beside.final)
             learned = learned.beside(final)
             naming = replace(beside, nominal=naming.nominal, alone=naming.alone)
-            pairs = simulated_pairs(naming.nominal, final, held_out)
-            after = _analysis(pairs, final, "after")
+            pairs, after = compared(final)
             remaining = describe_unexplained(after)
     return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
 
@@ -194,10 +199,10 @@ def _is_closed(before: ResidualAnalysis, after: ResidualAnalysis, final: Explana
 
 def _with_candidates(naming: Naming, final: Explanation) -> Naming:
     """Without the names that what was learned has made superfluous."""
-    for place in range(len(naming.final.candidates) - 1, -1, -1):
-        if naming.final.candidates[place].label not in final.names:
-            left = reduced(naming.nominal, naming.final, place)
-            naming = replace(naming, final=left or naming.nominal)
+    idle = [k for k, name in enumerate(naming.final.names) if name not in final.names]
+    if idle:
+        less = reduced(naming.nominal, naming.final, idle)
+        naming = replace(naming, final=less or naming.nominal)
     kept = tuple(e for e in naming.effects if e.candidate.label in naming.final.names)
     return replace(naming, effects=kept)
 
@@ -344,19 +349,19 @@ def _doubts_in_words(found: Findings, form: float, misfit: float) -> Iterator[st
     laws = " and ".join(in_words(law.name) for law in laws_of_shaft(found.naming))
     if form > 0.0:
         yield (
-            f"No real shaft follows the law of {laws} exactly. What it does to the gap is taken as "
-            f"known to {100.0 * FORM_OF_GAP:.0f} %, which adds {100.0 * form:.2g} % to the gap's "
-            "standard deviation."
+            f"No real shaft follows the law of {laws} exactly. How far it moves the gap is taken "
+            f"as known to {100.0 * FORM_OF_GAP:.0f} %. That is a standard deviation of "
+            f"{100.0 * form:.2g} % of the gap, and the gap's interval includes it."
         )
     if found.remaining and is_within_form(found.naming):
         yield (
             f"What is left is less than {100.0 * FORM_SHARE:.1g} % of what {laws} explains. The "
-            "form of that law may leave as much: nothing is named for it."
+            "form of that law may leave as much, so no other name is given for it."
         )
     if misfit > 1.0:
         yield (
-            "What is left repeats, and counts as noise for the gap: its interval is "
-            f"{misfit:.2g} times as wide."
+            "What is left still repeats. It counts as noise for the gap, whose interval is "
+            f"{misfit:.1f} times as wide for it."
         )
 
 
