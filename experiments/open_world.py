@@ -38,6 +38,8 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnosis_of, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
+from bayesbl.naming.criteria import repeating_misfit
+from bayesbl.naming.law_forms import laws_of_shaft
 
 MOTOR_FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "motor_stribeck_friction")
 LOAD_FRICTION = ("load_coulomb_friction", "load_viscous_friction")
@@ -56,6 +58,8 @@ LAWS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
     "Bouc-Wen": ("outside__bouc_wen_nm", 12.0, ("shaft_hysteresis",)),
 }
 """Law to its parameter, a middling strength, and the names that are its family."""
+
+SHAFT_LAWS = ("damping by root of compression", "Bouc-Wen")
 
 LEARNED_AT = (*SIDES, "encoder")
 """Where what was learned may act, numbered in this order."""
@@ -89,7 +93,12 @@ COLUMNS = {
     "delta_rad": ("rad", "gap simulated"),
     "delta_z_before": ("1", "error of ln δ in standard deviations, bench as believed"),
     "delta_z_after": ("1", "the same with what was named and learned; nan where withheld"),
-    "delta_ratio_after": ("1", "fitted gap over the one simulated"),
+    "delta_ratio_before": ("1", "gap fitted with the bench as believed, over the one simulated"),
+    "delta_ratio_after": ("1", "the same with what was named and learned"),
+    "form_share": (
+        "1",
+        "χ² that repeats after naming over that before, if a law of the shaft is named",
+    ),
     "diagnosis_s": ("s", "time of the diagnosis alone"),
 }
 
@@ -146,16 +155,19 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         "gap_share": math.nan if learned is None else float(learned.gap_share or math.nan),
         "closed_held_out": closed_share(found, made, "held_out"),
         "delta_rad": gap,
+        "form_share": math.nan,
         "diagnosis_s": seconds,
     }
+    if laws_of_shaft(found.naming):
+        remaining = repeating_misfit(found.naming.final.fit)
+        score["form_share"] = remaining / repeating_misfit(found.naming.nominal.fit)
     for stage, estimate in (
         ("before", diagnosis.delta_before),
         ("after", diagnosis.delta_after),
     ):
         error = math.nan if estimate is None else estimate.value - math.log(gap)
         score[f"delta_z_{stage}"] = math.nan if estimate is None else error / estimate.sd
-        if stage == "after":
-            score["delta_ratio_after"] = math.exp(error)
+        score[f"delta_ratio_{stage}"] = math.exp(error)
     return score
 
 
@@ -189,6 +201,14 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         errors = errors[np.isfinite(errors)]
         line[f"cover_90_{stage}"] = _mean(np.abs(errors) < LEVEL_SD)
         line[f"delta_given_{stage}"] = float(errors.size)
+    # What naming/law_forms.py takes a law's form to leave, and to do to δ.
+    error = np.log(column["delta_ratio_after"])
+    moved = np.log(column["delta_ratio_before"]) - error
+    for law in SHAFT_LAWS if row.laws == 1 else ():
+        of_law = column["truth"] == float(1 << list(LAWS).index(law))
+        of_law &= np.isfinite(column["form_share"]) & np.isfinite(error)
+        line[f"{law}: form_share_max"] = float(np.max(column["form_share"][of_law], initial=0.0))
+        line[f"{law}: error/moved"] = float(np.sqrt(np.mean((error / moved)[of_law] ** 2)))
     line["median_s"] = float(np.median(column["diagnosis_s"]))
     return line
 

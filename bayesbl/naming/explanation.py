@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -183,13 +183,20 @@ def polished(explanation: Explanation) -> Explanation:
     return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps))
 
 
-def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanation | None:
-    """An explanation less one of its candidates, fitted from where it is."""
+def reduced(
+    nominal: Explanation, full: Explanation, without: Collection[int]
+) -> Explanation | None:
+    """An explanation less the candidates at these places, fitted again from where it is.
+
+    ``nominal`` where none is left; ``None`` if it cannot be simulated.
+    """
+    if len(without) == len(full.candidates):
+        return nominal
     model, own = nominal.fit.model, nominal.fit.point.size
     kept, places = [], [np.arange(own)]
     for k, candidate in enumerate(full.candidates):
         own += len(candidate.unknowns)
-        if k != without:
+        if k not in without:
             model = extended(model, candidate)
             kept.append(candidate)
             places.append(np.arange(own - len(candidate.unknowns), own))
@@ -203,18 +210,11 @@ def reduced(nominal: Explanation, full: Explanation, without: int) -> Explanatio
 
 
 def effects_alone(nominal: Explanation, full: Explanation) -> Explanation | None:
-    """An explanation without its parameters, fitted from where it is; ``None`` if that is none.
-
-    Of parameters more is asked, and beside an effect they may be too many.
-    """
-    kinds = [c.kind for c in full.candidates]
-    if len(set(kinds)) < 2:
+    """An explanation by effects and parameters without the latter; ``None`` of any other."""
+    parameters = [k for k, c in enumerate(full.candidates) if c.kind == "parameter"]
+    if not 0 < len(parameters) < len(full.candidates):
         return None
-    rest: Explanation | None = full
-    for place in reversed(range(len(kinds))):
-        if rest is not None and kinds[place] == "parameter":
-            rest = reduced(nominal, rest, place)
-    return rest
+    return reduced(nominal, full, parameters)
 
 
 def linear_gains(base: Explanation, candidates: Sequence[Candidate]) -> FloatArray:

@@ -34,11 +34,15 @@ of its compression; the larger of the two.
 """
 
 
-def without_mends(naming: Naming) -> Naming:
-    """Only those names that explain more than the form of a law of the shaft may leave."""
-    mends = [e for e in naming.effects if e.gain < _form_leaves(naming)]
-    kept = _less(naming, mends)
-    if not mends or kept is None:
+def without_mends(naming: Naming, explained: float = 0.0) -> Naming:
+    """Only those names that explain more than the form of a law of the shaft may leave.
+
+    ``explained``: χ² by what was learned beside them, which has a form too.
+    """
+    least = max(_form_leaves(naming), FORM_SHARE * explained)
+    mends = [e for e in naming.effects if e.gain < least]
+    kept = _less(naming, mends) if mends else None
+    if kept is None:
         return naming
     effects = tuple(e for e in naming.effects if e not in mends)
     return replace(naming, final=kept, effects=effects)
@@ -92,13 +96,8 @@ def form_sd(naming: Naming) -> float:
 
 def _less(naming: Naming, names: Sequence[NamedCandidate]) -> Explanation | None:
     """The final explanation without these, fitted again; ``None`` if it cannot be simulated."""
-    rest: Explanation | None = naming.final
-    for named in names:
-        if rest is not None and len(rest.candidates) == 1:
-            rest = naming.nominal
-        elif rest is not None:
-            rest = reduced(naming.nominal, rest, rest.candidates.index(named.candidate))
-    return rest
+    final = naming.final
+    return reduced(naming.nominal, final, [final.candidates.index(n.candidate) for n in names])
 
 
 def _log_gap(explanation: Explanation) -> float:

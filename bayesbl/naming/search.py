@@ -362,7 +362,7 @@ class _Search:
             return self._nominal
         key = id(final), without
         if key not in self._rests:
-            found = [reduced(self._nominal, final, without)]
+            found = [reduced(self._nominal, final, [without])]
             found += [e for e in first if len(rest) == 1 and e.candidates[-1] is rest[0]]
             known = [e for e in found if e is not None]
             best = min(known, key=lambda e: e.fit.chi_square, default=None)

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
@@ -21,6 +20,7 @@ from bayesbl.diagnosis.closed_loop.prediction import (
 )
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
+    GOLDEN_RATIO,
     Diagnosis,
     Estimate,
     LearnedAnswer,
@@ -37,13 +37,25 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.naming.candidates import candidates
-from bayesbl.naming.criteria import enough_closed, misfit_scale
-from bayesbl.naming.explanation import Explanation, effects_alone, reduced, with_own_noise
-from bayesbl.naming.law_forms import FORM_OF_GAP, FORM_SHARE, form_sd, is_within_form, laws_of_shaft
+from bayesbl.naming.criteria import enough_closed, left, misfit_scale
+from bayesbl.naming.explanation import (
+    Explanation,
+    effects_alone,
+    nominal_explanation,
+    reduced,
+    with_own_noise,
+)
+from bayesbl.naming.law_forms import (
+    FORM_OF_GAP,
+    FORM_SHARE,
+    form_sd,
+    is_within_form,
+    laws_of_shaft,
+    without_mends,
+)
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
 from bayesbl.progress import Progress
-from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
@@ -53,9 +65,6 @@ LEAST_LEARNED = 0.5
 
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
-
-GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Its multiples modulo 1 fill the unit interval evenly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,34 +147,34 @@ def search(
         progress=progress,
     )
     naming = missing(nominal)
+
+    def compared(explanation: Explanation) -> tuple[list[SimulatedPair], ResidualAnalysis]:
+        pairs = simulated_pairs(nominal_explanation(nominal), explanation, held_out)
+        return pairs, _analysis(pairs, explanation, "after")
+
     # What was missing is not noise: intervals rest on the noise estimated without it.
-    final = naming.final
-    if final.candidates:
-        final = with_own_noise(final)
-    pairs = simulated_pairs(naming.nominal, final, held_out)
+    final = with_own_noise(naming.final) if naming.final.candidates else naming.final
+    pairs, after = compared(final)
     before = _analysis(pairs, naming.nominal, "before")
-    after = _analysis(pairs, final, "after")
     remaining = describe_unexplained(after)
     if remaining and not _is_closed(before, after, final):
-        # It helps a little, as a parameter may where a line in time remains: no explanation, unless
-        # its effects are one without its parameters, of which more is asked.
+        # More is asked of parameters: the effects may do without them.
         fewer = effects_alone(naming.nominal, naming.final)
         if fewer is not None:
             final = with_own_noise(fewer)
-            pairs = simulated_pairs(naming.nominal, final, held_out)
-            after = _analysis(pairs, final, "after")
+            pairs, after = compared(final)
             naming = _with_candidates(replace(naming, final=fewer), final)
         if fewer is None or not _is_closed(before, after, final):
+            # It helps a little, as a parameter may where a line in time remains: no explanation.
             final = naming.nominal
             naming = replace(naming, repeats=True, final=final, effects=())
-            pairs, after = simulated_pairs(final, final, held_out), before
+            pairs, after = compared(final)
         remaining = describe_unexplained(after)
     learned = None
     if naming.repeats or (remaining and not is_within_form(naming)):
         learned = learned_term(final, remaining, settings.false_alarm, settings.motor_angle_known)
     if learned is not None:
-        with_it = simulated_pairs(naming.nominal, learned.explanation, held_out)
-        explained = _analysis(with_it, learned.explanation, "after")
+        with_it, explained = compared(learned.explanation)
         if _share_closed(after, explained) < LEAST_LEARNED:
             learned = None
         else:
@@ -173,13 +182,12 @@ def search(
             naming, remaining = _with_candidates(naming, final), describe_unexplained(after)
     if learned is not None and not naming.effects and not agrees(disagreements(final.fit)):
         # Behind what was learned a law of the catalogue may have been hidden.
-        beside = missing(final.fit)
+        beside = without_mends(missing(final.fit), left(naming.nominal) - left(final))
         if beside.effects:
             final = with_own_noise(beside.final)
             learned = learned.beside(final)
             naming = replace(beside, nominal=naming.nominal, alone=naming.alone)
-            pairs = simulated_pairs(naming.nominal, final, held_out)
-            after = _analysis(pairs, final, "after")
+            pairs, after = compared(final)
             remaining = describe_unexplained(after)
     return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
 
@@ -191,10 +199,10 @@ def _is_closed(before: ResidualAnalysis, after: ResidualAnalysis, final: Explana
 
 def _with_candidates(naming: Naming, final: Explanation) -> Naming:
     """Without the names that what was learned has made superfluous."""
-    for place in range(len(naming.final.candidates) - 1, -1, -1):
-        if naming.final.candidates[place].label not in final.names:
-            left = reduced(naming.nominal, naming.final, place)
-            naming = replace(naming, final=left or naming.nominal)
+    idle = [k for k, name in enumerate(naming.final.names) if name not in final.names]
+    if idle:
+        less = reduced(naming.nominal, naming.final, idle)
+        naming = replace(naming, final=less or naming.nominal)
     kept = tuple(e for e in naming.effects if e.candidate.label in naming.final.names)
     return replace(naming, effects=kept)
 
@@ -341,19 +349,19 @@ def _doubts_in_words(found: Findings, form: float, misfit: float) -> Iterator[st
     laws = " and ".join(in_words(law.name) for law in laws_of_shaft(found.naming))
     if form > 0.0:
         yield (
-            f"No real shaft follows the law of {laws} exactly. What it does to the gap is taken as "
-            f"known to {100.0 * FORM_OF_GAP:.0f} %, which adds {100.0 * form:.2g} % to the gap's "
-            "standard deviation."
+            f"No real shaft follows the law of {laws} exactly. How far it moves the gap is taken "
+            f"as known to {100.0 * FORM_OF_GAP:.0f} %. That is a standard deviation of "
+            f"{100.0 * form:.2g} % of the gap, and the gap's interval includes it."
         )
     if found.remaining and is_within_form(found.naming):
         yield (
             f"What is left is less than {100.0 * FORM_SHARE:.1g} % of what {laws} explains. The "
-            "form of that law may leave as much: nothing is named for it."
+            "form of that law may leave as much, so no other name is given for it."
         )
     if misfit > 1.0:
         yield (
-            "What is left repeats, and counts as noise for the gap: its interval is "
-            f"{misfit:.2g} times as wide."
+            "What is left still repeats. It counts as noise for the gap, whose interval is "
+            f"{misfit:.1f} times as wide for it."
         )
 
 
@@ -371,20 +379,7 @@ def _delta_after(
         estimate = _delta(found.final, sampled)
     if estimate is None or (misfit == 1.0 and form == 0.0):
         return estimate
-    return _widened(estimate, misfit, form)
-
-
-def _widened(estimate: Estimate, factor: float, sd: float) -> Estimate:
-    """The same, so many times as wide, with a normal error more of its logarithm."""
-    draws = estimate.draws
-    if draws is not None:
-        logs = np.log(draws)
-        # In an order of their own, so that errors and draws are independent.
-        scrambled = np.argsort(np.arange(draws.size) * GOLDEN_RATIO % 1.0)
-        error = sd * norm.ppf((scrambled + 0.5) / draws.size).reshape(draws.shape)
-        draws = np.exp(logs.mean() + factor * (logs - logs.mean()) + error)
-    own = sd if estimate.logarithmic else sd * estimate.value
-    return replace(estimate, sd=math.hypot(factor * estimate.sd, own), draws=draws)
+    return estimate.widened(misfit, form)
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
@@ -418,14 +413,14 @@ def _averaged_delta(
     chosen = _delta(final, posterior)
     if chosen is None:
         return None
-    draws = _normal_draws(chosen, AVERAGED_DRAWS) if chosen.draws is None else chosen.draws
+    draws = chosen.normal_draws(AVERAGED_DRAWS) if chosen.draws is None else chosen.draws
     averaged = draws.ravel().copy()
     order, begin = np.argsort(np.arange(averaged.size) * GOLDEN_RATIO % 1.0), 0
     for explanation, weight in _weighted(naming):
         other, count = _delta(explanation), round(weight * averaged.size)
         if explanation is naming.final or other is None or count == 0:
             continue
-        averaged[order[begin : begin + count]] = _normal_draws(other, count)
+        averaged[order[begin : begin + count]] = other.normal_draws(count)
         begin += count
     if begin == 0:
         return chosen
@@ -436,13 +431,6 @@ def _averaged_delta(
         averaged.reshape(draws.shape),
         chosen.logarithmic,
     )
-
-
-def _normal_draws(estimate: Estimate, count: int) -> FloatArray:
-    """Evenly spaced quantiles of an estimate's normal approximation, in the value's unit."""
-    quantiles = norm.ppf((np.arange(count) + 0.5) / count)
-    coordinate = estimate.value + estimate.sd * quantiles
-    return np.asarray(np.exp(coordinate) if estimate.logarithmic else coordinate)
 
 
 def _analysis(

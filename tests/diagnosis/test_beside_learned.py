@@ -1,0 +1,52 @@
+"""A law of the catalogue that stands behind one that no catalogue has."""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.config.bench import reference_bench
+from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnosis_of, search
+from bayesbl.matching.observed import observed
+from bayesbl.matching.signals import gap_unknown, start_angle_unknown
+
+GAP_RAD = 0.82e-3
+SPEEDS_RPM = (2000.0, -2000.0, 1200.0, 1600.0)
+HIDDEN = {
+    "outside__ripple_nm": 0.07,
+    "outside__ripple_order": 5.0,
+    "contact_damping__factor_s_per_rad": 1.2,
+}
+
+
+@pytest.mark.long
+def test_a_law_behind_a_ripple_of_several_orders_is_named_beside_it(
+    independent: ModuleType,
+) -> None:
+    """The ripple alone was learned, and the gap given 4 % too small with 0.1 % of deviation."""
+    bench = reference_bench()
+    believed = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
+    rng = np.random.default_rng(22)
+    seen = []
+    for speed in SPEEDS_RPM:
+        start, motor = rng.uniform(-math.pi, math.pi, 2)
+        truth = independent.plant(
+            {**believed, "reference_speed_rpm": speed, **HIDDEN},
+            gap_rad=GAP_RAD,
+            start_angle_rad=start,
+            motor_start_angle_rad=motor,
+        )
+        made = independent.simulate(truth, rng, name=f"{speed:+.0f}")
+        seen.append(observed(made.recording, bench, speed))
+    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen[:-1])]
+    found = search(bench, seen[:-1], seen[-1:], unknowns, ForwardSettings())
+    assert found.learned is not None
+    assert found.learned.term.variable == "motor_angle"
+    assert [effect.name for effect in found.naming.effects] == ["contact_damping"]
+    diagnosis = diagnosis_of(found)
+    assert diagnosis.delta_after is None
+    assert "no gap is given" in diagnosis.gap_withheld
