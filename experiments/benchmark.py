@@ -13,8 +13,10 @@ machine is.
 
 from __future__ import annotations
 
+import math
 import os
 import platform
+import re
 import statistics
 import subprocess
 import sys
@@ -95,11 +97,15 @@ def main() -> None:
     show("posterior around it, at most 2 s", posterior, "s")
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        show("bayesbl fit, peak memory, at most 300 MB", fit_megabytes(place / "figures"), "MB")
-        without = fit_megabytes(place / "none", "--no-figures")
-        show("bayesbl fit without figures, peak memory, at most 250 MB", without, "MB")
-        first = fit_megabytes(place / "first", NUMBA_CACHE_DIR=f"{folder}/compiled")
-        show("bayesbl fit, peak memory of a first run, which compiles", first, "MB")
+        for told, options in (
+            ("bayesbl fit, {}, at most 300 MB", ()),
+            ("bayesbl fit without figures, {}, at most 250 MB", ("--no-figures",)),
+        ):
+            resident, own = fit_megabytes(place / f"fit{len(options)}", *options)
+            show(told.format("peak memory"), resident, "MB")
+            show(told.format("of it not pages of files"), own, "MB")
+        compiling, _ = fit_megabytes(place / "first", NUMBA_CACHE_DIR=f"{folder}/compiled")
+        show("bayesbl fit, peak memory of a first run, which compiles", compiling, "MB")
     imports = f"import {', '.join(IMPORTED)}"
     show(imports, core_seconds([sys.executable, "-c", imports]), "core-s")
     with tempfile.TemporaryDirectory() as folder:
@@ -197,19 +203,38 @@ def warm_seconds() -> tuple[float, float]:
     return best_seconds(search), best_seconds(sample, 3)
 
 
-def fit_megabytes(folder: Path, *options: str, **environment: str) -> float:
-    """Largest resident memory of ``bayesbl fit`` on an example recording, in MB (10⁶ bytes)."""
+def fit_megabytes(folder: Path, *options: str, **environment: str) -> tuple[float, float]:
+    """Largest memory of ``bayesbl fit`` on an example recording, in MB (10⁶ bytes).
+
+    Resident, and that part of it which is of no file; the latter is known on Linux only.
+    """
     file = str(RECORDINGS / "wear_before.csv")
     arguments = [*options, "fit", file, "--out", str(folder / "fit")]
+    own = math.nan
     with subprocess.Popen(
         [PROGRAM, *arguments], stdout=subprocess.DEVNULL, env={**os.environ, **environment}
     ) as process:
-        _, status, usage = os.wait4(process.pid, 0)
+        while True:
+            ended, status, usage = os.wait4(process.pid, os.WNOHANG)
+            if ended:
+                break
+            own = float(np.fmax(own, _anonymous_megabytes(process.pid)))
+            time.sleep(0.01)
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise RuntimeError(f"bayesbl fit ended with status {process.returncode}")
     unit = 1 if sys.platform == "darwin" else 1024
-    return 1e-6 * unit * float(usage.ru_maxrss)
+    return 1e-6 * unit * float(usage.ru_maxrss), own
+
+
+def _anonymous_megabytes(process: int) -> float:
+    """Memory now that is of no file; not a number where the system does not tell."""
+    try:
+        status = Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return math.nan
+    kilobytes = re.search(r"RssAnon:\s+(\d+)", status)
+    return math.nan if kilobytes is None else 1.024e-3 * int(kilobytes[1])
 
 
 def compare_command(folder: Path, *options: str) -> list[str]:

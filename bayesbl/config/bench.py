@@ -32,6 +32,7 @@ from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config import printed_units
 from bayesbl.config.fields import (
     Section,
+    Tolerance,
     as_tuple,
     refuse,
     require_different,
@@ -72,8 +73,8 @@ class ParameterEntry(Section):
 
     value: float
     unit: str | None = None
-    tolerance: float | None = Field(default=None, ge=0.0)
-    relative_tolerance: float | None = Field(default=None, ge=0.0, lt=1.0)
+    tolerance: Tolerance = Field(default=None, ge=0.0)
+    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
 
     @model_validator(mode="after")
     def _one_tolerance(self) -> Self:

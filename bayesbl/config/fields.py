@@ -178,6 +178,20 @@ Name = Annotated[str, AfterValidator(_name)]
 Positive = Annotated[float, Field(gt=0.0)]
 
 
+def _not_percent(given: object) -> object:
+    share = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
+    if share is not None:
+        refuse(
+            "A tolerance is a number.",
+            expected=f"a share of the value as relative_tolerance = {float(share[1]) / 100.0:g}",
+        )
+    return given
+
+
+Tolerance = Annotated[float | None, BeforeValidator(_not_percent)]
+"""Half-width of a uniform prior, in the parameter's unit or as a share; ``None`` if not given."""
+
+
 class Section(BaseModel):
     """A table of the configuration: no unknown key, no silent conversion, no change later."""
 

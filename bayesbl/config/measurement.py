@@ -15,6 +15,7 @@ from bayesbl.config.fields import (
     Positive,
     ResultFile,
     Section,
+    Tolerance,
     as_tuple,
     refuse,
 )
@@ -33,8 +34,8 @@ LARGEST_LIMIT_RAD = 0.05
 class Drift(Section):
     """An entry of ``[joint.may_drift]``: half-width of a uniform prior, as a bench tolerance is."""
 
-    tolerance: Positive | None = None
-    relative_tolerance: Positive | None = None
+    tolerance: Tolerance = Field(default=None, gt=0.0)
+    relative_tolerance: Tolerance = Field(default=None, gt=0.0)
 
     @model_validator(mode="after")
     def _one_of_the_two(self) -> Self:

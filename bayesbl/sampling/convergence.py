@@ -96,8 +96,10 @@ def rank_r_hat_and_ess(
     """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
     from arviz_stats.base import array_stats
 
-    r_hat = {n: float(array_stats.rhat(x, method="rank")) for n, x in draws.items()}
-    ess = {n: float(array_stats.ess(x, method="bulk")) for n, x in draws.items()}
+    # Draws that are all alike have no R̂: it is not a number then, which is told as a sentence.
+    with np.errstate(invalid="ignore"):
+        r_hat = {n: float(array_stats.rhat(x, method="rank")) for n, x in draws.items()}
+        ess = {n: float(array_stats.ess(x, method="bulk")) for n, x in draws.items()}
     return r_hat, ess
 
 

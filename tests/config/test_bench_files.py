@@ -173,6 +173,11 @@ def test_tolerances_are_relative_or_absolute(tmp_path: Path) -> None:
             "{value = 20.0, tolerance = 1.0, relative_tolerance = 0.1}",
             ["load_inertia_kg_m2", "one tolerance"],
         ),
+        (
+            "{value = 20.0}",
+            '{value = 20.0, tolerance = "12.5 %"}',
+            ["load_inertia_kg_m2", "relative_tolerance = 0.125"],
+        ),
         ("schema = 1", "schema = ", ["TOML"]),
     ],
 )
