@@ -128,27 +128,14 @@ def identify(
             posterior = _posterior(found.fit, sampler, seed, progress)
             check = tuple(disagreements(found.fit))
             return Identification(found, found, "agrees", value, (), check, None, posterior)
-    naming = of_stage(progress, "Naming what is missing")
     nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
-    final = nominal
     beyond: BeyondDataSheet | None = None
-    missing: tuple[tuple[str, ...], ...] = ()
     if is_explained(nominal):
         final, missing = _delayed(nominal, problem)
     else:
-        steady = _with_steady_torque(problem)
-        rubs = steady is not None and is_explained(steady)
-        if rubs:
-            final, missing = _named(nominal, steady, problem, naming)
-        if not missing:
-            wrong = beyond_data_sheet(nominal, problem)
-            if wrong is None and plausible and not rubs:
-                wrong = far_beyond_data_sheet(problem)
-            if wrong is not None:
-                final, beyond = wrong
-            elif not rubs:
-                final, missing = _named(nominal, steady, problem, naming)
+        naming = of_stage(progress, "Naming what is missing")
+        final, beyond, missing = _completed(nominal, problem, plausible, naming)
     check = tuple(disagreements(final.fit))
     explained = agrees(list(check), FALSE_ALARM)
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
@@ -164,6 +151,38 @@ def identify(
             check = tuple(disagreements(final.fit))
     posterior = _posterior(final.fit, sampler, seed, progress)
     return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
+
+
+def _completed(
+    nominal: Explanation, problem: Problem, plausible: bool, progress: Progress | None
+) -> tuple[Explanation, BeyondDataSheet | None, tuple[tuple[str, ...], ...]]:
+    """What explains recordings that the data sheet within its tolerances does not.
+
+    The likeliest first: steady friction, a value a little beyond its tolerance, an effect of the
+    catalogue, and only where all these leave something a value wrong by a unit.
+    """
+    steady = _with_steady_torque(problem)
+    rubs = steady is not None and is_explained(steady)
+    if rubs:
+        named, missing = _named(nominal, steady, problem, progress)
+        if missing:
+            return _asked_for(nominal, named, problem), None, missing
+    near = beyond_data_sheet(nominal, problem)
+    if near is not None:
+        return *near, ()
+    if rubs:
+        return nominal, None, ()
+    named, missing = _named(nominal, steady, problem, progress)
+    # A sheet that no joint can be as was searched from afar before it was matched.
+    far = far_beyond_data_sheet(problem) if plausible and not is_explained(named) else None
+    if far is not None:
+        return *far, ()
+    return _asked_for(nominal, named, problem), None, missing
+
+
+def _asked_for(nominal: Explanation, named: Explanation, problem: Problem) -> Explanation:
+    """With what was named in the bench, if that was asked for."""
+    return named if problem.effects == "catalogue" else nominal
 
 
 def _posterior(
@@ -288,7 +307,7 @@ def _named(
     problem: Problem,
     progress: Progress | None,
 ) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
-    """With the effects that the recordings name; in the bench only if that was asked for."""
+    """With the effects that the recordings name."""
     naming: Naming = name_missing(
         _to_name_from(nominal, steady),
         partial(
@@ -302,7 +321,7 @@ def _named(
         progress=progress,
     )
     missing = tuple(effect.members for effect in naming.effects)
-    if not missing or problem.effects != "catalogue":
+    if not missing:
         return nominal, missing
     named = with_own_noise(naming.final)
     return replace(named, fit=believed(named.fit, FALSE_ALARM)), missing

@@ -29,19 +29,20 @@ from bayesbl.recording.types import FloatArray
 
 KG_CM2_PER_KG_M2 = 1e4
 
-STEP = 2.0
-"""Between two factors scanned. With 3 a value 10⁴ times too large was not found on one joint
-of seven."""
-
 REACH = 3.0
 """Factor, up or down, that a fit may go from the place where it starts."""
+
+STEP = 2.0
+"""Between two factors scanned: within reach, so that a fit comes from both sides. With 3 a value
+10⁴ times too large was not found on one joint of seven."""
 
 FITTED = 4
 """Places that are fitted at most, the best of the scan."""
 
 FASTEST_PER_S = 5e3
-"""Rate of a speed loop or shaft beyond which none is believed (800 Hz): those of joints reach some
-hundred Hz, and what is faster takes as much longer to simulate."""
+"""Rate of a speed loop or shaft (800 Hz) beyond which a place is not scanned: those of joints reach
+some hundred Hz, and what is faster takes as much longer to simulate. A data sheet beyond it is
+searched from afar first, and matched as any other where that finds nothing."""
 
 
 @dataclass(frozen=True, slots=True)
