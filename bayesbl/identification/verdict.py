@@ -21,18 +21,15 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
     """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
     differ = found.posterior.impacts_differ(level)
     moving = [seen.name for seen, unlike in zip(problem.used, differ, strict=True) if unlike]
+    unsteady = f"{' and '.join(moving)}: {IMPACTS_DIFFER}" if moving else ""
+    if found.missing and not found.completed:
+        # Impacts of a simulation that lacks an effect are not where they are to be compared.
+        lacking = _lacking(found)
+        return f"{lacking} If that does not help: {unsteady}" if moving else lacking
     if moving:
-        return f"{' and '.join(moving)}: {IMPACTS_DIFFER}"
+        return unsteady
     if found.beyond is not None:
         return beyond_in_words(found, problem)
-    if found.missing and not found.completed:
-        names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
-        lacks = (
-            f"The bench lacks an effect that these recordings show: {names}. Let it be found "
-            '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
-            "data sheet under [[effects]]."
-        )
-        return with_bench_file_hint(lacks, (members[0] for members in found.missing))
     if found.verdict == "unexplained" or _stands_out(found):
         return (
             "No values within the tolerances, no single value up to "
@@ -54,6 +51,16 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
             # The wrong value need not be the one that δ depends on: all at an edge are told.
             return " ".join([beyond, *found.posterior.diagnostics.reasons])
     return None
+
+
+def _lacking(found: Identification) -> str:
+    names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
+    lacks = (
+        f"The bench lacks an effect that these recordings show: {names}. Let it be found "
+        '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
+        "data sheet under [[effects]]."
+    )
+    return with_bench_file_hint(lacks, (members[0] for members in found.missing))
 
 
 def beyond_in_words(found: Identification, problem: Problem) -> str:
