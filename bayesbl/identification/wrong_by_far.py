@@ -19,7 +19,7 @@ from bayesbl.bench.steady import contact_rates
 from bayesbl.errors import BenchError
 from bayesbl.identification.problem import Problem
 from bayesbl.matching.alignment import aligned_starts
-from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate
@@ -63,6 +63,19 @@ def is_plausible(problem: Problem) -> bool:
     """Whether a joint can be as on the data sheet: few that are wrong by a unit pass for one."""
     model = _nothing_fitted(problem)
     return _can_be(model, np.array([u.middle for u in model.unknowns]))
+
+
+def leaves_most(fit: SimulatedFit) -> bool:
+    """Whether some channel of a recording is left with more than half of what it varies by.
+
+    What a joint's bench lacks is smaller: the rest of it still turns, rings and follows gravity.
+    """
+    for index, seen in enumerate(fit.model.recordings):
+        left = seen.left_by(fit.model.signals(fit.point, index)[0])
+        varies = np.nanvar(seen.signals, axis=1)
+        if np.any(np.nanmean(left**2, axis=1) > 0.5 * varies):
+            return True
+    return False
 
 
 def explanations_from_afar(problem: Problem) -> list[Explanation]:
