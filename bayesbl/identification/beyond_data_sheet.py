@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
-from bayesbl.identification.wrong_by_far import REACH, explanations_from_afar
+from bayesbl.identification.wrong_by_far import explanations_from_afar, freed
 from bayesbl.matching.alignment import remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import factors_along, factors_of_estimates
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.naming.candidates import Candidate
-from bayesbl.naming.criteria import are_alike
+from bayesbl.naming.criteria import are_alike, contends, left
 from bayesbl.naming.explanation import (
     Explanation,
     explain,
@@ -147,16 +146,19 @@ def beyond_an_edge(
 def beyond_data_sheet(
     nominal: Explanation, problem: Problem
 ) -> tuple[Explanation, BeyondDataSheet] | None:
-    """One parameter near beyond its tolerance that explains all, the others within theirs."""
+    """One parameter beyond its tolerance that explains all, from where the match has ended."""
+    fit = nominal.fit
     wider = [
-        _widened(nominal, name) for name in problem.parameters if problem.bench.value(name) > 0.0
+        freed(name, fit.value(name))
+        for name in problem.parameters
+        if problem.bench.value(name) > 0.0
     ]
     rough = [e for e in (explain(nominal, c) for c in wider) if e is not None]
     return _best_beyond(rough, problem)
 
 
 def far_beyond_data_sheet(problem: Problem) -> tuple[Explanation, BeyondDataSheet] | None:
-    """The same where it may be wrong by a unit: from wherever in its whole range it fits best."""
+    """The same where no match is near: from wherever in its whole range it may fit best."""
     return _best_beyond(explanations_from_afar(problem), problem)
 
 
@@ -165,6 +167,8 @@ def _best_beyond(
 ) -> tuple[Explanation, BeyondDataSheet] | None:
     """The best of rough fits that explains all once fitted to the end, beyond its tolerance."""
     best = sorted(rough, key=lambda e: e.fit.chi_square)[:POLISHED]
+    # What leaves far more than the best is no rival, and would take long to fit to the end.
+    best = [e for e in best if contends(left(e), left(best[0]))]
     fitted = [with_noise(polished(e), remaining_noise(e.fit)) for e in best]
     outside = [e for e in fitted if _is_outside(e, problem)]
     found = sorted(filter(is_explained, outside), key=lambda e: e.fit.chi_square)
@@ -200,15 +204,3 @@ def _is_outside(explanation: Explanation, problem: Problem) -> bool:
     name = explanation.candidates[-1].name
     found = float(explanation.fit.model.unknowns[-1].value(explanation.fit.point[-1]))
     return abs(found - problem.bench.value(name)) > problem.bench.tolerances[name]
-
-
-def _widened(nominal: Explanation, name: str) -> Candidate:
-    """The same parameter over a wider range, in place of the one within its tolerance."""
-    fit = nominal.fit
-    at = fit.model.index(name)
-    value, half = fit.model.bench.value(name), fit.model.bench.tolerances[name]
-    low = value - half if half < value else value
-    ends = math.log(low / REACH), math.log((value + half) * REACH)
-    unknown = Unknown(name, *ends, logarithmic=True)
-    start = np.log(fit.model.unknowns[at].value(fit.point[at : at + 1]))
-    return Candidate(name, "parameter", (unknown,), start)

@@ -31,7 +31,7 @@ from bayesbl.identification.beyond_data_sheet import (
     with_wider_tolerances,
 )
 from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
-from bayesbl.identification.wrong_by_far import is_plausible, leaves_most
+from bayesbl.identification.wrong_by_far import may_be_far_off
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
@@ -76,8 +76,8 @@ class Identification:
     Attributes
     ----------
     nominal
-        The data sheet within its tolerances, with the effects asked for; ``final`` where no joint
-        can be as it says, and a value found far beyond explains all.
+        The data sheet within its tolerances, with the effects asked for; ``final`` where a match
+        with it is far off, and one value beyond its tolerance explains all.
     final
         With what was found beside it.
     beyond
@@ -119,9 +119,9 @@ def identify(
     UserError
         If the bench cannot be simulated or a recording is too short.
     """
-    plausible = is_plausible(problem)
-    if not plausible:
-        # A match with it would take minutes or fail, only to be further off.
+    far_off = may_be_far_off(problem)
+    if far_off:
+        # A match with this sheet would take minutes or fail, only to be further off.
         far = far_beyond_data_sheet(problem)
         if far is not None:
             found, value = far
@@ -135,7 +135,7 @@ def identify(
         final, missing = _delayed(nominal, problem)
     else:
         naming = of_stage(progress, "Naming what is missing")
-        final, beyond, missing = _completed(nominal, problem, not plausible, naming)
+        final, beyond, missing = _completed(nominal, problem, far_off, naming)
     check = tuple(disagreements(final.fit))
     explained = agrees(list(check), FALSE_ALARM)
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
@@ -154,19 +154,14 @@ def identify(
 
 
 def _completed(
-    nominal: Explanation, problem: Problem, sought_afar: bool, progress: Progress | None
+    nominal: Explanation, problem: Problem, far_off: bool, progress: Progress | None
 ) -> tuple[Explanation, BeyondDataSheet | None, tuple[tuple[str, ...], ...]]:
     """What explains recordings that the data sheet within its tolerances does not.
 
     The likeliest first: steady friction, a value a little beyond its tolerance, an effect of the
-    catalogue, and only where all these leave something a value wrong by a unit. Where the match
-    leaves most, that is the likeliest, and from there the others would take minutes.
+    catalogue, and only where all these leave something, and nothing has been sought from afar
+    (``far_off``), a value wrong by a unit.
     """
-    if not sought_afar and leaves_most(nominal.fit):
-        far = far_beyond_data_sheet(problem)
-        if far is not None:
-            return *far, ()
-        sought_afar = True
     steady = _with_steady_torque(problem)
     rubs = steady is not None and is_explained(steady)
     if rubs:
@@ -179,10 +174,10 @@ def _completed(
     if rubs:
         return nominal, None, ()
     named, missing = _named(nominal, steady, problem, progress)
-    if not sought_afar and not is_explained(named):
-        far = far_beyond_data_sheet(problem)
-        if far is not None:
-            return *far, ()
+    # What is far off was searched from afar before it was matched.
+    far = None if far_off or is_explained(named) else far_beyond_data_sheet(problem)
+    if far is not None:
+        return *far, ()
     return _asked_for(nominal, named, problem), None, missing
 
 

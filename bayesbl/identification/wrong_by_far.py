@@ -1,8 +1,9 @@
-"""Where one value of a data sheet may be wrong by a unit: places from which a fit finds it.
+"""Where one value of a data sheet may be wrong by far: places from which a fit finds it.
 
 A match climbs down from where it starts, and a value in kg cm² for kg m² is in another valley. So
-the factor of each parameter is scanned on its own, the others as on the data sheet: the gap is
-scanned and the start angles are aligned again at each place, as at the start of any match.
+the factor of each parameter is scanned on its own, from the middle of the data sheet. What is left
+there says little: gravity's current makes nearly all of it, and is off by the tolerances of others.
+Places are ranked by what one step of all unknowns, within their ranges, promises to leave.
 """
 
 from __future__ import annotations
@@ -19,25 +20,23 @@ from bayesbl.bench.steady import contact_rates
 from bayesbl.errors import BenchError
 from bayesbl.identification.problem import Problem
 from bayesbl.matching.alignment import aligned_starts
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.naming.candidates import Candidate
-from bayesbl.naming.criteria import is_gross
-from bayesbl.naming.explanation import BEHIND, SCANNED_GAPS, Explanation, extended
+from bayesbl.naming.candidates import Candidate, steady_torque
+from bayesbl.naming.criteria import contends, is_gross
+from bayesbl.naming.explanation import SCANNED_GAPS, Explanation, extended
 from bayesbl.recording.types import FloatArray
 
 KG_CM2_PER_KG_M2 = 1e4
 
-REACH = 3.0
-"""Factor, up or down, that a fit may go from the place where it starts."""
+STEP = math.sqrt(10.0)
+"""Between two factors scanned: two in a decade. The promise falls over more than that to either
+side of the true value. At one in a decade a stiffness between two places was not found."""
 
-STEP = 2.0
-"""Between two factors scanned: within reach, so that a fit comes from both sides. With 3 a value
-10⁴ times too large was not found on one joint of seven."""
-
-FITTED = 4
-"""Places that are fitted at most, the best of the scan."""
+REACH = STEP**2
+"""Factor, up or down, that a fit may go: to the next place but one. Without an end, fits of what is
+not wrong ran off to where a joint takes minutes to simulate."""
 
 FASTEST_PER_S = 5e3
 """Rate of a speed loop or shaft (800 Hz) beyond which a place is not scanned: those of joints reach
@@ -47,11 +46,11 @@ searched from afar first, and matched as any other where that finds nothing."""
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A point from which one parameter is fitted, its unknown last, and χ² there."""
+    """Where a fit of one parameter begins, its unknown last, and χ² beyond noise promised."""
 
     candidate: Candidate
     point: FloatArray
-    chi_square: float
+    left: float
 
 
 def furthest(problem: Problem) -> float:
@@ -59,39 +58,54 @@ def furthest(problem: Problem) -> float:
     return max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
 
 
-def is_plausible(problem: Problem) -> bool:
-    """Whether a joint can be as on the data sheet: few that are wrong by a unit pass for one."""
-    model = _nothing_fitted(problem)
-    return _can_be(model, np.array([u.middle for u in model.unknowns]))
+def freed(name: str, value: float) -> Candidate:
+    """A parameter on its own, sought about a value."""
+    at, reach = math.log(value), math.log(REACH)
+    unknown = Unknown(name, at - reach, at + reach, logarithmic=True)
+    return Candidate(name, "parameter", (unknown,), np.array([at]))
 
 
-def leaves_most(fit: SimulatedFit) -> bool:
-    """Whether some channel of a recording is left with more than half of what it varies by.
+def may_be_far_off(problem: Problem) -> bool:
+    """Whether a joint cannot be as on the data sheet, or a rough match with it is far off.
 
-    What a joint's bench lacks is smaller: the rest of it still turns, rings and follows gravity.
+    Also beside constant torques, by which friction shows that data sheets lack. Recordings of
+    motions take so long to scan that all else is sought first.
     """
-    for index, seen in enumerate(fit.model.recordings):
-        left = seen.left_by(fit.model.signals(fit.point, index)[0])
-        varies = np.nanvar(seen.signals, axis=1)
-        if np.any(np.nanmean(left**2, axis=1) > 0.5 * varies):
-            return True
-    return False
+    model = _nothing_fitted(problem)
+    if not _can_be(model, _middle(model)):
+        return True
+    if any(seen.motion is not None for seen in problem.used):
+        return False
+    friction = steady_torque(problem.bench, problem.used)
+    beside = [] if friction is None else [extended(model, friction)]
+    return all(_is_far_off(tried) for tried in (model, *beside))
 
 
 def explanations_from_afar(problem: Problem) -> list[Explanation]:
-    """Rough fits of one parameter each from the best places, the others within tolerances."""
+    """Rough fits of one parameter each from its best place, the others within tolerances.
+
+    Of all parameters that contend: a promise is off by as much as signals bend.
+    """
     model = _nothing_fitted(problem)
-    places = sorted(_places(model, problem), key=lambda place: place.chi_square)
+    best: dict[str, Place] = {}
+    for place in sorted(_places(model, problem), key=lambda place: place.left):
+        best.setdefault(place.candidate.name, place)
+    least = min((place.left for place in best.values()), default=math.inf)
     fits: list[Explanation] = []
-    for place in _apart(places)[:FITTED]:
-        name = place.candidate.name
-        if any(e.candidates[-1].name == name and not is_gross(e) for e in fits):
-            continue
-        beside = extended(model, place.candidate)
-        with suppress(BenchError):
-            fit = fit_simulated(beside, place.point, rough=True)
-            fits.append(Explanation((place.candidate,), fit))
+    for place in best.values():
+        if contends(place.left, least):
+            with suppress(BenchError):
+                beside = extended(model, place.candidate)
+                fit = fit_simulated(beside, place.point, rough=True)
+                fits.append(Explanation((place.candidate,), fit))
     return fits
+
+
+def _is_far_off(model: SimulatedSignals) -> bool:
+    with suppress(BenchError):
+        fit = fit_simulated(model, aligned_starts(model)[0], rough=True)
+        return is_gross(Explanation((), fit))
+    return True
 
 
 def _nothing_fitted(problem: Problem) -> SimulatedSignals:
@@ -99,53 +113,38 @@ def _nothing_fitted(problem: Problem) -> SimulatedSignals:
     return SimulatedSignals(problem.bench, problem.used, problem.unknowns, noise, problem.workers)
 
 
-def _apart(places: list[Place]) -> list[Place]:
-    """Best first: those that leave little more than the best, none in reach of a better one."""
-    kept: list[Place] = []
-    for place in places:
-        if place.chi_square > BEHIND * places[0].chi_square:
-            break
-        here = place.candidate
-        reached = (
-            k.candidate.name == here.name
-            and abs(k.candidate.neutral[0] - here.neutral[0]) < math.log(REACH)
-            for k in kept
-        )
-        if not any(reached):
-            kept.append(place)
-    return kept
+def _middle(model: SimulatedSignals) -> FloatArray:
+    return np.array([u.middle for u in model.unknowns])
 
 
 def _places(model: SimulatedSignals, problem: Problem) -> Iterator[Place]:
     """Each parameter at factors of its value, the gap and start angles the best there."""
-    steps = math.ceil(math.log(furthest(problem)) / math.log(STEP))
-    factors = STEP ** np.arange(-steps, steps + 1.0)
+    most = math.ceil(math.log(furthest(problem)) / math.log(STEP))
     for name in problem.parameters:
         value = problem.bench.value(name)
         if value <= 0.0:
             continue
-        for factor in factors:
-            place = _place(model, name, float(factor * value))
+        for step in range(-most, most + 1):
+            candidate = freed(name, value * STEP**step)
+            place = _place(model, candidate)
             if place is not None:
                 yield place
 
 
-def _place(model: SimulatedSignals, name: str, value: float) -> Place | None:
-    """The best gap and start angles with one parameter at this value; ``None`` if it cannot be."""
-    at = math.log(value)
-    unknown = Unknown(name, at - math.log(REACH), at + math.log(REACH), logarithmic=True)
-    candidate = Candidate(name, "parameter", (unknown,), np.array([at]))
+def _place(model: SimulatedSignals, candidate: Candidate) -> Place | None:
+    """The best gap and start angles with one parameter at a value; ``None`` if it cannot be."""
     beside = extended(model, candidate)
-    middle = np.array([u.middle for u in beside.unknowns])
-    if not _can_be(beside, middle):
+    at = float(candidate.neutral[0])
+    if not _can_be(beside, np.append(_middle(model), at)):
         return None
     # Gaps of recordings of their own are scanned one by one, as aligned_starts does.
     own = [k for k, u in enumerate(beside.unknowns) if u.name == GAP and u.recording is None]
-    gaps = {k: np.linspace(beside.low[k], beside.high[k], SCANNED_GAPS) for k in own}
-    point = aligned_starts(beside, gaps)[0]
-    residual = beside.whitened(point)[0]
-    chi_square = float(residual @ residual)
-    return Place(candidate, point, chi_square) if math.isfinite(chi_square) else None
+    grids = {k: np.linspace(beside.low[k], beside.high[k], SCANNED_GAPS) for k in own}
+    point = aligned_starts(beside, grids | {len(beside.unknowns) - 1: np.array([at])})[0]
+    low, high = beside.low, beside.high
+    low[-1], high[-1] = at - math.log(STEP), at + math.log(STEP)
+    left = promised_within(beside, point, low, high) - beside.size
+    return Place(candidate, point, left) if math.isfinite(left) else None
 
 
 def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:

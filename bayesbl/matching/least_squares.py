@@ -24,6 +24,8 @@ CONVERGED_SHARE = 1e-4
 """Rounds end when one lowers χ² by less than this, or by this share of its excess over noise."""
 KEPT_PROMISE = 0.8
 """Share of the promised gain above which the derivatives of a round serve for the next one too."""
+RANKING_STEP = 20.0
+"""Of derivatives that only rank points, over the first step of a fit."""
 NEAR = 1.0
 """χ² gained since the derivatives were taken, within which they hold for the covariance: about a
 standard deviation of one coordinate."""
@@ -159,7 +161,7 @@ def fit_simulated(
         shape = curvature + normal
         gained, promised = 0.0, math.inf
         while damping < 1e8:
-            move = _bounded_step(model, point, gradient, shape, damping)
+            move = _bounded_step(point, gradient, shape, damping, model.low, model.high)
             trial = point + move
             trial_residual = model.whitened(trial)[0]
             trial_value = _objective(model, trial, trial_residual)
@@ -183,6 +185,25 @@ def fit_simulated(
         jacobian, steps = _jacobian(model, point, steps)
         curvature = jacobian.T @ jacobian
     return SimulatedFit(model, point, residual, curvature, _covariance(curvature, precision), steps)
+
+
+def promised_within(
+    model: SimulatedSignals, point: FloatArray, low: FloatArray, high: FloatArray
+) -> float:
+    """χ² that one step from a point (d,) to within a range promises to leave; nan if none can be.
+
+    By one-sided differences over steps of a fiftieth of each range, not sought again: it ranks
+    points that are far off, as whose fits it would take too long to rank them.
+    """
+    steps = _first_steps(model, point) * RANKING_STEP
+    steps = np.where(point + steps > model.high, -steps, steps)
+    white = model.whitened(np.concatenate([point[None], point + np.diag(steps)]))
+    residual = white[0]
+    jacobian = (residual - white[1:]).T / steps
+    jacobian[:, ~np.all(np.isfinite(jacobian), axis=0)] = 0.0
+    gradient, curvature = jacobian.T @ residual, jacobian.T @ jacobian
+    move = _bounded_step(point, gradient, curvature, 1e-9, low, high)
+    return float(residual @ residual) - _promised(gradient, curvature, move)
 
 
 def _promised(gradient: FloatArray, curvature: FloatArray, move: FloatArray) -> float:
@@ -230,11 +251,12 @@ def _prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
 
 
 def _bounded_step(
-    model: SimulatedSignals,
     point: FloatArray,
     gradient: FloatArray,
     curvature: FloatArray,
     damping: float,
+    low: FloatArray,
+    high: FloatArray,
 ) -> FloatArray:
     """Damped Gauss-Newton step; coordinates that would leave their range stop at its end.
 
@@ -254,12 +276,12 @@ def _bounded_step(
         matrix = matrix + damping * np.eye(index.size)
         right = gradient[index] - curvature[np.ix_(index, ~free)] @ move[~free]
         move[index] = np.linalg.solve(matrix, right / scale[index]) / scale[index]
-        outside = free & ((point + move < model.low - 1e-15) | (point + move > model.high + 1e-15))
+        outside = free & ((point + move < low - 1e-15) | (point + move > high + 1e-15))
         if not np.any(outside):
             break
-        move[outside] = np.clip(point + move, model.low, model.high)[outside] - point[outside]
+        move[outside] = np.clip(point + move, low, high)[outside] - point[outside]
         free &= ~outside
-    return np.asarray(np.clip(point + move, model.low, model.high) - point)
+    return np.asarray(np.clip(point + move, low, high) - point)
 
 
 def _first_steps(model: SimulatedSignals, point: FloatArray) -> FloatArray:

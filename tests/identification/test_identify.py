@@ -37,6 +37,7 @@ from bayesbl.identification.next_recording import next_recording
 from bayesbl.identification.problem import FALSE_ALARM, Problem
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
+from bayesbl.identification.wrong_by_far import may_be_far_off
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed, observed
@@ -245,10 +246,13 @@ def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
         ("load_inertia_kg_m2", 1e4),
         ("load_inertia_kg_m2", reference_bench().value("gear_ratio") ** -2.0),
         ("motor_inertia_kg_m2", 1e-4),
+        ("load_inertia_kg_m2", 10.0),
+        ("shaft_stiffness_nm_per_rad", 18.0),
     ],
 )
-def test_a_value_wrong_by_a_unit_is_named(name: str, wrong: float) -> None:
-    """Also where no joint can be as the data sheet says."""
+def test_a_value_wrong_by_far_is_named(name: str, wrong: float) -> None:
+    """Also where no joint can be as the data sheet says, and half a step from what is scanned."""
+    assert may_be_far_off(problem(data_sheet(**{name: wrong})))
     found = far_beyond_data_sheet(problem(data_sheet(**{name: wrong})))
     assert found is not None
     _, beyond = found
