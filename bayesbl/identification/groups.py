@@ -29,6 +29,7 @@ from bayesbl.identification.problem import Problem
 from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
+from bayesbl.identification.wrong_by_far import is_plausible
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.signals import GAP
 from bayesbl.naming.explanation import Explanation, nominal_explanation
@@ -100,12 +101,12 @@ def _identified(found: Identification, problem: Problem, bench: Bench) -> xr.Dat
 def _disagreement(found: Identification, problem: Problem) -> DisagreementTable:
     """Before: the data sheet's values with gap and start angles fitted.
 
-    What no joint can be is not simulated: nothing then differs from what was found.
+    What no joint can be is not simulated: ``final``, so that nothing differs from what was found.
     """
     own = set(problem.parameters)
     unknowns = [u for u in problem.unknowns if u.name not in own]
-    before = found.nominal
-    if before is not found.final:
+    before = found.final
+    if is_plausible(problem):
         sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
         before = nominal_explanation(sheet)
     pairs = simulated_pairs(before, found.final, problem.held_out)

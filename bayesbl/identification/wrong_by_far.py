@@ -65,17 +65,23 @@ def freed(name: str, value: float) -> Candidate:
     return Candidate(name, "parameter", (unknown,), np.array([at]))
 
 
+def is_plausible(problem: Problem) -> bool:
+    """Whether a joint can be as on the data sheet: few that are wrong by a unit pass for one."""
+    model = _nothing_fitted(problem)
+    return _can_be(model, _middle(model))
+
+
 def may_be_far_off(problem: Problem) -> bool:
     """Whether a joint cannot be as on the data sheet, or a rough match with it is far off.
 
     Also beside constant torques, by which friction shows that data sheets lack. Recordings of
     motions take so long to scan that all else is sought first.
     """
-    model = _nothing_fitted(problem)
-    if not _can_be(model, _middle(model)):
+    if not is_plausible(problem):
         return True
     if any(seen.motion is not None for seen in problem.used):
         return False
+    model = _nothing_fitted(problem)
     friction = steady_torque(problem.bench, problem.used)
     beside = [] if friction is None else [extended(model, friction)]
     return all(_is_far_off(tried) for tried in (model, *beside))

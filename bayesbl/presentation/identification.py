@@ -53,9 +53,17 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
         names = ", ".join(map(in_words, unlearned))
         yield Sentence(f"These recordings tell no more than the data sheet about: {names}.")
     yield disagreement_table(summary["disagreement"])
-    yield Sentence("Before: the data sheet's values. After: the bench found.", "aside")
+    yield Sentence(compared(summary), "aside")
     if summary["suggested_recording"] is not None and is_found:
         yield Sentence(suggestion(summary["suggested_recording"]))
+
+
+def compared(summary: IdentificationSummary) -> str:
+    """What is compared; a data sheet that no joint can be as is not simulated."""
+    overall = summary["disagreement"]["over_all"].values()
+    if overall and all(part["before"] == part["after"] for part in overall):
+        return "No joint can be as the data sheet says: before and after are of the bench found."
+    return "Before: the data sheet's values. After: the bench found."
 
 
 def gaps(summary: IdentificationSummary) -> Iterator[str]:

@@ -6,6 +6,7 @@ it would fail by chance.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,6 +28,7 @@ from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.identification.beyond_data_sheet import chance_at_edges, far_beyond_data_sheet
+from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import (
     Identification,
     identified_bench,
@@ -215,6 +217,18 @@ def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
     assert suggested is not None
     assert suggested.motion_of in {seen.name for seen in stroked}
     assert suggested.information_bits > 0.0
+
+
+@pytest.mark.parametrize(("wrong", "differs"), [({}, True), ({"load_inertia_kg_m2": 1e4}, False)])
+def test_the_data_sheets_own_values_are_compared_unless_no_joint_can_have_them(
+    wrong: dict[str, float], differs: bool
+) -> None:
+    asked = problem(data_sheet(**wrong))
+    found = identify(asked, SETTINGS, np.random.SeedSequence(1)) if wrong else identified()
+    tree = identification_tree(found, asked, 0.9, "equal_tailed")
+    overall = json.loads(tree.attrs["identification"])["disagreement"]["over_all"]["used"]
+    assert (overall["before"] > 2.0 * overall["after"]) is differs
+    assert differs or overall["before"] == overall["after"]
 
 
 def test_the_bench_found_keeps_the_joint_posterior() -> None:

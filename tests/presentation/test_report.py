@@ -28,6 +28,7 @@ from bayesbl.measurement.same_joint import WITHOUT_CURRENT
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
+from bayesbl.presentation.identification import compared
 from bayesbl.presentation.shown_progress import progress
 from bayesbl.presentation.study import study_table
 from bayesbl.presentation.terminal import error, filled, print_table, wrapped
@@ -573,6 +574,14 @@ def test_no_more_than_all_of_a_disagreement_is_told_as_removed(closed):
     assert float(told.removesuffix(" %").replace("−", "-")) == pytest.approx(
         min(100.0 * closed, 100.0), abs=0.05001
     )
+
+
+def test_a_data_sheet_that_no_joint_can_be_as_is_not_said_to_be_compared():
+    def told(before):
+        return compared({"disagreement": {"over_all": {"used": {"before": before, "after": 1.0}}}})
+
+    assert told(14.7) == "Before: the data sheet's values. After: the bench found."
+    assert told(1.0).startswith("No joint can be as the data sheet says")
 
 
 # Studies
