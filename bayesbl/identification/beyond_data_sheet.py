@@ -23,6 +23,7 @@ from bayesbl.naming.explanation import (
     with_noise,
 )
 from bayesbl.probabilities import chi2_sf
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
 WIDER = 1.5
@@ -157,9 +158,14 @@ def beyond_data_sheet(
     return _best_beyond(rough, problem)
 
 
-def far_beyond_data_sheet(problem: Problem) -> tuple[Explanation, BeyondDataSheet] | None:
-    """The same where no match is near: from wherever in its whole range it may fit best."""
-    return _best_beyond(explanations_from_afar(problem), problem)
+def far_beyond_data_sheet(
+    problem: Problem, progress: Progress | None = None
+) -> tuple[Explanation, BeyondDataSheet] | None:
+    """The same where no match is near: from wherever in its whole range it may fit best.
+
+    ``progress``: called with (places scanned, places in all).
+    """
+    return _best_beyond(explanations_from_afar(problem, progress), problem)
 
 
 def _best_beyond(

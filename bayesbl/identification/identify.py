@@ -60,6 +60,9 @@ from bayesbl.sampling.chains import SamplerSettings
 
 Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
+AFAR = "Seeking a value wrong by far"
+"""Stage of the progress."""
+
 DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
 """Those of the drive: between the motor and the controller, and the recording."""
 
@@ -122,7 +125,7 @@ def identify(
     far_off = may_be_far_off(problem)
     if far_off:
         # A match with this sheet would take minutes or fail, only to be further off.
-        far = far_beyond_data_sheet(problem)
+        far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
             found, value = far
             posterior = _posterior(found.fit, sampler, seed, progress)
@@ -134,8 +137,7 @@ def identify(
     if is_explained(nominal):
         final, missing = _delayed(nominal, problem)
     else:
-        naming = of_stage(progress, "Naming what is missing")
-        final, beyond, missing = _completed(nominal, problem, far_off, naming)
+        final, beyond, missing = _completed(nominal, problem, far_off, progress)
     check = tuple(disagreements(final.fit))
     explained = agrees(list(check), FALSE_ALARM)
     verdict: Verdict = "agrees" if explained and not missing else "unexplained"
@@ -154,18 +156,18 @@ def identify(
 
 
 def _completed(
-    nominal: Explanation, problem: Problem, far_off: bool, progress: Progress | None
+    nominal: Explanation, problem: Problem, far_off: bool, progress: StageProgress | None
 ) -> tuple[Explanation, BeyondDataSheet | None, tuple[tuple[str, ...], ...]]:
     """What explains recordings that the data sheet within its tolerances does not.
 
     The likeliest first: steady friction, a value a little beyond its tolerance, an effect of the
-    catalogue, and only where all these leave something, and nothing has been sought from afar
-    (``far_off``), a value wrong by a unit.
+    catalogue, and a value wrong by far unless that has been sought already (``far_off``).
     """
+    naming = of_stage(progress, "Naming what is missing")
     steady = _with_steady_torque(problem)
     rubs = steady is not None and is_explained(steady)
     if rubs:
-        named, missing = _named(nominal, steady, problem, progress)
+        named, missing = _named(nominal, steady, problem, naming)
         if missing:
             return _asked_for(nominal, named, problem), None, missing
     near = beyond_data_sheet(nominal, problem)
@@ -173,11 +175,11 @@ def _completed(
         return *near, ()
     if rubs:
         return nominal, None, ()
-    named, missing = _named(nominal, steady, problem, progress)
-    # What is far off was searched from afar before it was matched.
-    far = None if far_off or is_explained(named) else far_beyond_data_sheet(problem)
-    if far is not None:
-        return *far, ()
+    named, missing = _named(nominal, steady, problem, naming)
+    if not (far_off or is_explained(named)):
+        far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
+        if far is not None:
+            return *far, ()
     return _asked_for(nominal, named, problem), None, missing
 
 

@@ -10,7 +10,6 @@ from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import FALSE_ALARM, Problem
 from bayesbl.identification.well_known_factors import guess_of
-from bayesbl.identification.wrong_by_far import furthest
 from bayesbl.matching.impacts import IMPACTS_DIFFER
 from bayesbl.matching.predictive_check import RepeatingPower, agrees
 from bayesbl.matching.signals import GAP
@@ -32,10 +31,10 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
         return beyond_in_words(found, problem)
     if found.verdict == "unexplained" or _stands_out(found):
         return (
-            "No values within the tolerances, no single value up to "
-            f"{furthest(problem):.3g} times off and no effect of the catalogue explains these "
-            "recordings: something of the joint is not in the bench, several values of the data "
-            "sheet are wrong, or the gap was not the same in all recordings (give their dates). "
+            "No values within the tolerances, no single value beyond them and no effect of the "
+            "catalogue explain these recordings: something of the joint is not in the bench, "
+            "several values of the data sheet are wrong, or the gap was not the same in all "
+            "recordings (give their dates). "
             f"{left_over(found.check)} Check the data sheet, or widen its tolerances."
             f"{_stopped(found)}"
         )

@@ -9,7 +9,6 @@ Places are ranked by what one step of all unknowns, within their ranges, promise
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -26,6 +25,7 @@ from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.naming.candidates import Candidate, steady_torque
 from bayesbl.naming.criteria import contends, is_gross
 from bayesbl.naming.explanation import SCANNED_GAPS, Explanation, extended
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
 KG_CM2_PER_KG_M2 = 1e4
@@ -53,11 +53,6 @@ class Place:
     left: float
 
 
-def furthest(problem: Problem) -> float:
-    """Largest factor, up or down, by which a value is sought: of kg cm², or of r²."""
-    return max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
-
-
 def freed(name: str, value: float) -> Candidate:
     """A parameter on its own, sought about a value."""
     at, reach = math.log(value), math.log(REACH)
@@ -75,11 +70,12 @@ def may_be_far_off(problem: Problem) -> bool:
     """Whether a joint cannot be as on the data sheet, or a rough match with it is far off.
 
     Also beside constant torques, by which friction shows that data sheets lack. Recordings of
-    motions take so long to scan that all else is sought first.
+    motions take so long to scan that all else is sought first; so are effects that are asked for.
     """
     if not is_plausible(problem):
         return True
-    if any(seen.motion is not None for seen in problem.used):
+    asked = problem.effects not in ("catalogue", ())
+    if asked or any(seen.motion is not None for seen in problem.used):
         return False
     model = _nothing_fitted(problem)
     friction = steady_torque(problem.bench, problem.used)
@@ -87,15 +83,22 @@ def may_be_far_off(problem: Problem) -> bool:
     return all(_is_far_off(tried) for tried in (model, *beside))
 
 
-def explanations_from_afar(problem: Problem) -> list[Explanation]:
+def explanations_from_afar(problem: Problem, progress: Progress | None) -> list[Explanation]:
     """Rough fits of one parameter each from its best place, the others within tolerances.
 
-    Of all parameters that contend: a promise is off by as much as signals bend.
+    Of all parameters that contend: a promise is off by as much as signals bend. ``progress``:
+    called with (places scanned, places in all).
     """
     model = _nothing_fitted(problem)
+    candidates = _candidates(problem)
     best: dict[str, Place] = {}
-    for place in sorted(_places(model, problem), key=lambda place: place.left):
-        best.setdefault(place.candidate.name, place)
+    for scanned, candidate in enumerate(candidates):
+        if progress is not None:
+            progress(scanned, len(candidates))
+        place = _place(model, candidate)
+        known = best.get(candidate.name)
+        if place is not None and (known is None or place.left < known.left):
+            best[candidate.name] = place
     least = min((place.left for place in best.values()), default=math.inf)
     fits: list[Explanation] = []
     for place in best.values():
@@ -123,18 +126,17 @@ def _middle(model: SimulatedSignals) -> FloatArray:
     return np.array([u.middle for u in model.unknowns])
 
 
-def _places(model: SimulatedSignals, problem: Problem) -> Iterator[Place]:
-    """Each parameter at factors of its value, the gap and start angles the best there."""
-    most = math.ceil(math.log(furthest(problem)) / math.log(STEP))
-    for name in problem.parameters:
-        value = problem.bench.value(name)
-        if value <= 0.0:
-            continue
-        for step in range(-most, most + 1):
-            candidate = freed(name, value * STEP**step)
-            place = _place(model, candidate)
-            if place is not None:
-                yield place
+def _candidates(problem: Problem) -> list[Candidate]:
+    """Each parameter at factors of its value, up and down to the largest that is sought."""
+    largest = max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
+    most = math.ceil(math.log(largest) / math.log(STEP))
+    values = {name: problem.bench.value(name) for name in problem.parameters}
+    return [
+        freed(name, value * STEP**step)
+        for name, value in values.items()
+        if value > 0.0
+        for step in range(-most, most + 1)
+    ]
 
 
 def _place(model: SimulatedSignals, candidate: Candidate) -> Place | None:

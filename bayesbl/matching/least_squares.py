@@ -190,10 +190,10 @@ def fit_simulated(
 def promised_within(
     model: SimulatedSignals, point: FloatArray, low: FloatArray, high: FloatArray
 ) -> float:
-    """χ² that one step from a point (d,) to within a range promises to leave; nan if none can be.
+    """χ² that one step from a point, shape (d,), within a range promises to leave.
 
-    By one-sided differences over steps of a fiftieth of each range, not sought again: it ranks
-    points that are far off, as whose fits it would take too long to rank them.
+    Not finite where the point cannot be simulated. By one-sided differences over a fiftieth of each
+    range: near enough to rank points that are far off, without fitting from each.
     """
     steps = _first_steps(model, point) * RANKING_STEP
     steps = np.where(point + steps > model.high, -steps, steps)

@@ -29,7 +29,7 @@ FORM_OF_GAP = 0.2
 """Standard deviation of ln δ that a law's form leaves, over what the law does to ln δ.
 
 Of twelve joints whose contact damps with the root of its compression, δ's error over that was 0.21
-in the root mean square beside Hunt and Crossley's law, about 0.13 of it noise.
+in the root mean square beside Hunt and Crossley's law, noise included.
 """
 
 FORM_OF_GAP_BY_LAW = {"shaft_hysteresis": 0.05}
@@ -99,8 +99,13 @@ def form_sd(naming: Naming) -> float:
     )
     if rest is None:
         return 0.0
-    share = max(FORM_OF_GAP_BY_LAW.get(law.candidate.name, FORM_OF_GAP) for law in laws)
-    return share * abs(_log_gap(naming.final) - _log_gap(rest))
+    return form_of_gap(naming) * abs(_log_gap(naming.final) - _log_gap(rest))
+
+
+def form_of_gap(naming: Naming) -> float:
+    """Share to which what the named laws of the shaft do to ln δ is not known; 0 without any."""
+    names = [law.candidate.name for law in laws_of_shaft(naming)]
+    return max((FORM_OF_GAP_BY_LAW.get(name, FORM_OF_GAP) for name in names), default=0.0)
 
 
 def _less(naming: Naming, names: Sequence[NamedCandidate]) -> Explanation | None:

@@ -37,3 +37,10 @@ def test_the_nearest_error_comes_first() -> None:
     told = guess_of(1e4, 2.5e3, 1.02, RATIO)
     assert told.index("kg cm²") < told.index("ratio squared")
     assert "1/9800 of the data sheet's" in told
+
+
+@pytest.mark.parametrize(("size", "words"), [(100.0, "cm taken"), (1e4, "kg cm²")])
+def test_a_gear_ratio_that_is_a_unit_too_hides_no_guess(size: float, words: str) -> None:
+    told = guess_of(2.0 * size, 0.5 * size, 2.0, gear_ratio=100.0)
+    assert words in told
+    assert "the gear ratio" in told

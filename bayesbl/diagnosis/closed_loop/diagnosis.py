@@ -46,8 +46,8 @@ from bayesbl.naming.explanation import (
     with_own_noise,
 )
 from bayesbl.naming.law_forms import (
-    FORM_OF_GAP,
     FORM_SHARE,
+    form_of_gap,
     form_sd,
     is_within_form,
     laws_of_shaft,
@@ -348,9 +348,10 @@ def _doubts_in_words(found: Findings, form: float, misfit: float) -> Iterator[st
     """What the form of a law that is named, and what is left, do to δ."""
     laws = " and ".join(in_words(law.name) for law in laws_of_shaft(found.naming))
     if form > 0.0:
+        known = 100.0 * form_of_gap(found.naming)
         yield (
             f"No real shaft follows the law of {laws} exactly. How far it moves the gap is taken "
-            f"as known to {100.0 * FORM_OF_GAP:.0f} %. That is a standard deviation of "
+            f"as known to {known:.0f} %. That is a standard deviation of "
             f"{100.0 * form:.2g} % of the gap, and the gap's interval includes it."
         )
     if found.remaining and is_within_form(found.naming):
