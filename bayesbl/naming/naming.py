@@ -48,6 +48,9 @@ class Naming:
         Whether something repeats that nothing explains.
     alone
         The nominal bench with one candidate each, most probable first.
+    nearest
+        The most probable explanation, where none explains enough to be named: it may stand nearer
+        to the truth than the nominal bench, whose gap what is missing has drawn away.
     """
 
     nominal: Explanation
@@ -55,6 +58,7 @@ class Naming:
     effects: tuple[NamedCandidate, ...]
     alone: tuple[Explanation, ...]
     repeats: bool
+    nearest: Explanation | None = None
 
     @property
     def ranking(self) -> tuple[RankedCandidate, ...]:

@@ -118,7 +118,7 @@ def name_missing(
         final = search.continued(final)
     if len(final.candidates) == 2 and not search.is_done(final):
         final = _better(final, search.extended(first))
-    final = search.settled(final, first)
+    nearest, final = final, search.settled(final, first)
     alone = tuple(first)
     if not final.candidates:
         return Naming(nominal, nominal, (), alone, not agrees(before, false_alarm))
@@ -126,7 +126,7 @@ def name_missing(
         if answer and explains(nominal, answer, before, disagreements(answer.fit), false_alarm):
             effects = tuple(search.named(answer, first))
             return without_mends(Naming(nominal, answer, effects, alone, False))
-    return Naming(nominal, nominal, (), alone, True)
+    return Naming(nominal, nominal, (), alone, True, _better(nearest, final))
 
 
 class _Search:

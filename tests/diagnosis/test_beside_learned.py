@@ -10,24 +10,47 @@ import pytest
 
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.diagnosis import ForwardSettings, diagnosis_of, search
+from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
+from bayesbl.diagnosis.closed_loop.search import ForwardSettings, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 
-GAP_RAD = 0.82e-3
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0, 1600.0)
-HIDDEN = {
-    "outside__ripple_nm": 0.07,
-    "outside__ripple_order": 5.0,
-    "contact_damping__factor_s_per_rad": 1.2,
-}
 
 
 @pytest.mark.long
-def test_a_law_behind_a_ripple_of_several_orders_is_named_beside_it(
+@pytest.mark.parametrize(
+    ("gap_rad", "hidden", "learned_over", "named"),
+    [
+        pytest.param(
+            # The ripple alone was learned, and the gap given 4 % too small with 0.1 % of deviation.
+            0.82e-3,
+            {
+                "outside__ripple_nm": 0.07,
+                "outside__ripple_order": 5.0,
+                "contact_damping__factor_s_per_rad": 1.2,
+            },
+            "motor_angle",
+            "contact_damping",
+            id="ripple of several orders",
+        ),
+        pytest.param(
+            # Both draw the gap of the nominal bench so far away that nothing was learned there.
+            1.85e-3,
+            {"outside__position_friction_nm": 15.0, "outside__bouc_wen_nm": 15.0},
+            "load_angle",
+            "shaft_hysteresis",
+            id="friction over the angle",
+        ),
+    ],
+)
+def test_a_law_behind_one_that_no_catalogue_has_is_named_beside_it(
     independent: ModuleType,
+    gap_rad: float,
+    hidden: dict[str, float],
+    learned_over: str,
+    named: str,
 ) -> None:
-    """The ripple alone was learned, and the gap given 4 % too small with 0.1 % of deviation."""
     bench = reference_bench()
     believed = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
     rng = np.random.default_rng(22)
@@ -35,8 +58,8 @@ def test_a_law_behind_a_ripple_of_several_orders_is_named_beside_it(
     for speed in SPEEDS_RPM:
         start, motor = rng.uniform(-math.pi, math.pi, 2)
         truth = independent.plant(
-            {**believed, "reference_speed_rpm": speed, **HIDDEN},
-            gap_rad=GAP_RAD,
+            {**believed, "reference_speed_rpm": speed, **hidden},
+            gap_rad=gap_rad,
             start_angle_rad=start,
             motor_start_angle_rad=motor,
         )
@@ -45,8 +68,8 @@ def test_a_law_behind_a_ripple_of_several_orders_is_named_beside_it(
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen[:-1])]
     found = search(bench, seen[:-1], seen[-1:], unknowns, ForwardSettings())
     assert found.learned is not None
-    assert found.learned.term.variable == "motor_angle"
-    assert [effect.name for effect in found.naming.effects] == ["contact_damping"]
+    assert found.learned.term.variable == learned_over
+    assert [effect.name for effect in found.naming.effects] == [named]
     diagnosis = diagnosis_of(found)
     assert diagnosis.delta_after is None
     assert "no gap is given" in diagnosis.gap_withheld

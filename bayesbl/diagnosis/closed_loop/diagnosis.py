@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Literal
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_term
+from bayesbl.diagnosis.closed_loop.learned_in_loop import answer_of
 from bayesbl.diagnosis.closed_loop.prediction import (
-    SimulatedPair,
     residuals_of,
-    simulated_pairs,
 )
+from bayesbl.diagnosis.closed_loop.search import Findings, share_closed
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
     GOLDEN_RATIO,
@@ -29,21 +24,12 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import disagreement_table
-from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
-from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
-from bayesbl.matching.alignment import fit_aligned
-from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import agrees, disagreements
-from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
-from bayesbl.naming.candidates import candidates
-from bayesbl.naming.criteria import enough_closed, left, misfit_scale
+from bayesbl.matching.signals import GAP
+from bayesbl.naming.criteria import misfit_scale
 from bayesbl.naming.explanation import (
     Explanation,
-    effects_alone,
-    nominal_explanation,
-    reduced,
-    with_own_noise,
 )
 from bayesbl.naming.law_forms import (
     FORM_SHARE,
@@ -51,160 +37,12 @@ from bayesbl.naming.law_forms import (
     form_sd,
     is_within_form,
     laws_of_shaft,
-    without_mends,
 )
 from bayesbl.naming.naming import Naming
-from bayesbl.naming.search import name_missing
-from bayesbl.progress import Progress
 from bayesbl.units import in_words
-
-MOST_EFFECTS = 3
-
-LEAST_LEARNED = 0.5
-"""Of what repeats: what removes less than half of it is not what repeats."""
 
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
-
-
-@dataclass(frozen=True, slots=True)
-class ForwardSettings:
-    """What may be named, and how surely; as ``[candidates]`` and ``[comparison]`` say."""
-
-    effects: Sequence[str] | None = None
-    max_effects: int = MOST_EFFECTS
-    false_alarm: float = 0.01
-    load_angle_known: bool = False
-    motor_angle_known: bool = False
-    workers: int = field(default=1, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """The search and what its simulations leave.
-
-    Attributes
-    ----------
-    believed
-        The bench as its file says.
-    final
-        With everything that is named, its noise estimated without what was missing.
-    pairs
-        Recordings, those that were held out too, beside both simulations.
-    remaining
-        What still stands out after naming.
-    learned
-        What was learned from what naming left; ``final`` has it.
-    """
-
-    believed: Bench
-    naming: Naming
-    final: Explanation
-    pairs: tuple[SimulatedPair, ...]
-    residuals_before: ResidualAnalysis
-    residuals_after: ResidualAnalysis
-    remaining: tuple[Unexplained, ...]
-    learned: Learned | None = None
-
-
-def search(
-    bench: Bench,
-    used: Sequence[Observed],
-    held_out: Sequence[Observed],
-    unknowns: Sequence[Unknown],
-    settings: ForwardSettings,
-    progress: Progress | None = None,
-) -> Findings:
-    """Align, name what is missing, and analyse what it leaves.
-
-    Parameters
-    ----------
-    used, held_out
-        Recordings to fit on, and to predict.
-    unknowns
-        Declared: gap, start angles, bench parameters.
-
-    Raises
-    ------
-    UserError
-        If the bench cannot be simulated or a recording is too short.
-    """
-    nominal = fit_aligned(bench, used, unknowns, settings.workers)
-    missing = partial(
-        name_missing,
-        candidates=partial(
-            candidates,
-            bench,
-            used,
-            "all" if settings.effects is None else settings.effects,
-            declared=[u.name for u in unknowns],
-            load_angle_known=settings.load_angle_known,
-            motor_angle_known=settings.motor_angle_known,
-            gap_is_unknown=any(u.name == GAP for u in unknowns),
-        ),
-        max_effects=settings.max_effects,
-        false_alarm=settings.false_alarm,
-        progress=progress,
-    )
-    naming = missing(nominal)
-
-    def compared(explanation: Explanation) -> tuple[list[SimulatedPair], ResidualAnalysis]:
-        pairs = simulated_pairs(nominal_explanation(nominal), explanation, held_out)
-        return pairs, _analysis(pairs, explanation, "after")
-
-    # What was missing is not noise: intervals rest on the noise estimated without it.
-    final = with_own_noise(naming.final) if naming.final.candidates else naming.final
-    pairs, after = compared(final)
-    before = _analysis(pairs, naming.nominal, "before")
-    remaining = describe_unexplained(after)
-    if remaining and not _is_closed(before, after, final):
-        # More is asked of parameters: the effects may do without them.
-        fewer = effects_alone(naming.nominal, naming.final)
-        if fewer is not None:
-            final = with_own_noise(fewer)
-            pairs, after = compared(final)
-            naming = _with_candidates(replace(naming, final=fewer), final)
-        if fewer is None or not _is_closed(before, after, final):
-            # It helps a little, as a parameter may where a line in time remains: no explanation.
-            final = naming.nominal
-            naming = replace(naming, repeats=True, final=final, effects=())
-            pairs, after = compared(final)
-        remaining = describe_unexplained(after)
-    learned = None
-    if naming.repeats or (remaining and not is_within_form(naming)):
-        learned = learned_term(final, remaining, settings.false_alarm, settings.motor_angle_known)
-    if learned is not None:
-        with_it, explained = compared(learned.explanation)
-        if _share_closed(after, explained) < LEAST_LEARNED:
-            learned = None
-        else:
-            final, pairs, after = learned.explanation, with_it, explained
-            naming, remaining = _with_candidates(naming, final), describe_unexplained(after)
-    if learned is not None and not naming.effects and not agrees(disagreements(final.fit)):
-        # Behind what was learned a law of the catalogue may have been hidden.
-        beside = without_mends(missing(final.fit), left(naming.nominal) - left(final))
-        if beside.effects:
-            final = with_own_noise(beside.final)
-            learned = learned.beside(final)
-            naming = replace(beside, nominal=naming.nominal, alone=naming.alone)
-            pairs, after = compared(final)
-            remaining = describe_unexplained(after)
-    return Findings(bench, naming, final, tuple(pairs), before, after, tuple(remaining), learned)
-
-
-def _is_closed(before: ResidualAnalysis, after: ResidualAnalysis, final: Explanation) -> bool:
-    """Whether an explanation removes enough of what is no noise."""
-    return not final.candidates or _share_closed(before, after) >= enough_closed(final)
-
-
-def _with_candidates(naming: Naming, final: Explanation) -> Naming:
-    """Without the names that what was learned has made superfluous."""
-    idle = [k for k, name in enumerate(naming.final.names) if name not in final.names]
-    if idle:
-        less = reduced(naming.nominal, naming.final, idle)
-        naming = replace(naming, final=less or naming.nominal)
-    kept = tuple(e for e in naming.effects if e.candidate.label in naming.final.names)
-    return replace(naming, effects=kept)
 
 
 def diagnosis_of(
@@ -397,7 +235,7 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
 def _learned_answer(found: Findings) -> LearnedAnswer | None:
     if found.learned is None:
         return None
-    closed = _share_closed(found.residuals_before, found.residuals_after)
+    closed = share_closed(found.residuals_before, found.residuals_after)
     # Noise is told from what remains by its tests, not by a share of little.
     remains = bool(found.remaining) or not agrees(disagreements(found.final.fit))
     return answer_of(found.learned, closed, remains)
@@ -431,56 +269,4 @@ def _averaged_delta(
         float(coordinate.std()),
         averaged.reshape(draws.shape),
         chosen.logarithmic,
-    )
-
-
-def _analysis(
-    pairs: Sequence[SimulatedPair], explanation: Explanation, stage: Literal["before", "after"]
-) -> ResidualAnalysis:
-    used = [pair for pair in pairs if pair.use == "used"]
-    angles = [_start_angle(explanation, pair.seen) for pair in used]
-    predictions = [pair.before if stage == "before" else pair.after for pair in used]
-    # Bridged samples hold nothing that repeats.
-    seen = [
-        replace(pair.seen, signals=made + pair.seen.left_by(made))
-        for pair, made in zip(used, predictions, strict=True)
-    ]
-    return analyse_residuals(seen, predictions, angles)
-
-
-def _share_closed(before: ResidualAnalysis, after: ResidualAnalysis) -> float:
-    """Of the power, in units of the noise, that is no noise: repeating or not."""
-    first, last = (
-        sum(
-            (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
-            for recording in analysis.recordings
-            for c in recording.channels
-        )
-        for analysis in (before, after)
-    )
-    return 1.0 - last / first if first > 0.0 else 0.0
-
-
-def _start_angle(explanation: Explanation, seen: Observed) -> float:
-    fit = explanation.fit
-    for unknown, x in zip(fit.model.unknowns, fit.point, strict=True):
-        if unknown.name == START_ANGLE and unknown.recording == seen.name:
-            return float(x)
-    return float(seen.known.get(START_ANGLE, 0.0))
-
-
-def halves(seen: Observed) -> tuple[Observed, Observed]:
-    """A recording cut in two at a whole sample; both halves have its name."""
-    middle = seen.samples // 2
-    return _rows(seen, slice(None, middle)), _rows(seen, slice(middle, None))
-
-
-def _rows(seen: Observed, rows: slice) -> Observed:
-    excluded, angle = seen.excluded, seen.motor_angle_rad
-    return replace(
-        seen,
-        signals=seen.signals[:, rows],
-        excluded=None if excluded is None else excluded[rows],
-        motor_angle_rad=None if angle is None else angle[rows],
-        begin_s=seen.begin_s + (rows.start or 0) / seen.sampling_hz,
     )

@@ -74,6 +74,13 @@ class Learned:
         share = gap_share(explanation.fit, term)
         return replace(self, explanation=explanation, term=term, gap_share=share)
 
+    def alone(self) -> Learned:
+        """The same without the names that it was learned beside, fitted again."""
+        found = self
+        for candidate in self.explanation.candidates:
+            found = found.beside(_without(found.explanation, candidate))
+        return found
+
 
 def learned_term(
     base: Explanation,
@@ -119,10 +126,9 @@ def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
     They stood in for it.
     """
     fit = explanation.fit
-    faintest: tuple[float, Candidate, list[int]] | None = None
+    faintest: tuple[float, Candidate] | None = None
     for candidate in explanation.candidates:
-        names = {(u.name, u.recording) for u in candidate.unknowns}
-        at = [i for i, u in enumerate(fit.model.unknowns) if (u.name, u.recording) in names]
+        at = _places(fit, candidate)
         away = fit.point[at] - candidate.neutral
         amplitudes = amplitude_places(candidate)
         some = np.ix_([at[k] for k in amplitudes], [at[k] for k in amplitudes])
@@ -134,10 +140,16 @@ def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
         gain /= float(np.mean(factors_of_estimates(fit, weights)))
         enough = gain_threshold(len(at), len(explanation.candidates), false_alarm)
         if gain < enough and (faintest is None or gain < faintest[0]):
-            faintest = gain, candidate, at
+            faintest = gain, candidate
     if faintest is None:
         return explanation
-    _, idle, at = faintest
+    return _without_idle(_without(explanation, faintest[1]), false_alarm)
+
+
+def _without(explanation: Explanation, idle: Candidate) -> Explanation:
+    """Less one of its candidates, fitted again; what was learned stays."""
+    fit = explanation.fit
+    at = _places(fit, idle)
     kept = [i for i in range(fit.point.size) if i not in at]
     bench = fit.model.bench
     model = replace(
@@ -146,8 +158,13 @@ def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
         unknowns=tuple(fit.model.unknowns[i] for i in kept),
     )
     left = tuple(c for c in explanation.candidates if c is not idle)
-    fitted = Explanation(left, fit_simulated(model, fit.point[kept], fit.steps[kept]))
-    return _without_idle(fitted, false_alarm)
+    return Explanation(left, fit_simulated(model, fit.point[kept], fit.steps[kept]))
+
+
+def _places(fit: SimulatedFit, candidate: Candidate) -> list[int]:
+    """Of a candidate's unknowns among all."""
+    names = {(u.name, u.recording) for u in candidate.unknowns}
+    return [i for i, u in enumerate(fit.model.unknowns) if (u.name, u.recording) in names]
 
 
 def _kind_of(hypothesis: Hypothesis) -> type[LearnedTerm]:

@@ -10,11 +10,11 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.closed_loop.diagnosis import (
+from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
+from bayesbl.diagnosis.closed_loop.search import (
     MOST_EFFECTS,
     Findings,
     ForwardSettings,
-    diagnosis_of,
     halves,
     search,
 )
