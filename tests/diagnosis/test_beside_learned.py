@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import ModuleType
 
 import numpy as np
@@ -54,17 +53,10 @@ def test_a_law_behind_one_that_no_catalogue_has_is_named_beside_it(
     bench = reference_bench()
     believed = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
     rng = np.random.default_rng(22)
-    seen = []
-    for speed in SPEEDS_RPM:
-        start, motor = rng.uniform(-math.pi, math.pi, 2)
-        truth = independent.plant(
-            {**believed, "reference_speed_rpm": speed, **hidden},
-            gap_rad=gap_rad,
-            start_angle_rad=start,
-            motor_start_angle_rad=motor,
-        )
-        made = independent.simulate(truth, rng, name=f"{speed:+.0f}")
-        seen.append(observed(made.recording, bench, speed))
+    made = independent.random_recordings(
+        believed, hidden, rng, gap_rad=(gap_rad, gap_rad), speeds_rpm=SPEEDS_RPM
+    )
+    seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen[:-1])]
     found = search(bench, seen[:-1], seen[-1:], unknowns, ForwardSettings())
     assert found.learned is not None

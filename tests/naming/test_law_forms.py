@@ -28,21 +28,14 @@ def test_a_law_of_another_form_is_named_alone(independent: ModuleType) -> None:
     bench = reference_bench()
     believed = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
     rng = np.random.default_rng(48)
-    seen = []
-    for speed in SPEEDS_RPM:
-        start, motor = rng.uniform(-math.pi, math.pi, 2)
-        truth = independent.plant(
-            {
-                **believed,
-                "reference_speed_rpm": speed,
-                "outside__bouc_wen_nm": BOUC_WEN_NM,
-            },
-            gap_rad=GAP_RAD,
-            start_angle_rad=start,
-            motor_start_angle_rad=motor,
-        )
-        made = independent.simulate(truth, rng, name=f"{speed:+.0f}")
-        seen.append(observed(made.recording, bench, speed))
+    made = independent.random_recordings(
+        believed,
+        {"outside__bouc_wen_nm": BOUC_WEN_NM},
+        rng,
+        gap_rad=(GAP_RAD, GAP_RAD),
+        speeds_rpm=SPEEDS_RPM,
+    )
+    seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(1e-4, 1e-2), *(start_angle_unknown(s.name) for s in seen)]
     naming = name_missing(
         fit_aligned(bench, seen, unknowns), partial(candidates, bench, seen, "all")
