@@ -36,8 +36,8 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
+from bayesbl.diagnosis.closed_loop.findings import Findings, ForwardSettings, search
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of
-from bayesbl.diagnosis.closed_loop.search import Findings, ForwardSettings, search
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct

@@ -36,7 +36,7 @@ from independent_bench import SPEEDS_RPM, random_recordings
 from bayesbl.bench.learned import SIDES, VARIABLES
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.search import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 from bayesbl.naming.criteria import repeating_misfit

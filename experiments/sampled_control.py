@@ -31,7 +31,7 @@ from independent_bench import SPEEDS_RPM, Plant, plant, simulate
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.search import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly

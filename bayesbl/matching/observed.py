@@ -22,6 +22,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
+from bayesbl.recording.repetition import Repetition, repetition
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     REFERENCE_POSITION,
@@ -37,6 +38,15 @@ LARGEST_SPEED_ERROR = 0.01
 """Relative difference of a recording's mean speed from the one it is simulated at: on the reference
 bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
 """
+
+SURELY_OTHER = 5.0
+"""Standard deviations of a mean speed, and the root of the χ² of a period, by which they are not as
+stated: of some sixty periods that do not look alike, one in 30,000 by chance."""
+
+LARGEST_CLOCK_ERROR = 1e-3
+"""By which clock and speed together are taken to be off: crystals are within 1e-4, and a logger
+that is paced by software within a few times that. Every rate of the joint is off by as much, and δ
+by about as little. A gear ratio that is off by more is one that was rounded, or another joint's."""
 
 FAST_S = 0.25
 """Noise of a motion that does not repeat is what is faster than a mean over this: two periods or
@@ -90,6 +100,8 @@ class Observed:
     begin_s
         Time from the recording's first sample to the first one compared: a later part of it has
         the drift of the whole.
+    notes
+        What was taken otherwise than stated, for the reader.
     """
 
     name: str
@@ -104,6 +116,7 @@ class Observed:
     cycle: int | None = None
     rounding: tuple[Rounding, ...] = ()
     begin_s: float = 0.0
+    notes: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -199,6 +212,7 @@ def observed(
     if moves(recording):
         return _motion(recording, bench, period)
     reference = reference_speed(recording, bench, reference_speed_rpm)
+    reference, period, notes = _as_it_repeats(recording, bench, reference, period)
     rotation = bench.rotation_period_s(reference)
     if speed.size * period < 1.9 * rotation:
         raise RecordingError(
@@ -217,7 +231,60 @@ def observed(
         rotation,
         excluded=recording.excluded,
         rounding=_rounding(signals, bench, reference),
+        notes=notes,
     )
+
+
+def _as_it_repeats(
+    recording: Recording, bench: Bench, stated_rpm: float, period_s: float
+) -> tuple[float, float, tuple[str, ...]]:
+    """Reference speed and sampling period that the recording itself shows, and notes on them.
+
+    The controller's integral keeps the mean over whole rotations at its reference. Where impacts
+    do not come when speed and gear ratio say, the clock is off: all of them would be compared with
+    others, and the same is taken for friction or for a joint that is moved from outside.
+
+    Raises
+    ------
+    RecordingError
+        If they come at such other times that the gear ratio is wrong.
+    """
+    ratio = bench.value("gear_ratio")
+
+    def repeats_after(reference_rpm: float) -> Repetition | None:
+        stated_s = bench.rotation_period_s(reference_rpm)
+        inexact = _rounding(recording.motor_speed_rpm[None], bench, reference_rpm)[0]
+        return repetition(recording.motor_speed_rpm, 1.0 / period_s, stated_s, inexact.sd)
+
+    found = repeats_after(stated_rpm)
+    if found is None:
+        return stated_rpm, period_s, ()
+    reference, notes = stated_rpm, []
+    off = abs(found.mean_rpm - abs(stated_rpm))
+    if off > SURELY_OTHER * found.mean_sd_rpm and bench.value("integral_gain_nm_per_rad") > 0.0:
+        reference = math.copysign(found.mean_rpm, stated_rpm)
+        notes.append(
+            f"Its mean speed over whole rotations, {reference:.6g} rpm, is taken for its "
+            f"reference, not {stated_rpm:g} rpm."
+        )
+        found = repeats_after(reference) or found
+    if found.gain > SURELY_OTHER**2:
+        late = found.period_s / bench.rotation_period_s(reference) - 1.0
+        if abs(late) > LARGEST_CLOCK_ERROR:
+            raise RecordingError(
+                "The recording does not repeat when the bench's load has turned once.",
+                file=recording.place,
+                where="gear_ratio",
+                found=f"{found.motor_turns:.5g} turns of the motor until the impacts come again",
+                expected=f"{ratio:g}, the bench's gear ratio; or the right one in the bench file",
+            )
+        period_s /= 1.0 + late
+        side = "later" if late > 0.0 else "earlier"
+        notes.append(
+            f"Its impacts come {100.0 * abs(late):.2g} % {side} than speed and gear ratio say. "
+            "Its clock is taken to be off by that."
+        )
+    return reference, period_s, tuple(notes)
 
 
 def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:

@@ -175,13 +175,13 @@ class DirectMeasurer(Measurer):
     def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
+        seen = posterior.fit.model.recordings[index]
+        notes = (*recording.notes, *seen.notes, *self._counted_twice(recording))
         level = self.config.interval.level
         return Snapshot(
             recording.name,
             posterior.values(GAP, recording.name),
-            direct_verdict(
-                found, index, (*recording.notes, *self._counted_twice(recording)), level
-            ),
+            direct_verdict(found, index, notes, level),
             direct_groups(posterior, recording, index, check),
             model_check=found.model_check(recording.name, level),
         )

@@ -127,6 +127,11 @@ class Rounding:
     steps: SpeedSteps | None
     least_sd: float
 
+    @property
+    def sd(self) -> float:
+        """Of both together."""
+        return math.hypot(self.least_sd, 0.0 if self.steps is None else self.steps.sd_rpm)
+
     def autocovariance(self, exact: FloatArray, left: FloatArray, lags: int) -> FloatArray:
         """γ(0) … γ(lags − 1) of what is rounded away of an exact signal, shape (lags,).
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from bayesbl.bench.bench import Bench
-from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import LARGEST_SPEED_ERROR
 from bayesbl.recording.types import Recording
 
@@ -15,27 +12,15 @@ whole rotations the integral of the controller keeps the mean there but for nois
 as a share of it, for 10.06 rpm is not 10."""
 
 
-def asked_speed(recording: Recording, bench: Bench, file: Path) -> tuple[float | None, str]:
-    """The reference speed, rpm, with the reason for it; ``None`` for the bench's own.
-
-    Raises
-    ------
-    RecordingError
-        If the mean is neither the bench's speed nor a whole number.
-    """
+def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
+    """The reference speed, rpm, with the reason for it; ``None`` for the bench's own."""
     mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
     own = bench.value("reference_speed_rpm")
     if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
         return None, ""
-    if abs(mean - round(mean)) > min(WHOLE_SPEED_RPM, WHOLE_SHARE * abs(mean)):
-        raise RecordingError(
-            "The recording was made at another speed than the bench's.",
-            file=file,
-            where="reference_speed_rpm",
-            found=f"{mean:.6g} rpm on average, no whole number",
-            expected="reference_speed_rpm under [[recordings]]: what the controller was given",
-        )
-    return float(round(mean)), f"its mean speed, {round(mean)} rpm, is taken for its reference"
+    is_whole = abs(mean - round(mean)) <= min(WHOLE_SPEED_RPM, WHOLE_SHARE * abs(mean))
+    asked = float(round(mean)) if is_whole else float(f"{mean:.6g}")
+    return asked, f"its mean speed, {asked:g} rpm, is taken for its reference"
 
 
 def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -99,7 +98,7 @@ def guess_diagnosis(
         name = recordings[i].name
         found.append(Choice((name, "use"), use, why))
         if method == "forward" and bench.drive == "two_mass":
-            asked, told = asked_speed(recordings[i], bench, Path(recordings[i].place))
+            asked, told = asked_speed(recordings[i], bench)
             if asked is not None:
                 found.append(Choice((name, "reference_speed_rpm"), asked, told))
     return found

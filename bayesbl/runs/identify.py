@@ -101,11 +101,12 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         require_alive(recording, (MOTOR_CURRENT,))
         speed = entry.reference_speed_rpm
         if speed is None and not moves(recording):
-            speed, told = asked_speed(recording, bench, entry.file)
+            speed, told = asked_speed(recording, bench)
             notes += [f"{entry.name}: {told}."] if told else []
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
-        seen[entry.use].append(replace(observed(recording, bench, speed), known=known))
-        notes += [f"{entry.name}: {note}" for note in recording.notes]
+        one = replace(observed(recording, bench, speed), known=known)
+        seen[entry.use].append(one)
+        notes += [f"{entry.name}: {note}" for note in (*recording.notes, *one.notes)]
     used = tuple(seen["fit"])
     steady = all(one.motion is None for one in used)
     if steady and len({one.reference_speed_rpm for one in used}) < 2:

@@ -18,7 +18,7 @@ from bayesbl.config.bench import dump_bench, load_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.diagnosis.closed_loop import method as forward
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, estimates
-from bayesbl.diagnosis.closed_loop.search import Findings, ForwardSettings, halves, search
+from bayesbl.diagnosis.closed_loop.findings import Findings, ForwardSettings, halves, search
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis

@@ -11,7 +11,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.search import (
+from bayesbl.diagnosis.closed_loop.findings import (
     MOST_EFFECTS,
     Findings,
     ForwardSettings,
@@ -125,6 +125,7 @@ def forward_problem(
     channels = _channels(task)
     recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
     used, held_out = [], []
+    notes = [*notes_of(recordings)]
     for entry, recording in zip(config.recordings, recordings, strict=True):
         if moves(recording):
             raise RecordingError(
@@ -141,6 +142,7 @@ def forward_problem(
             signals=seen.signals[: len(channels)],
             motor_angle_rad=_motor_angle(config, recording),
         )
+        notes += [f"{entry.name}: {note}" for note in seen.notes]
         if entry.use in ("fit", "split"):
             require_rotations(seen, str(entry.file), entry.use == "split")
         if entry.use == "split":
@@ -150,7 +152,7 @@ def forward_problem(
         else:
             (used if entry.use == "fit" else held_out).append(seen)
     unknowns = _unknowns(config, bench, used, recordings)
-    notes = [*notes_of(recordings), *_counted_twice(bench, recordings)]
+    notes += _counted_twice(bench, recordings)
     notes += [] if MOTOR_CURRENT in channels else [SPEED_ALONE]
     return used, held_out, unknowns, notes
 
