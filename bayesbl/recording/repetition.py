@@ -113,13 +113,15 @@ def _without_motor_lines(speed_rpm: FloatArray, sampling_hz: float, period: floa
     """The speed about its mean without what goes with the motor's angle."""
     mean = float(speed_rpm.mean())
     left = speed_rpm - mean
-    motor = np.cumsum(speed_rpm) / RPM_PER_RAD_PER_S / sampling_hz
-    load = 2.0 * math.pi / period * np.arange(speed_rpm.size)
-    highest = min(MOTOR_ORDERS, int(0.5 * sampling_hz / (mean / 60.0)))
-    for order in range(1, highest + 1):
-        for swell in range(-SWELLS, SWELLS + 1):
-            wave = np.exp(1j * (order * motor + swell * load))
-            left = left - 2.0 * np.real(np.mean(left * wave.conj()) * wave)
+    turn = np.exp(1j * np.cumsum(speed_rpm) / RPM_PER_RAD_PER_S / sampling_hz)
+    load = np.exp(2j * math.pi / period * np.arange(speed_rpm.size))
+    swells = np.stack([load**swell for swell in range(-SWELLS, SWELLS + 1)])
+    overlap = swells.conj() @ swells.T
+    wave = np.ones_like(turn)
+    for _ in range(min(MOTOR_ORDERS, int(0.5 * sampling_hz / (mean / 60.0)))):
+        wave = wave * turn
+        sizes = np.linalg.solve(overlap, swells.conj() @ (left * wave.conj()))
+        left = left - 2.0 * np.real(wave * (sizes @ swells))
     return left
 
 
