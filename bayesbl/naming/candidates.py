@@ -213,6 +213,12 @@ def _neutral_effect(effect: Effect, **given: float) -> BenchEffect:
     )
 
 
+def held_by(candidate: Candidate) -> tuple[str, str | None] | None:
+    """Name and recording of the effect that another one is, but for one term; ``None`` of most."""
+    law = effect_named(candidate.name).torque if candidate.kind == "effect" else None
+    return None if law is None or law.contains is None else (law.contains, candidate.recording)
+
+
 def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | None:
     """A constant torque in each recording; ``None`` if the bench has such an offset already.
 

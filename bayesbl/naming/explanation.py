@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
@@ -192,21 +193,44 @@ def reduced(
     """
     if len(without) == len(full.candidates):
         return nominal
-    model, own = nominal.fit.model, nominal.fit.point.size
-    kept, places = [], [np.arange(own)]
+    places, own = [np.arange(nominal.fit.point.size)], nominal.fit.point.size
+    kept = []
     for k, candidate in enumerate(full.candidates):
         own += len(candidate.unknowns)
         if k not in without:
-            model = extended(model, candidate)
             kept.append(candidate)
             places.append(np.arange(own - len(candidate.unknowns), own))
-    at = np.concatenate(places)
+    return _from_where(nominal, full, kept, np.concatenate(places))
+
+
+def simplified(
+    nominal: Explanation, full: Explanation, place: int, simpler: Candidate
+) -> Explanation | None:
+    """An explanation with a candidate replaced by one that it holds, fitted from where it is.
+
+    Unknowns of both have the same names behind those of their effects. ``None`` if it cannot be
+    simulated.
+    """
+    candidates = (*full.candidates[:place], simpler, *full.candidates[place + 1 :])
+    before = nominal.fit.point.size + sum(len(c.unknowns) for c in full.candidates[:place])
+    names = [u.name.rpartition("__")[2] for u in full.candidates[place].unknowns]
+    kept = [before + names.index(u.name.rpartition("__")[2]) for u in simpler.unknowns]
+    after = np.arange(before + len(names), full.fit.point.size)
+    return _from_where(nominal, full, candidates, np.r_[:before, kept, after])
+
+
+def _from_where(
+    nominal: Explanation, full: Explanation, kept: Sequence[Candidate], at: NDArray[np.int64]
+) -> Explanation | None:
+    """An explanation by candidates whose unknowns are these of another, fitted from there."""
+    model = nominal.fit.model
+    for candidate in kept:
+        model = extended(model, candidate)
     try:
-        return Explanation(
-            tuple(kept), fit_simulated(model, full.fit.point[at], full.fit.steps[at])
-        )
+        fit = fit_simulated(model, full.fit.point[at], full.fit.steps[at])
     except BenchError:
         return None
+    return Explanation(tuple(kept), fit)
 
 
 def effects_alone(nominal: Explanation, full: Explanation) -> Explanation | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.predictive_check import agrees, disagreements
-from bayesbl.naming.candidates import Candidate, steady_torque
+from bayesbl.naming.candidates import Candidate, held_by, steady_torque
 from bayesbl.naming.criteria import (
     ALIKE,
     are_alike,
@@ -36,6 +36,7 @@ from bayesbl.naming.explanation import (
     polished,
     reduced,
     refitted,
+    simplified,
 )
 from bayesbl.naming.law_forms import least_beside, without_mends
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
@@ -283,6 +284,19 @@ class _Search:
             if better is None:
                 break
             final = better
+        return self._simplest(final)
+
+    def _simplest(self, final: Explanation) -> Explanation:
+        """With the law that another one holds in its place, where its own term does not stand out.
+
+        Friction that drifts explains what Coulomb friction does, and a little of anything else.
+        """
+        for place, candidate in enumerate(final.candidates):
+            held = held_by(candidate)
+            for inner in (c for c in self._candidates if (c.name, c.recording) == held):
+                simpler = simplified(self._nominal, final, place, inner)
+                if simpler is not None and not self._is_worth_naming(simpler, final):
+                    return simpler
         return final
 
     def _exchanged(self, final: Explanation, first: Sequence[Explanation]) -> Explanation | None:

@@ -41,6 +41,14 @@ SPEEDS_RPM = (2000.0, -2000.0, 1200.0, 1600.0)
             "shaft_hysteresis",
             id="friction over the angle",
         ),
+        pytest.param(
+            # Friction with presliding was called friction that drifts, by as good as nothing.
+            1.55e-3,
+            {"outside__position_friction_nm": 8.0, "outside__lugre_nm": 0.09},
+            "load_angle",
+            "motor_coulomb_friction",
+            id="friction at the motor, and over the angle",
+        ),
     ],
 )
 def test_a_law_behind_one_that_no_catalogue_has_is_named_beside_it(
