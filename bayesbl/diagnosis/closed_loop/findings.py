@@ -29,7 +29,9 @@ from bayesbl.naming.explanation import (
     with_own_noise,
 )
 from bayesbl.naming.law_forms import (
+    UnnamedLaw,
     is_within_form,
+    unnamed_law,
     without_mends,
 )
 from bayesbl.naming.naming import Naming
@@ -70,6 +72,8 @@ class Findings:
         What still stands out after naming.
     learned
         What was learned from what naming left; ``final`` has it.
+    unnamed
+        A law of the shaft that is too weak to be named, but not to move δ.
     """
 
     believed: Bench
@@ -80,6 +84,7 @@ class Findings:
     residuals_after: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
     learned: Learned | None = None
+    unnamed: UnnamedLaw | None = None
 
 
 def search(
@@ -105,18 +110,19 @@ def search(
         If the bench cannot be simulated or a recording is too short.
     """
     nominal = fit_aligned(bench, used, unknowns, settings.workers)
+    catalogue = partial(
+        candidates,
+        bench,
+        used,
+        "all" if settings.effects is None else settings.effects,
+        declared=[u.name for u in unknowns],
+        load_angle_known=settings.load_angle_known,
+        motor_angle_known=settings.motor_angle_known,
+        gap_is_unknown=any(u.name == GAP for u in unknowns),
+    )
     missing = partial(
         name_missing,
-        candidates=partial(
-            candidates,
-            bench,
-            used,
-            "all" if settings.effects is None else settings.effects,
-            declared=[u.name for u in unknowns],
-            load_angle_known=settings.load_angle_known,
-            motor_angle_known=settings.motor_angle_known,
-            gap_is_unknown=any(u.name == GAP for u in unknowns),
-        ),
+        candidates=catalogue,
         max_effects=settings.max_effects,
         false_alarm=settings.false_alarm,
         progress=progress,
@@ -157,7 +163,15 @@ def search(
         else:
             final, naming, result = learned.explanation, names, more
     return Findings(
-        bench, naming, final, result.pairs, before, result.after, result.remaining, learned
+        bench,
+        naming,
+        final,
+        result.pairs,
+        before,
+        result.after,
+        result.remaining,
+        learned,
+        unnamed_law(final, catalogue()),
     )
 
 
