@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
@@ -15,7 +16,9 @@ from bayesbl.diagnosis.closed_loop.prediction import (
 )
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
+from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
@@ -127,47 +130,21 @@ def search(
         false_alarm=settings.false_alarm,
         progress=progress,
     )
-    naming = missing(nominal)
     compared = partial(_compared, nominal_explanation(nominal), held_out)
-    # What was missing is not noise: intervals rest on the noise estimated without it.
-    final = with_own_noise(naming.final) if naming.final.candidates else naming.final
-    result = compared(final)
-    before = _analysis(result.pairs, naming.nominal, "before")
-    if result.remaining and not _is_closed(before, result.after, final):
-        # More is asked of parameters: the effects may do without them.
-        fewer = effects_alone(naming.nominal, naming.final)
-        if fewer is not None:
-            final = with_own_noise(fewer)
-            result = compared(final)
-            naming = _with_candidates(replace(naming, final=fewer), final)
-        if fewer is None or not _is_closed(before, result.after, final):
-            # It helps a little, as a parameter may where a line in time remains: no explanation.
-            nearest, final = naming.final, naming.nominal
-            naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
-            result = compared(final)
-    learned = None
+    naming, final = _enough_closed(missing(nominal), compared)
+    result, learned = compared(final), None
     if naming.repeats or (result.remaining and not is_within_form(naming)):
-        learned = _learned(final, naming, compared, settings)
-    if learned is not None:
-        names, more = _with_candidates(naming, learned.explanation), compared(learned.explanation)
-        if not names.effects and not agrees(disagreements(learned.explanation.fit)):
-            # Behind what was learned a law of the catalogue may have been hidden.
-            explained = left(naming.nominal) - left(learned.explanation)
-            beside = without_mends(missing(learned.explanation.fit), explained)
-            if beside.effects:
-                learned = learned.beside(with_own_noise(beside.final))
-                names = replace(beside, nominal=naming.nominal, alone=naming.alone)
-                more = compared(learned.explanation)
-        if share_closed(result.after, more.after) < LEAST_LEARNED:
-            learned = None
-        else:
-            final, naming, result = learned.explanation, names, more
+        beside = _with_learned(naming, final, compared, missing, settings)
+        if beside is not None:
+            naming, learned = beside
+            final = learned.explanation
+            result = compared(final)
     return Findings(
         bench,
         naming,
         final,
         result.pairs,
-        before,
+        _analysis(result.pairs, naming.nominal, "before"),
         result.after,
         result.remaining,
         learned,
@@ -175,11 +152,53 @@ def search(
     )
 
 
-def _learned(
-    final: Explanation,
+def _enough_closed(naming: Naming, compared: _Compared) -> tuple[Naming, Explanation]:
+    """The names that remove enough of what is no noise, and the explanation by them.
+
+    What was missing is not noise: intervals rest on the noise estimated without it.
+    """
+    if not naming.final.candidates:
+        return naming, naming.final
+    final = with_own_noise(naming.final)
+    if _is_closed(naming.nominal, compared(final), final):
+        return naming, final
+    # More is asked of parameters: the effects may do without them.
+    fewer = effects_alone(naming.nominal, naming.final)
+    if fewer is not None:
+        final = with_own_noise(fewer)
+        naming = _with_candidates(replace(naming, final=fewer), final)
+        if _is_closed(naming.nominal, compared(final), final):
+            return naming, final
+    # It helps a little, as a parameter may where a line in time remains: no explanation.
+    nearest, nominal = naming.final, naming.nominal
+    return replace(naming, repeats=True, final=nominal, effects=(), nearest=nearest), nominal
+
+
+def _with_learned(
     naming: Naming,
-    compared: Callable[[Explanation], _Comparison],
+    final: Explanation,
+    compared: _Compared,
+    missing: Callable[[SimulatedFit], Naming],
     settings: ForwardSettings,
+) -> tuple[Naming, Learned] | None:
+    """What is learned from what is left, with the names that stand beside it."""
+    learned = _learned(final, naming, compared, settings)
+    if learned is None:
+        return None
+    names = _with_candidates(naming, learned.explanation)
+    if not names.effects and not agrees(disagreements(learned.explanation.fit)):
+        # Behind what was learned a law of the catalogue may have been hidden.
+        explained = left(naming.nominal) - left(learned.explanation)
+        beside = without_mends(missing(learned.explanation.fit), explained)
+        if beside.effects:
+            learned = learned.beside(with_own_noise(beside.final))
+            names = replace(beside, nominal=naming.nominal, alone=naming.alone)
+    closed = share_closed(compared(final).after, compared(learned.explanation).after)
+    return None if closed < LEAST_LEARNED else (names, learned)
+
+
+def _learned(
+    final: Explanation, naming: Naming, compared: _Compared, settings: ForwardSettings
 ) -> Learned | None:
     """What is learned from what an explanation leaves, or the nearest one where nothing explains.
 
@@ -202,7 +221,11 @@ def _learned(
         share = share_closed(without.after, compared(learned.explanation).after)
         if share >= most:
             best, most = learned, share
-    return best.alone() if best is not None and naming.repeats else best
+    if best is None or not naming.repeats:
+        return best
+    with suppress(BenchError):
+        return best.alone()
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +237,9 @@ class _Comparison:
     remaining: tuple[Unexplained, ...]
 
 
+_Compared = Callable[[Explanation], _Comparison]
+
+
 def _compared(
     nominal: Explanation, held_out: Sequence[Observed], explanation: Explanation
 ) -> _Comparison:
@@ -222,9 +248,12 @@ def _compared(
     return _Comparison(pairs, after, tuple(describe_unexplained(after)))
 
 
-def _is_closed(before: ResidualAnalysis, after: ResidualAnalysis, final: Explanation) -> bool:
-    """Whether an explanation removes enough of what is no noise."""
-    return not final.candidates or share_closed(before, after) >= enough_closed(final)
+def _is_closed(nominal: Explanation, result: _Comparison, final: Explanation) -> bool:
+    """Whether an explanation leaves nothing, or removes enough of what is no noise."""
+    if not result.remaining or not final.candidates:
+        return True
+    before = _analysis(result.pairs, nominal, "before")
+    return share_closed(before, result.after) >= enough_closed(final)
 
 
 def _with_candidates(naming: Naming, final: Explanation) -> Naming:
