@@ -18,7 +18,7 @@ from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
-from bayesbl.errors import RecordingError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
@@ -199,6 +199,8 @@ def observed(
     RecordingError
         If the samples are uneven, the speed is not the reference's, or there are fewer
         than two load rotations where it is one speed.
+    ConfigError
+        If the load's rotations come again after other turns of the motor than the gear ratio says.
     """
     speed = recording.motor_speed_rpm
     period = recording.sampling_period_s
@@ -246,7 +248,7 @@ def _as_it_repeats(
 
     Raises
     ------
-    RecordingError
+    ConfigError
         If they come at such other times that the gear ratio is wrong.
     """
     ratio = bench.value("gear_ratio")
@@ -271,12 +273,14 @@ def _as_it_repeats(
     if found.gain > SURELY_OTHER**2:
         late = found.period_s / bench.rotation_period_s(reference) - 1.0
         if abs(late) > LARGEST_CLOCK_ERROR:
-            raise RecordingError(
+            # Of the bench, not of the recording: what else rests on that bench is wrong too.
+            raise ConfigError(
                 "The recording does not repeat when the bench's load has turned once.",
                 file=recording.place,
                 where="gear_ratio",
                 found=f"{found.motor_turns:.5g} turns of the motor until the impacts come again",
-                expected=f"{ratio:g}, the bench's gear ratio; or the right one in the bench file",
+                expected=f"{ratio:g}, the bench's gear ratio: correct it in the bench file, or "
+                "record again if a machine shakes the joint",
             )
         period_s /= 1.0 + late
         side = "later" if late > 0.0 else "earlier"

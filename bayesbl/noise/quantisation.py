@@ -129,7 +129,7 @@ class Rounding:
 
     @property
     def sd(self) -> float:
-        """Of both together."""
+        """Standard deviation of both together, in the channel's unit."""
         return math.hypot(self.least_sd, 0.0 if self.steps is None else self.steps.sd_rpm)
 
     def autocovariance(self, exact: FloatArray, left: FloatArray, lags: int) -> FloatArray:

@@ -12,7 +12,7 @@ from bayesbl.bench.bench import BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.errors import UserError
+from bayesbl.errors import ConfigError, UserError
 from bayesbl.measurement.bench_of import bench_with
 from bayesbl.measurement.curves import BenchCurves
 from bayesbl.measurement.routes import measurer_of
@@ -75,6 +75,26 @@ def test_what_would_be_ignored_is_refused(
 ) -> None:
     with pytest.raises(UserError):
         config_of(tmp_path, known=known, drift=drift, estimator=estimator)
+
+
+@pytest.mark.parametrize("route", ["auto", "direct"])
+def test_a_bench_of_another_gear_ratio_gives_no_gap_by_either_route(
+    tmp_path: Path, route: str
+) -> None:
+    """Where the direct route refused the recording alone, the amplitude answered by that bench."""
+    text = BENCH.read_text()
+    assert "gear_ratio = {value = 120.0}" in text
+    other = tmp_path / "other.toml"
+    other.write_text(text.replace("gear_ratio = {value = 120.0}", "gear_ratio = {value = 120.3}"))
+    config = config_of(tmp_path, estimator=f'bench = "{other}"\nroute = "{route}"')
+    task = Task(
+        config,
+        tuple(recording_of(entry, config) for entry in config.recordings),
+        Seeds.spawn(1, 2),
+        swept=WorkStore(tmp_path / "kept"),
+    )
+    with pytest.raises(ConfigError, match="120 turns of the motor"):
+        measurer_of(config).measure(task)
 
 
 @pytest.mark.long

@@ -125,7 +125,7 @@ def forward_problem(
     channels = _channels(task)
     recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
     used, held_out = [], []
-    notes = [*notes_of(recordings)]
+    notes = notes_of(recordings)
     for entry, recording in zip(config.recordings, recordings, strict=True):
         if moves(recording):
             raise RecordingError(
