@@ -99,6 +99,7 @@ _UNIT_OF_ENDING = {
     "_nm_per_a": "N m/A",
     "_nm_per_s": "N m/s",
     "_kg_m2": "kg m²",
+    "_rad_per_nm": "rad/(N m)",
     "_rad_per_s": "rad/s",
     "_s_per_rad": "s/rad",
     "_per_s": "1/s",

@@ -44,9 +44,11 @@ LONGEST_STEP_S = 2.5e-5
 CHECKPOINT_S = 0.03
 """The run goes back this far or more from where the recording begins, for channels that lag."""
 SETTLING_ROTATIONS = 1.5
-STATES = 16
+STATES = 22
 SUM, HELD, COMING, LAST_ANGLE, LAST_SPEED = 4, 12, 13, 14, 15
 """The memory of a digital controller, among the states; the sum stands where the integral would."""
+REDUCER, ARM, BASE = 16, 18, 20
+"""Absolute angles behind a belt, of an elastic arm, of the base; their speeds follow."""
 
 MOTOR_WIDTH = 0.05  # rad/s
 LOAD_WIDTH = 2e-3  # rad/s
@@ -120,6 +122,23 @@ class Plant(NamedTuple):
     channel_time_skew__speed_s: float = 0.0
     channel_time_skew__current_s: float = 0.0
     speed_averaging__time_s: float = 0.0
+    belt__compliance_rad_per_nm: float = 0.0
+    belt__damping_time_s: float = 2e-4
+    belt__reducer_share: float = 0.3
+    arm__compliance_rad_per_nm: float = 0.0
+    arm__damping_time_s: float = 1e-3
+    arm__inertia_share: float = 0.4
+    arm__gravity_share: float = 0.5
+    base__compliance_rad_per_nm: float = 0.0
+    base__damping_time_s: float = 1e-3
+    base__inertia_kg_m2: float = 60.0
+    gap_variation__cosine_1: float = 0.0
+    gap_variation__sine_1: float = 0.0
+    gap_variation__cosine_2: float = 0.0
+    gap_variation__sine_2: float = 0.0
+    outside__shaking_nm: float = 0.0  # at the load, in time
+    outside__shaking_hz: float = 9.7
+    outside__shaking_phase_rad: float = 0.0
     outside__time_torque_nm: float = 0.0
     outside__time_frequency_hz: float = 7.3
     outside__time_phase_rad: float = 0.0
@@ -180,12 +199,12 @@ def _shaft(twist, slip, gap, stiffness, damping, p):
 @_jit
 def _measured(y, p, phase):
     """Angle and speed that the encoder shows, speed that the controller is given."""
-    angle, speed = y[0], y[1]
+    angle, speed = y[0] - y[BASE], y[1] - y[BASE + 1]
     if p.encoder_eccentricity__angle_rad != 0.0:
         turn = angle + phase + p.encoder_eccentricity__phase_rad
         angle += p.encoder_eccentricity__angle_rad * math.sin(turn)
         speed *= 1.0 + p.encoder_eccentricity__angle_rad * math.cos(turn)
-    shaft = y[0] + phase
+    shaft = y[0] - y[BASE] + phase
     first = shaft + p.outside__encoder_1_phase_rad
     second = 2.0 * shaft + p.outside__encoder_2_phase_rad
     fourth = 4.0 * shaft + p.outside__encoder_4_phase_rad
@@ -241,6 +260,13 @@ def _work(step, each, y, p, phase, asked):
 
 
 @_jit
+def _weight(angle, p):
+    """Gravity's torque against a load at an absolute angle."""
+    torque = p.gravity_torque_nm * math.sin(angle + p.gravity_angle_rad)
+    return torque + p.gravity_phase__torque_nm * math.cos(angle)
+
+
+@_jit
 def _slopes(t, y, p, phase, asked, drift_start, dy):
     """θ_m, ω_m, θ_l, ω_l, ∫error, lagged torque, lagged speed, Dahl z, θ_k, ω_k, two more z."""
     n = p.gear_ratio
@@ -259,8 +285,12 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         dy[6] = (fresh - y[6]) / p.speed_sensor_lag__time_s
 
     three = p.outside__second_gap_rad > 0.0
+    belt = p.belt__compliance_rad_per_nm > 0.0
+    base, base_speed = y[BASE], y[BASE + 1]
     far_angle, far_speed = (y[8], y[9]) if three else (y[2], y[3])
-    twist, slip = y[0] / n - far_angle, y[1] / n - far_speed
+    near_angle, near_speed = (y[REDUCER], y[REDUCER + 1]) if belt else (y[0], y[1])
+    twist = (near_angle - base) / n - (far_angle - base)
+    slip = (near_speed - base_speed) / n - (far_speed - base_speed)
     dy[7] = 0.0
     if p.shaft_hysteresis__torque_nm != 0.0:
         dy[7] = (slip - abs(slip) * y[7]) / p.shaft_hysteresis__angle_rad
@@ -275,6 +305,12 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         rate = math.cos(turn) + 1.4 * math.cos(2.0 * turn + 1.0)
         slip += p.outside__transmission_rad * y[1] * rate
     gap = p.gap_rad + p.backlash__gap_rad
+    turn = y[2] - base
+    variation = p.gap_variation__cosine_1 * math.cos(turn)
+    variation += p.gap_variation__sine_1 * math.sin(turn)
+    variation += p.gap_variation__cosine_2 * math.cos(2.0 * turn)
+    variation += p.gap_variation__sine_2 * math.sin(2.0 * turn)
+    gap *= 1.0 + variation
     times = 2.0 if three else 1.0
     stiffness = times * p.shaft_stiffness_nm_per_rad
     damping = times * p.shaft_damping_nm_s_per_rad
@@ -292,7 +328,7 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         dy[10] = (slip - held) / p.outside__bouc_wen_rad
         shaft += p.outside__bouc_wen_nm * y[10]
 
-    speed = y[1]
+    speed = y[1] - base_speed
     dry = p.motor_coulomb_friction__torque_nm + p.friction_drift__torque_nm
     if t > drift_start:
         dry += p.friction_drift__rate_nm_per_s * (t - drift_start)
@@ -327,31 +363,57 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         pulse = math.exp(sharpness * (math.cos(turn) - 1.0)) - p.outside__belt_mean
         lost += p.outside__belt_torque_nm * pulse
 
-    load = (
-        p.gravity_torque_nm * math.sin(y[2] + p.gravity_angle_rad) + p.load_torque_offset__torque_nm
-    )
-    load += p.gravity_phase__torque_nm * math.cos(y[2])
-    load += p.load_viscous_friction__coefficient_nm_s_per_rad * y[3]
+    slow = y[3] - base_speed
+    load = p.load_torque_offset__torque_nm
+    load += p.load_viscous_friction__coefficient_nm_s_per_rad * slow
     if p.load_coulomb_friction__torque_nm != 0.0:
-        load += p.load_coulomb_friction__torque_nm * math.erf(y[3] / LOAD_WIDTH)
+        load += p.load_coulomb_friction__torque_nm * math.erf(slow / LOAD_WIDTH)
+    if p.outside__shaking_nm != 0.0:
+        turn = 2.0 * math.pi * p.outside__shaking_hz * t + p.outside__shaking_phase_rad
+        load += p.outside__shaking_nm * math.sin(turn)
     load += p.outside__load_coulomb_nm * y[3] / (abs(y[3]) + LOAD_WIDTH)
     if p.outside__position_friction_nm != 0.0:
         turn = y[2] + p.outside__position_friction_phase_rad
         wave = 1.0 + 0.5 * math.cos(turn) + 0.25 * math.sin(2.0 * turn)
         load += p.outside__position_friction_nm * wave * math.erf(y[3] / LOAD_WIDTH)
 
-    dy[0] = speed
-    dy[1] = (torque - shaft / n - lost) / p.motor_inertia_kg_m2
+    internal = load
+    inertia = p.load_inertia_kg_m2
+    if p.arm__compliance_rad_per_nm > 0.0:
+        bent = y[2] - y[ARM] + p.arm__damping_time_s * (y[3] - y[ARM + 1])
+        bent /= p.arm__compliance_rad_per_nm
+        behind = p.arm__inertia_share * p.load_inertia_kg_m2
+        inertia -= behind
+        dy[ARM] = y[ARM + 1]
+        dy[ARM + 1] = (bent - p.arm__gravity_share * _weight(y[ARM], p)) / behind
+        load += bent + (1.0 - p.arm__gravity_share) * _weight(y[2], p)
+    else:
+        load += _weight(y[2], p)
+    dy[0] = y[1]
+    if belt:
+        pull = y[0] - y[REDUCER] + p.belt__damping_time_s * (y[1] - y[REDUCER + 1])
+        pull /= p.belt__compliance_rad_per_nm
+        behind = p.belt__reducer_share * p.motor_inertia_kg_m2
+        dy[1] = (torque - lost - pull) / (p.motor_inertia_kg_m2 - behind)
+        dy[REDUCER] = y[REDUCER + 1]
+        dy[REDUCER + 1] = (pull - shaft / n) / behind
+    else:
+        dy[1] = (torque - shaft / n - lost) / p.motor_inertia_kg_m2
+    if p.base__compliance_rad_per_nm > 0.0:
+        held = (base + p.base__damping_time_s * base_speed) / p.base__compliance_rad_per_nm
+        dy[BASE] = base_speed
+        pushed = internal - held - (torque - lost) + shaft / n - shaft
+        dy[BASE + 1] = pushed / p.base__inertia_kg_m2
     dy[2] = y[3]
     dy[8] = 0.0
     dy[9] = 0.0
     if not three:
-        dy[3] = (shaft - load) / p.load_inertia_kg_m2
+        dy[3] = (shaft - load) / inertia
         return
     gap = p.outside__second_gap_rad
     second = _shaft(y[8] - y[2], y[9] - y[3], gap, stiffness, damping, p)
     middle = p.outside__second_mass_share * p.load_inertia_kg_m2
-    dy[3] = (second - load) / (p.load_inertia_kg_m2 - middle)
+    dy[3] = (second - load) / (inertia - middle)
     dy[8] = y[9]
     dy[9] = (shaft - second) / middle
 
@@ -411,9 +473,10 @@ def _run(p, settling_rotations, step, each, sampling_s, late, out):
     y[2] = p.start_angle_rad - direction * 2.0 * math.pi * settling_rotations
     if each > 0 and late > 0.0:
         y[2] -= reference / n * late
-    y[8] = y[2]
-    y[0] = n * y[2]
+    y[8] = y[ARM] = y[2]
+    y[0] = y[REDUCER] = n * y[2]
     y[1], y[3], y[9], y[6] = reference, reference / n, reference / n, reference
+    y[REDUCER + 1], y[ARM + 1] = reference, reference / n
     y[LAST_SPEED], y[LAST_ANGLE] = reference, y[0] - reference * step * each
     ramp_start = y[0]
     k, trial, asked = np.empty((4, STATES)), np.empty(STATES), np.empty((3, 2))
@@ -428,11 +491,11 @@ def _run(p, settling_rotations, step, each, sampling_s, late, out):
             older_t = old_t
             old[:] = y
             old_t = t
-        before = (y[2] - p.start_angle_rad) * direction
+        before = (y[2] - y[BASE] - p.start_angle_rad) * direction
         _steadily(t, step, p, ramp_start, asked)
         _work(i, each, y, p, phase, asked[0])
         _step(t, y, step, p, phase, asked, math.inf, k, trial)
-        after = (y[2] - p.start_angle_rad) * direction
+        after = (y[2] - y[BASE] - p.start_angle_rad) * direction
         if before < 0.0 <= after:
             begin = t - step * before / (after - before)
             break
@@ -494,8 +557,9 @@ def _follow(p, side, speed, angle, held, step, each, ticking, out):
     gap = p.gap_rad + p.backlash__gap_rad
     y = np.zeros(STATES)
     y[2] = p.start_angle_rad
-    y[8] = y[2]
+    y[8] = y[ARM] = y[2]
     y[0] = n * (y[2] + load / p.shaft_stiffness_nm_per_rad + side * gap)
+    y[REDUCER] = y[0]
     if p.integral_gain_nm_per_rad > 0.0:
         y[4] = load / n / p.integral_gain_nm_per_rad
     y[5] = load / n
@@ -826,6 +890,7 @@ def random_recordings(
                 "start_angle_rad": start,
                 "motor_start_angle_rad": motor,
                 "outside__time_phase_rad": phase,
+                "outside__shaking_phase_rad": phase,
                 **hidden,
             }
         )

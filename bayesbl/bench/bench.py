@@ -14,13 +14,10 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesbl.bench.effect_declaration import RigidMotion
-from bayesbl.bench.effects import EFFECT_BY_NAME, effect_named
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import (
     CURRENT,
-    FIRST_LEARNED,
-    FIRST_OF_ENCODER,
-    FIRST_SKEW,
     POSITION,
     SLOTS,
     SPEED,
@@ -57,10 +54,9 @@ Drive = Literal["two_mass", "rigid"]
 LATE_PARAMETERS = ("gravity_angle_rad",)
 
 # Increased when the same bench gives other signals, so that cached results are not mixed.
-_SIGNALS_VERSION = 1
+_SIGNALS_VERSION = 2
 # As hashed. Version 0.2 simulated the encoder's speed as a sensor's: its curves are other ones.
 _SPEED_SOURCES = {"sensor": "sensor", "encoder": "averaged"}
-_OF_SAMPLED_CONTROL = list(EFFECT_BY_NAME["sampled_control"].slots.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -470,18 +466,11 @@ class Bench:
 
     def fingerprint(self) -> str:
         """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
-        vector = self._vector
-        if vector[Slot.speed_averaging__time_s] == 0.0:
-            vector = np.delete(vector, Slot.speed_averaging__time_s)
-        if self.encoder_error is None:
-            vector = np.delete(vector, np.s_[FIRST_OF_ENCODER:FIRST_SKEW])
-        if self.learned_torque is None:
-            vector = np.delete(vector, np.s_[FIRST_LEARNED:FIRST_OF_ENCODER])
-        if vector[Slot.sampled_control__period_s] == 0.0:
-            vector = np.delete(vector, _OF_SAMPLED_CONTROL)
         content = {
             "version": _SIGNALS_VERSION,
-            "vector": [repr(float(value)) for value in vector],
+            "values": {
+                s.name: repr(float(v)) for s, v in zip(Slot, self._vector, strict=True) if v
+            },
             "speed_source": _SPEED_SOURCES[self.measurement.speed_source],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -3,12 +3,15 @@
 Everything that numba compiles together is in this one file: its cache looks only at the file
 of the outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
 
-State, shape (12,), SI: motor angle, motor speed, twist Δθ, twist speed Δω, integral of the speed
-error, then (only while an effect is on) lagged drive torque, lagged speed, Dahl z, then (only where
-the controller is sampled) the torque it holds, the one it has computed since, angle and speed that
-it saw at its last tick. Where more than one torque is on its way, the older ones follow, the newest
-first. The load angle is θ_m/N − Δθ. Twist and twist speed are states of their own
-because the contact depends on them alone and their error is what the step control must see.
+State, shape (18,), SI: angle and speed of the gear's input, which is the motor unless a belt drives
+it, twist Δθ, twist speed Δω, integral of the speed error; then, only while an effect is on, lagged
+drive torque, lagged speed, Dahl z; then, only where the bench has such a part, how far the motor is
+ahead of the gear's input and how fast, how far the load is ahead of the arm behind it and how fast,
+angle and speed of the base; then, only where the controller is sampled, the torque it holds, the
+one it has computed since, angle and speed that it saw at its last tick. Where more than one torque
+is on its way, the older ones follow, the newest first. Angles are those against the base. The load
+angle is θ/N − Δθ of the gear's input θ. Twist and twist speed are states of their own because the
+contact depends on them alone and their error is what the step control must see.
 
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps;
@@ -97,6 +100,20 @@ class Slot(IntEnum):
     speed_sensor_lag__time_s = auto()
     friction_drift__torque_nm = auto()
     friction_drift__rate_nm_per_s = auto()
+    belt__compliance_rad_per_nm = auto()
+    belt__damping_time_s = auto()
+    belt__reducer_share = auto()
+    arm__compliance_rad_per_nm = auto()
+    arm__damping_time_s = auto()
+    arm__inertia_share = auto()
+    arm__gravity_share = auto()
+    base__compliance_rad_per_nm = auto()
+    base__damping_time_s = auto()
+    base__inertia_kg_m2 = auto()
+    gap_variation__cosine_1 = auto()
+    gap_variation__sine_1 = auto()
+    gap_variation__cosine_2 = auto()
+    gap_variation__sine_2 = auto()
     learned_torque__side = auto()  # 0: there is none, 1: at the motor, 2: at the load
     learned_torque__variable = auto()  # 0: motor angle, 1: load angle, 2: motor speed, 3: time
     learned_torque__reverses = auto()  # 1: its sign is that of the speed
@@ -129,10 +146,11 @@ FIRST_ENCODER_SINE = int(Slot["encoder_error__sine_1_rad"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
-STATES = 12
+STATES = 18
 NEWTON_STEPS = 8  # to rounding, for any hardening within its range
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
-HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(8, 12)
+BELT_TWIST, BELT_SPEED, ARM_TWIST, ARM_SPEED, BASE_ANGLE, BASE_SPEED = range(8, 14)
+HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(14, 18)
 
 POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
@@ -155,6 +173,8 @@ LONGEST_PHASE = 1.0
 SHORT_PHASE = 0.05
 # Widths of a smoothed edge or sign beyond which it bends no more than a step follows.
 CLEAR = 20.0
+# Of a gap that varies with the load angle: below it the teeth would jam.
+LEAST_GAP_SHARE = 0.01
 # rad/s: pace of a rigid bench that nothing drives.
 SLOWEST_RATE = 0.1
 
@@ -201,6 +221,8 @@ class Constants(NamedTuple):
     phase_offset: float
     drift_start: float
     effects: bool
+    structured: bool
+    varies: bool
     held: bool
     plain: bool
     sampled: bool
@@ -253,6 +275,17 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
             effects = True
     ratio = p[Slot.gear_ratio]
     rigid = p[Slot.rigid] != 0.0
+    structured = not rigid and (
+        p[Slot.belt__compliance_rad_per_nm] != 0.0
+        or p[Slot.arm__compliance_rad_per_nm] != 0.0
+        or p[Slot.base__compliance_rad_per_nm] != 0.0
+    )
+    varies = (
+        p[Slot.gap_variation__cosine_1] != 0.0
+        or p[Slot.gap_variation__sine_1] != 0.0
+        or p[Slot.gap_variation__cosine_2] != 0.0
+        or p[Slot.gap_variation__sine_2] != 0.0
+    )
     held = math.isinf(p[Slot.load_inertia_kg_m2])
     sampled = p[Slot.sampled_control__period_s] > 0.0
     plain = not (effects or rigid or held)
@@ -286,6 +319,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
         drift_start,
         effects,
+        structured,
+        varies,
         held,
         plain,
         sampled,
@@ -335,6 +370,8 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
         c.phase_offset,
         c.drift_start,
         c.effects,
+        c.structured,
+        c.varies,
         c.held,
         c.plain,
         c.sampled,
@@ -374,7 +411,7 @@ def reference_position(t, c):  # type: ignore[no-untyped-def]
 
 
 @_inlined
-def shaft_torque(twist, twist_speed, region, c):  # type: ignore[no-untyped-def]
+def shaft_torque(twist, twist_speed, region, sharpness, c):  # type: ignore[no-untyped-def]
     """Shaft torque τ_s on the load side, N m (eqs. 1, 2 and the variable stiffness).
 
     ``region`` counts the edges below the twist: −δ, δ for the dead zone, −δ, 0, δ for the arctan.
@@ -386,8 +423,8 @@ def shaft_torque(twist, twist_speed, region, c):  # type: ignore[no-untyped-def]
         return c.stiffness * (twist - flank) + c.damping * twist_speed
     flank = -c.gap if region < 2 else c.gap
     # π + arctan(α(x − δ)) − arctan(α(x + δ)) as one angle: no cancellation inside the gap.
-    opposite = 2.0 * c.sharpness * c.gap
-    adjacent = c.sharpness * c.sharpness * (c.gap - twist) * (c.gap + twist) - 1.0
+    opposite = 2.0 * sharpness * c.gap
+    adjacent = sharpness * sharpness * (c.gap - twist) * (c.gap + twist) - 1.0
     if opposite < 0.01 * abs(adjacent):
         # Away from the edges a series, exact to rounding, in a third of the time.
         r = opposite / adjacent
@@ -417,10 +454,30 @@ def limited(demand, error, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def gap_share(angle, twist, p, c):  # type: ignore[no-untyped-def]
+    """The gap at this load angle over its mean, a pure number."""
+    if not c.varies:
+        return 1.0
+    load_angle = angle * c.per_ratio - twist
+    cosine = math.cos(load_angle)
+    sine = math.sin(load_angle)
+    share = 1.0 + p[Slot.gap_variation__cosine_1] * cosine + p[Slot.gap_variation__sine_1] * sine
+    share += p[Slot.gap_variation__cosine_2] * (cosine * cosine - sine * sine)
+    share += p[Slot.gap_variation__sine_2] * 2.0 * sine * cosine
+    return max(share, LEAST_GAP_SHARE)
+
+
+@_jit
 def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
-    """Twist that the teeth see: Δθ and the transmission error."""
+    """Twist that the teeth see: Δθ and the transmission error, on the scale of the mean gap."""
     if not c.effects:
         return twist
+    return eccentric_twist(angle, twist, p, c) / gap_share(angle, twist, p, c)
+
+
+@_jit
+def eccentric_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
+    """Δθ and the transmission error."""
     order = p[Slot.gear_transmission_error__order]
     amplitude = p[Slot.gear_transmission_error__angle_rad]
     if amplitude == 0.0:
@@ -458,6 +515,11 @@ def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
 def sensed(y, p, c):  # type: ignore[no-untyped-def]
     """Motor angle and speed as the encoder shows them, before any lag."""
     angle = y[MOTOR_ANGLE]
+    motor_speed = y[MOTOR_SPEED]
+    if c.structured:
+        angle += y[BELT_TWIST]
+        motor_speed += y[BELT_SPEED]
+    true_angle = angle
     rate = 1.0
     if c.effects:
         eccentricity = p[Slot.encoder_eccentricity__angle_rad]
@@ -466,10 +528,10 @@ def sensed(y, p, c):  # type: ignore[no-untyped-def]
             angle += eccentricity * math.sin(phase)
             rate += eccentricity * math.cos(phase)
         if p[Slot.encoder_error__orders] != 0.0:
-            error, slope = encoder_error(y[MOTOR_ANGLE], p, c)
+            error, slope = encoder_error(true_angle, p, c)
             angle += error
             rate += slope
-    return angle, y[MOTOR_SPEED] * rate
+    return angle, motor_speed * rate
 
 
 @_jit
@@ -497,7 +559,9 @@ def states_of(c):  # type: ignore[no-untyped-def]
 @_jit
 def moving_states(c):  # type: ignore[no-untyped-def]
     """How many of them change between the ticks of a sampled controller."""
-    return HELD_TORQUE if c.effects else DRIVE_TORQUE
+    if c.structured:
+        return HELD_TORQUE
+    return BELT_TWIST if c.effects else DRIVE_TORQUE
 
 
 @_jit
@@ -601,12 +665,19 @@ def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped
 
 
 @_jit
-def load_torque(angle, speed, p, c):  # type: ignore[no-untyped-def]
-    """Torque against the load: gravity and load-side effects, N m."""
+def gravity_at(angle, p, c):  # type: ignore[no-untyped-def]
+    """Gravity's torque against a load at this angle, N m."""
     torque = c.gravity * math.sin(angle + c.gravity_angle)
+    if c.effects and p[Slot.gravity_phase__torque_nm] != 0.0:
+        torque += p[Slot.gravity_phase__torque_nm] * math.cos(angle)
+    return torque
+
+
+@_jit
+def load_losses(speed, p, c):  # type: ignore[no-untyped-def]
+    """Torque against the load from load-side effects, N m."""
+    torque = 0.0
     if c.effects:
-        if p[Slot.gravity_phase__torque_nm] != 0.0:
-            torque += p[Slot.gravity_phase__torque_nm] * math.cos(angle)
         torque += p[Slot.load_torque_offset__torque_nm]
         torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
@@ -666,6 +737,56 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
 
 
 @_jit
+def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type: ignore[no-untyped-def]
+    """Belt, arm and base: their rows of ``dy``; accelerations of gear input and load, rad/s².
+
+        b = θ_m − θ_r,  τ_b = (b + t_b ḃ)/c_b,   J_m − J_r at the motor, J_r at the gear's input
+        a = θ_l − θ_a,  τ_a = (a + t_a ȧ)/c_a,   J_l − J_a at the gear, J_a behind the spring
+        J_f θ̈_f = −(θ_f + t_f θ̇_f)/c_f + τ_s/N − τ_s − K_t i
+
+    The housing bears what motor and gear push off from. ``driven``: the motor's torque less its
+    losses; ``losses``: of the load but gravity.
+    """
+    base, base_speed, base_acceleration = 0.0, 0.0, 0.0
+    if p[Slot.base__compliance_rad_per_nm] != 0.0:
+        base, base_speed = y[BASE_ANGLE], y[BASE_SPEED]
+        bent = base + p[Slot.base__damping_time_s] * base_speed
+        reaction = -bent / p[Slot.base__compliance_rad_per_nm] - driven
+        reaction += shaft * (c.per_ratio - 1.0) + losses
+        base_acceleration = reaction / p[Slot.base__inertia_kg_m2]
+    dy[BASE_ANGLE] = base_speed
+    dy[BASE_SPEED] = base_acceleration
+    dy[BELT_TWIST] = 0.0
+    dy[BELT_SPEED] = 0.0
+    if p[Slot.belt__compliance_rad_per_nm] != 0.0:
+        stretch = y[BELT_TWIST] + p[Slot.belt__damping_time_s] * y[BELT_SPEED]
+        pull = stretch / p[Slot.belt__compliance_rad_per_nm]
+        reducer = p[Slot.belt__reducer_share] * c.motor_inertia
+        acceleration = (pull - shaft * c.per_ratio) / reducer - base_acceleration
+        dy[BELT_TWIST] = y[BELT_SPEED]
+        dy[BELT_SPEED] = (driven - pull) / (c.motor_inertia - reducer)
+        dy[BELT_SPEED] -= base_acceleration + acceleration
+    else:
+        acceleration = (driven - shaft * c.per_ratio) * c.per_motor_inertia - base_acceleration
+    dy[ARM_TWIST] = 0.0
+    dy[ARM_SPEED] = 0.0
+    if p[Slot.arm__compliance_rad_per_nm] != 0.0:
+        bent = y[ARM_TWIST] + p[Slot.arm__damping_time_s] * y[ARM_SPEED]
+        held = bent / p[Slot.arm__compliance_rad_per_nm]
+        arm = p[Slot.arm__inertia_share] * c.load_inertia
+        share = p[Slot.arm__gravity_share]
+        near = (1.0 - share) * gravity_at(load_angle + base, p, c) + losses
+        load_acceleration = (shaft - held - near) / (c.load_inertia - arm) - base_acceleration
+        far = share * gravity_at(load_angle + base - y[ARM_TWIST], p, c)
+        dy[ARM_TWIST] = y[ARM_SPEED]
+        dy[ARM_SPEED] = load_acceleration - ((held - far) / arm - base_acceleration)
+    else:
+        load = gravity_at(load_angle + base, p, c) + losses
+        load_acceleration = (shaft - load) * c.per_load_inertia - base_acceleration
+    return acceleration, load_acceleration
+
+
+@_jit
 def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """The same with every effect, for the rigid drive and for a held output."""
     speed = y[MOTOR_SPEED]
@@ -681,9 +802,10 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
     shaft = 0.0
     if not c.rigid:
         if not c.effects:
-            shaft = shaft_torque(twist, twist_speed, region, c)
+            shaft = shaft_torque(twist, twist_speed, region, c.sharpness, c)
         else:
-            seen = contact_twist(y[MOTOR_ANGLE], twist, p, c)
+            share_of_gap = gap_share(y[MOTOR_ANGLE], twist, p, c)
+            seen = eccentric_twist(y[MOTOR_ANGLE], twist, p, c) / share_of_gap
             seen_speed = twist_speed
             if p[Slot.gear_transmission_error__angle_rad] != 0.0:
                 order = p[Slot.gear_transmission_error__order]
@@ -691,13 +813,20 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
                 phase += p[Slot.gear_transmission_error__phase_rad]
                 slope = p[Slot.gear_transmission_error__angle_rad] * order * math.cos(phase)
                 seen_speed += slope * speed
-            shaft = shaft_torque(seen, seen_speed, region, c)
-            compression = math.copysign(max(0.0, abs(seen) - c.gap), seen)
+            # Twist over the gap's share, torque times it: the edges stay where they are.
+            sharpness = c.sharpness * share_of_gap
+            shaft = shaft_torque(seen, seen_speed / share_of_gap, region, sharpness, c)
+            shaft *= share_of_gap
+            compression = math.copysign(max(0.0, abs(seen) - c.gap), seen) * share_of_gap
             shaft += p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3
             shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
             damping = p[Slot.contact_damping__factor_s_per_rad] * c.stiffness * abs(compression)
             shaft += damping * seen_speed
             shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]
+    motor_angle, motor_speed = y[MOTOR_ANGLE], speed
+    if c.structured:
+        motor_angle += y[BELT_TWIST]
+        motor_speed += y[BELT_SPEED]
     if c.effects:
         lag = p[Slot.current_loop_lag__time_s]
         dy[DRIVE_TORQUE] = 0.0
@@ -714,10 +843,12 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             dy[DAHL] = (twist_speed - abs(twist_speed) * y[DAHL]) / p[
                 Slot.shaft_hysteresis__angle_rad
             ]
-        losses = motor_losses(t, y[MOTOR_ANGLE], speed, shaft, p, c)
-    load = load_torque(load_angle, load_speed, p, c)
+        losses = motor_losses(t, motor_angle, motor_speed, shaft, p, c)
+    load = load_losses(load_speed, p, c)
+    if not c.structured:
+        load += gravity_at(load_angle, p, c)
     if c.effects and p[Slot.learned_torque__side] != 0.0:
-        learned = learned_torque(t, y[MOTOR_ANGLE], speed, load_angle, p, c)
+        learned = learned_torque(t, motor_angle, motor_speed, load_angle, p, c)
         if p[Slot.learned_torque__side] == AT_MOTOR:
             losses += learned
         else:
@@ -728,6 +859,13 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
         dy[MOTOR_SPEED] = rigid_accelerations(torque, losses, load, speed, p, c)
         dy[TWIST] = 0.0
         dy[TWIST_SPEED] = 0.0
+        return
+    if c.structured:
+        dy[MOTOR_SPEED], load_acceleration = chain_accelerations(
+            y, torque - losses, shaft, load, load_angle, p, c, dy
+        )
+        dy[TWIST] = twist_speed
+        dy[TWIST_SPEED] = dy[MOTOR_SPEED] * c.per_ratio - load_acceleration
         return
     acceleration = (torque - shaft * c.per_ratio - losses) * c.per_motor_inertia
     dy[MOTOR_SPEED] = acceleration
@@ -755,7 +893,7 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
         share = 1.0
         if abs(torque) > c.torque_limit:
             torque, share = limited(torque, error, c)
-    shaft = shaft_torque(twist, twist_speed, region, c)
+    shaft = shaft_torque(twist, twist_speed, region, c.sharpness, c)
     load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist + c.gravity_angle)
     acceleration = (torque - shaft * c.per_ratio) * c.per_motor_inertia
     dy[MOTOR_ANGLE] = speed
@@ -872,6 +1010,8 @@ def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
         return True
     least = CLEAR * c.friction_width
     speed = y[MOTOR_SPEED]
+    if c.structured and not abs(speed + y[BELT_SPEED]) > least:
+        return False
     return abs(speed) > least and abs(speed - c.ratio * y[TWIST_SPEED]) > least
 
 
@@ -955,7 +1095,7 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
             out[0, index] = interpolated(dense, MOTOR_SPEED, s) * RPM
             continue
         # What the encoder shows depends on the motor's angle alone.
-        for i in range(1 if row == POSITION else dense.shape[1]):
+        for i in range(1 if row == POSITION and not c.structured else dense.shape[1]):
             y[i] = interpolated(dense, i, s)
         if row == POSITION:
             out[POSITION, index], _ = sensed(y, p, c)
@@ -1001,6 +1141,8 @@ def shown_angle(t, h, time, dense, y, p, c):  # type: ignore[no-untyped-def]
     """What the encoder shows at a time in the step."""
     s = (time - t) / h if h > 0.0 else 1.0
     y[MOTOR_ANGLE] = interpolated(dense, MOTOR_ANGLE, s)
+    if c.structured:
+        y[BELT_TWIST] = interpolated(dense, BELT_TWIST, s)
     angle, _ = sensed(y, p, c)
     return angle
 
@@ -1031,6 +1173,40 @@ def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type:
         share = 0.0 if repeated else max(0.0, time - since) / (until - since)
         out[place, index] = old + share * (new - old)
     return out.shape[1]
+
+
+@_jit
+def structure_rates(p, c):  # type: ignore[no-untyped-def]
+    """Angular frequencies of belt, arm and base, rad/s; 0 of one that the bench has not.
+
+    Each spring between what is on either side of it, both free.
+    """
+    belt, arm, base = 0.0, 0.0, 0.0
+    if p[Slot.belt__compliance_rad_per_nm] > 0.0:
+        share = p[Slot.belt__reducer_share]
+        inertia = c.motor_inertia * share * (1.0 - share)
+        belt = 1.0 / math.sqrt(p[Slot.belt__compliance_rad_per_nm] * inertia)
+    if p[Slot.arm__compliance_rad_per_nm] > 0.0:
+        share = p[Slot.arm__inertia_share]
+        inertia = c.load_inertia * share * (1.0 - share)
+        arm = 1.0 / math.sqrt(p[Slot.arm__compliance_rad_per_nm] * inertia)
+    if p[Slot.base__compliance_rad_per_nm] > 0.0:
+        inertia = p[Slot.base__inertia_kg_m2]
+        base = 1.0 / math.sqrt(p[Slot.base__compliance_rad_per_nm] * inertia)
+    return belt, arm, base
+
+
+@_jit
+def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
+    """Allowances of belt, arm and base, ``speed`` that of the motor; returns the fastest rate."""
+    belt, arm, base = structure_rates(p, c)
+    scale[BELT_TWIST] = max(belt, motor_rate) / speed
+    scale[BELT_SPEED] = 1.0 / speed
+    scale[ARM_TWIST] = c.ratio * max(arm, motor_rate) / speed
+    scale[ARM_SPEED] = c.ratio / speed
+    scale[BASE_ANGLE] = c.ratio * max(base, motor_rate) / speed
+    scale[BASE_SPEED] = c.ratio / speed
+    return max(belt, arm, base)
 
 
 @_jit
@@ -1067,6 +1243,8 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
         scale[DRIVE_TORQUE] = 1.0 / torque
         scale[SENSED_SPEED] = 1.0 / speed
         scale[DAHL] = abs(p[Slot.shaft_hysteresis__torque_nm]) * c.per_ratio / torque
+        if c.structured:
+            rate = max(rate, scale_structure(motor_rate, speed, p, c, scale))
         turning = c.fastest_reference
         if p[Slot.motor_torque_ripple__torque_nm] != 0.0:
             rate = max(rate, turning * abs(p[Slot.motor_torque_ripple__order]))
@@ -1111,6 +1289,9 @@ def is_stiffer(p):  # type: ignore[no-untyped-def]
         or p[Slot.shaft_hysteresis__torque_nm] != 0.0
         or p[Slot.stiffness_hardening__stiffness_nm_per_rad3] != 0.0
         or p[Slot.contact_damping__factor_s_per_rad] != 0.0
+        or p[Slot.belt__compliance_rad_per_nm] != 0.0
+        or p[Slot.arm__compliance_rad_per_nm] != 0.0
+        or p[Slot.base__compliance_rad_per_nm] != 0.0
     )
 
 
@@ -1320,9 +1501,40 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
 
 
 @_jit
+def hanging(load_angle, p, c):  # type: ignore[no-untyped-def]
+    """Gravity's torque against the shaft at rest, N m, and how far arm and base give way, rad.
+
+    By fixed-point steps: what gives way is small beside a radian.
+    """
+    bent, base = 0.0, 0.0
+    torque = gravity_at(load_angle, p, c)
+    if not c.structured:
+        return torque, bent, base
+    share = 0.0
+    if p[Slot.arm__compliance_rad_per_nm] != 0.0:
+        share = p[Slot.arm__gravity_share]
+    for _ in range(NEWTON_STEPS):
+        far = share * gravity_at(load_angle + base - bent, p, c)
+        torque = (1.0 - share) * gravity_at(load_angle + base, p, c) + far
+        bent = p[Slot.arm__compliance_rad_per_nm] * far
+        base = -p[Slot.base__compliance_rad_per_nm] * torque
+    return torque, bent, base
+
+
+@_jit
+def rest_the_structure(y, load_angle, belt_torque, p, c):  # type: ignore[no-untyped-def]
+    """Put belt, arm and base where these torques have long held them."""
+    if not c.structured:
+        return
+    y[BELT_TWIST] = p[Slot.belt__compliance_rad_per_nm] * belt_torque
+    _, y[ARM_TWIST], y[BASE_ANGLE] = hanging(load_angle, p, c)
+
+
+@_jit
 def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
     """Load torque at rest against the shaft, N m, and the learned torque at the motor."""
-    load = load_torque(load_angle, speed * c.per_ratio, p, c)
+    torque, _, _ = hanging(load_angle, p, c)
+    load = torque + load_losses(speed * c.per_ratio, p, c)
     if not c.effects or p[Slot.learned_torque__side] == 0.0:
         return load, 0.0
     learned = 0.0
@@ -1366,9 +1578,12 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     load, losses = balanced_torques(load_angle, speed, p, c)
     side = math.copysign(1.0, load if load != 0.0 else speed)
     y[:] = 0.0
-    y[TWIST] = 0.0 if c.rigid else static_twist(load, p, c) + side * c.gap
+    if not c.rigid:
+        gap = c.gap * gap_share(c.ratio * load_angle, 0.0, p, c)
+        y[TWIST] = static_twist(load, p, c) + side * gap
     y[MOTOR_ANGLE] = c.ratio * (load_angle + y[TWIST])
     y[MOTOR_SPEED] = speed
+    rest_the_structure(y, load_angle, load * c.per_ratio, p, c)
     torque = load * c.per_ratio
     if c.effects:
         torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
@@ -1484,9 +1699,13 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
         side = start_flank
     y[:] = 0.0
     if not c.rigid:
-        y[TWIST] = static_twist(load, p, c) + side * c.gap
+        gap = c.gap * gap_share(c.ratio * angle, 0.0, p, c)
+        y[TWIST] = static_twist(load, p, c) + side * gap
     y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
     y[MOTOR_SPEED] = speed
+    carried = load * c.per_ratio
+    carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
+    rest_the_structure(y, angle, carried, p, c)
     torque = load * c.per_ratio + c.motor_inertia * acceleration
     if c.effects:
         torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)

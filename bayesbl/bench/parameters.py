@@ -215,8 +215,9 @@ _SCALES = [
     if scale.positive_scale
 ]
 _RANGES = {
-    effect.slots[item.name]: (item.low, item.high)
+    effect.slots[item.name]: (item.low, item.high, on)
     for effect in EFFECTS
+    for on in [[effect.slots[amplitude.name] for amplitude in effect.amplitudes]]
     for item in effect.shapes
     if item.bounded
 }
@@ -237,9 +238,9 @@ def _check_effects(matrix: FloatArray) -> None:
     for slot, bound, unit in _BOUNDED:
         expected = f"between -{bound:g} and {bound:g} {unit}".rstrip()
         _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
-    for slot, (low, high) in _RANGES.items():
+    for slot, (low, high, amplitudes) in _RANGES.items():
         values = matrix[:, slot]
-        wrong = (values < low) | (values > high)
+        wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & ((values < low) | (values > high))
         _refuse_where(wrong, matrix, slot, f"a number from {low:g} to {high:g}")
     for scale, amplitudes in _SCALES:
         wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
@@ -251,7 +252,7 @@ def largest(name: str) -> float:
 
     ``name``: ``effect__parameter``.
     """
-    return _RANGES.get(Slot[name], (-math.inf, math.inf))[1]
+    return _RANGES[Slot[name]][1] if Slot[name] in _RANGES else math.inf
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:

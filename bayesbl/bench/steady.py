@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from bayesbl.bench.kernel import RPM, Slot, waiting_torques
@@ -33,15 +35,19 @@ _LOOP = (
 )
 
 SPEED, TWIST, TWIST_SPEED, INTEGRAL, TORQUE, SENSED, ANGLE = range(7)
-UNTIL, ACTING, COMING, SEEN = range(7, 11)
+BELT, BELT_SPEED, ARM, ARM_SPEED, BASE, BASE_SPEED = range(7, 13)
+MOVING = 13
+UNTIL, ACTING, COMING, SEEN = range(13, 17)
+TICKING = 17
 
 
 def contact_matrices(matrix: FloatArray) -> FloatArray:
     """System matrices of the linear bench on one tooth flank.
 
-    States: motor speed, twist, twist speed, integral of the speed error, drive torque, sensed
-    speed, motor angle; friction and gravity are left out. States that a bench does not have decay
-    at once and touch nothing.
+    States: speed of the gear's input, twist, twist speed, integral of the speed error, drive
+    torque, sensed speed, motor angle, then angle and speed of belt, arm and base, where any bench
+    has one; friction and gravity are left out. States that a bench does not have decay at once and
+    touch nothing.
 
     Parameters
     ----------
@@ -50,7 +56,7 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
 
     Returns
     -------
-    Array of shape (m, 7, 7), 1/s and SI.
+    Array of shape (m, 7, 7) or (m, 13, 13), 1/s and SI.
     """
 
     def column(slot: Slot) -> FloatArray:
@@ -69,33 +75,83 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
     torque_lag = np.maximum(column(Slot.current_loop_lag__time_s), _SHORTEST_LAG_S)
     speed_lag = np.maximum(column(Slot.speed_sensor_lag__time_s), _SHORTEST_LAG_S)
 
-    a = np.zeros((matrix.shape[0], 7, 7))
-    a[:, SPEED, TWIST] = np.where(rigid, 0.0, -stiffness / (ratio * motor))
-    a[:, SPEED, TWIST_SPEED] = np.where(rigid, 0.0, -damping / (ratio * motor))
-    a[:, SPEED, TORQUE] = 1.0 / (motor + np.where(rigid, load / ratio**2, 0.0))
+    def parts(*slots: Slot) -> tuple[Any, ...]:
+        """Whether a spring is absent, its compliance (1 if so) and its shapes, each (m,)."""
+        compliance, *shapes = (column(slot) for slot in slots)
+        absent = (compliance == 0.0) | rigid
+        return absent, np.where(absent, 1.0, compliance), *shapes
+
+    no_belt, belt, belt_damping, reducer = parts(
+        Slot.belt__compliance_rad_per_nm, Slot.belt__damping_time_s, Slot.belt__reducer_share
+    )
+    no_arm, arm, arm_damping, behind = parts(
+        Slot.arm__compliance_rad_per_nm, Slot.arm__damping_time_s, Slot.arm__inertia_share
+    )
+    no_base, base, base_damping, base_inertia = parts(
+        Slot.base__compliance_rad_per_nm, Slot.base__damping_time_s, Slot.base__inertia_kg_m2
+    )
+
+    def torque_of(absent: NDArray[np.bool_], *terms: tuple[int, FloatArray]) -> FloatArray:
+        """A torque as a row over the states, zero where the bench has no such part."""
+        row = np.zeros((matrix.shape[0], MOVING))
+        for state, factor in terms:
+            row[:, state] = np.where(absent, 0.0, factor)
+        return row
+
+    def over(torque: FloatArray, inertia: FloatArray) -> FloatArray:
+        return np.asarray(torque / inertia[:, None])
+
+    shaft = torque_of(rigid, (TWIST, stiffness), (TWIST_SPEED, damping))
+    drive = torque_of(np.zeros_like(rigid), (TORQUE, np.ones_like(motor)))
+    pull = torque_of(no_belt, (BELT, 1.0 / belt), (BELT_SPEED, belt_damping / belt))
+    held = torque_of(no_arm, (ARM, 1.0 / arm), (ARM_SPEED, arm_damping / arm))
+    ground = torque_of(no_base, (BASE, 1.0 / base), (BASE_SPEED, base_damping / base))
+    at_input = np.where(no_belt, motor, motor * reducer)
+    at_input = at_input + np.where(rigid, load / ratio**2, 0.0)
+    moved_base = -ground - np.where(no_base[:, None], 0.0, drive)
+    moved_base += over(shaft, ratio) * ~no_base[:, None] - shaft * ~no_base[:, None]
+    moved_base = over(moved_base, np.where(no_base, 1.0, base_inertia))
+    input_torque = np.where(no_belt[:, None], drive, pull) - over(shaft, ratio)
+    at_gear = over(input_torque, at_input)
+    at_load = over(shaft - held, load * np.where(no_arm, 1.0, 1.0 - behind))
+
+    a = np.zeros((matrix.shape[0], MOVING, MOVING))
+    a[:, SPEED] = at_gear - moved_base
     a[:, TWIST, TWIST_SPEED] = 1.0
-    a[:, TWIST_SPEED] = a[:, SPEED] / ratio[:, None]
-    a[:, TWIST_SPEED, TWIST] -= stiffness / load
-    a[:, TWIST_SPEED, TWIST_SPEED] -= damping / load
+    a[:, TWIST_SPEED] = over(a[:, SPEED], ratio) - at_load + moved_base
     a[:, INTEGRAL, SENSED] = -1.0
     a[:, INTEGRAL, ANGLE] = -outer
     a[:, TORQUE, SENSED] = -gain / torque_lag
     a[:, TORQUE, ANGLE] = -gain * outer / torque_lag
     a[:, TORQUE, INTEGRAL] = integral / torque_lag
     a[:, TORQUE, TORQUE] = -1.0 / torque_lag
-    a[:, SENSED, SPEED] = 1.0 / speed_lag
     a[:, SENSED, SENSED] = -1.0 / speed_lag
-    a[:, ANGLE, SPEED] = 1.0
+    for motion in (SPEED, BELT_SPEED):
+        a[:, SENSED, motion] = 1.0 / speed_lag
+        a[:, ANGLE, motion] = 1.0
+    for angle, speed in ((BELT, BELT_SPEED), (ARM, ARM_SPEED), (BASE, BASE_SPEED)):
+        a[:, angle, speed] = 1.0
+    a[:, BELT_SPEED] = over(drive - pull, motor * np.where(no_belt, 1.0, 1.0 - reducer)) - at_gear
+    a[:, ARM_SPEED] = at_load - over(held, load * np.where(no_arm, 1.0, behind))
+    a[:, BASE_SPEED] = moved_base
 
     for state, absent in (
         (INTEGRAL, integral == 0.0),
         (ANGLE, outer == 0.0),
         (TWIST, rigid),
         (TWIST_SPEED, rigid),
+        (BELT, no_belt),
+        (BELT_SPEED, no_belt),
+        (ARM, no_arm),
+        (ARM_SPEED, no_arm),
+        (BASE, no_base),
+        (BASE_SPEED, no_base),
     ):
         a[absent, state, :] = 0.0
         a[absent, :, state] = 0.0
         a[absent, state, state] = _ABSENT
+    if np.all(no_belt & no_arm & no_base):
+        return a[:, :BELT, :BELT]
     return a
 
 
@@ -109,8 +165,8 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    Transition over a period, shape (11 + w, 11 + w); and what an error of the speed that the
-    controller sees at its end adds, shape (11 + w,), SI.
+    Transition over a period, shape (17 + w, 17 + w); and what an error of the speed that the
+    controller sees at its end adds, shape (17 + w,), SI.
     """
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
@@ -122,20 +178,24 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     free = parameters.copy()
     free[Slot.position_gain_per_s] = 1.0  # keeps the angle among the states
     waiting = waiting_torques(parameters)
-    states = 11 + waiting
+    states = TICKING + waiting
     oldest = states - 1 if waiting else COMING
     late = delay - waiting
-    plant = np.zeros((11, 11))
-    plant[:7, :7] = contact_matrices(free[None, :])[0]
-    plant[TORQUE, :7] = 0.0
+    plant = np.zeros((TICKING, TICKING))
+    moving = contact_matrices(free[None, :])[0]
+    plant[: len(moving), : len(moving)] = moving
+    absent = np.arange(len(moving), MOVING)
+    plant[absent, absent] = _ABSENT
+    plant[TORQUE, :MOVING] = 0.0
     plant[:, INTEGRAL] = plant[INTEGRAL, :] = 0.0
     torque_lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
     plant[TORQUE, [TORQUE, ACTING]] = -1.0 / torque_lag, 1.0 / torque_lag
     apply = np.eye(states)
     apply[ACTING] = apply[oldest]
     before, after = np.eye(states), np.eye(states)
-    before[:11, :11] = linalg.expm(plant * late * period)
-    after[:11, :11] = linalg.expm(plant * (1.0 - late) * period)
+    ticking = np.s_[:TICKING, :TICKING]
+    before[ticking] = linalg.expm(plant * late * period)
+    after[ticking] = linalg.expm(plant * (1.0 - late) * period)
     motion = after @ apply @ before
 
     turned = np.zeros(states)
@@ -144,7 +204,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     error[ANGLE] -= outer
     error[UNTIL] -= outer
     work = np.eye(states)
-    work[11:] = np.eye(states)[[COMING, *range(11, states)][:waiting]]
+    work[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
     work[ANGLE] -= turned
     work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
     work[SEEN] = turned / period
@@ -161,12 +221,13 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 def contact_rates(matrix: FloatArray) -> ComplexArray:
     """Rates of the linear bench's modes on one tooth flank, in time, 1/s.
 
-    Shape (m, 11), or as many more as torques of a sampled controller wait. A mode that a bench does
+    Shape (m, 17), or as many more as torques of a sampled controller wait. A mode that a bench does
     not have decays at once.
     """
     waiting = max((waiting_torques(row) for row in matrix), default=0)
-    rates = np.full((matrix.shape[0], 11 + waiting), complex(_ABSENT))
-    rates[:, :7] = np.linalg.eigvals(contact_matrices(matrix))
+    rates = np.full((matrix.shape[0], TICKING + waiting), complex(_ABSENT))
+    systems = contact_matrices(matrix)
+    rates[:, : systems.shape[1]] = np.linalg.eigvals(systems)
     for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
         factors = np.linalg.eigvals(sampled_period(matrix[row])[0])
         factors = np.where(np.abs(factors) < _GONE, _GONE, factors)
@@ -250,20 +311,21 @@ def noise_through_loop(
     if parameters[Slot.sampled_control__period_s] > 0.0:
         return _noise_through_ticks(parameters, noise_rpm, sampling_s)
     a = contact_matrices(parameters[None, :])[0]
+    size = len(a)
     gain = parameters[Slot.speed_gain_nm_s_per_rad]
     lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
-    b = np.zeros(7)
+    b = np.zeros(size)
     b[TORQUE] = -gain / lag
     b[INTEGRAL] = -1.0 if parameters[Slot.integral_gain_nm_per_rad] > 0.0 else 0.0
-    held = np.zeros((8, 8))
-    held[:7, :7] = a
-    held[:7, 7] = b
+    held = np.zeros((size + 1, size + 1))
+    held[:size, :size] = a
+    held[:size, size] = b
     transition = linalg.expm(held * sampling_s)
-    state = np.zeros(7)
-    states = np.empty((noise_rpm.size, 7))
+    state = np.zeros(size)
+    states = np.empty((noise_rpm.size, size))
     for index, value in enumerate(noise_rpm / RPM):
         states[index] = state
-        state = transition[:7, :7] @ state + transition[:7, 7] * value
+        state = transition[:size, :size] @ state + transition[:size, size] * value
     torque = states[:, TORQUE].copy()
     if parameters[Slot.current_loop_lag__time_s] == 0.0:
         # Without lag the controller's proportional part answers in the sample itself.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -184,10 +185,187 @@ class MeasurementSection(Section):
 
 
 class EffectValue(Section):
-    """A parameter of an effect; ``sd`` where it was estimated."""
+    """A parameter of an effect; ``sd`` where it was estimated, a tolerance where it was stated.
+
+    A tolerance is the half-width of a uniform distribution, whose standard deviation is taken.
+    """
 
     value: float
     sd: float | None = Field(default=None, ge=0.0)
+    tolerance: Tolerance = Field(default=None, ge=0.0)
+    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _one_uncertainty(self) -> Self:
+        stated = {
+            name: value
+            for name in ("sd", "tolerance", "relative_tolerance")
+            if (value := getattr(self, name)) is not None
+        }
+        if len(stated) > 1:
+            refuse(
+                "A parameter has one standard deviation or tolerance.",
+                found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
+                expected="one of them",
+            )
+        return self
+
+    def parameter(self) -> EffectParameterValue:
+        """As the bench takes it."""
+        half_width = self.tolerance
+        if self.relative_tolerance is not None:
+            half_width = self.relative_tolerance * abs(self.value)
+        sd = self.sd if half_width is None else half_width / math.sqrt(3.0)
+        return EffectParameterValue(self.value, sd)
+
+
+class _Spring(Section, ABC):
+    """A part of the joint behind a spring, as a data sheet states it.
+
+    ``inertia_of``: the bench parameter that counts its inertia too; ``share``: the effect's
+    parameter for its part of that, or for the inertia itself.
+    """
+
+    stiffness_nm_per_rad: EffectValue
+    damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
+
+    @field_validator("stiffness_nm_per_rad")
+    @classmethod
+    def _stiff(cls, entry: EffectValue) -> EffectValue:
+        return _above_zero(entry, "A spring has a stiffness.")
+
+    @abstractmethod
+    def effect(self, values: Mapping[str, float]) -> BenchEffect:
+        """As the bench takes it; ``values``: the bench's parameters."""
+
+    def _spring(self) -> dict[str, EffectParameterValue]:
+        """Compliance, and damping over stiffness."""
+        stiffness, damping = self.stiffness_nm_per_rad, self.damping_nm_s_per_rad
+        k = stiffness.value
+        return {
+            "compliance_rad_per_nm": _divided(EffectValue(value=1.0), stiffness),
+            "damping_time_s": EffectParameterValue(
+                damping.value / k, _over(damping.parameter().sd, k)
+            ),
+        }
+
+
+def _above_zero(entry: EffectValue, problem: str) -> EffectValue:
+    if entry.value <= 0.0:
+        refuse(problem, found=f"{entry.value:g}", expected="a number above zero")
+    return entry
+
+
+def _over(sd: float | None, divisor: float) -> float | None:
+    return None if sd is None else sd / divisor
+
+
+def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
+    """The ratio of two values, its relative variance their sum."""
+    ratio = above.value / below.value
+    relative = [(item.parameter().sd or 0.0) / item.value for item in (above, below)]
+    sd = abs(ratio) * math.hypot(*relative)
+    return EffectParameterValue(ratio, sd or None)
+
+
+class BeltSection(_Spring):
+    """``[belt]``: a belt or elastic coupling between motor and gear, all at the motor.
+
+    ``motor_inertia_kg_m2`` under ``[parameters]`` is the whole inertia on the fast side;
+    ``reducer_inertia_kg_m2`` is the part of it behind the belt.
+    """
+
+    reducer_inertia_kg_m2: EffectValue
+    play_rad: EffectValue = EffectValue(value=0.0)
+
+    @field_validator("play_rad")
+    @classmethod
+    def _no_play(cls, entry: EffectValue) -> EffectValue:
+        if entry.value != 0.0:
+            refuse(
+                "Play of the belt itself is not simulated.",
+                found=f"{entry.value:g}",
+                expected="0: a joint with a second play is withheld, not measured",
+            )
+        return entry
+
+    @field_validator("reducer_inertia_kg_m2")
+    @classmethod
+    def _behind(cls, entry: EffectValue) -> EffectValue:
+        return _above_zero(entry, "There is an inertia behind a belt.")
+
+    def effect(self, values: Mapping[str, float]) -> BenchEffect:
+        """See :class:`_Spring`."""
+        whole = EffectValue(value=values["motor_inertia_kg_m2"])
+        share = _divided(self.reducer_inertia_kg_m2, whole)
+        return BenchEffect("belt", {**self._spring(), "reducer_share": share})
+
+
+class ArmSection(_Spring):
+    """``[arm]``: an elastic arm or payload behind the load, all at the load.
+
+    ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]`` are those of the whole
+    load; ``inertia_kg_m2`` and ``gravity_share`` are what of them is behind the spring.
+    """
+
+    inertia_kg_m2: EffectValue
+    gravity_share: EffectValue = EffectValue(value=0.5)
+
+    @field_validator("inertia_kg_m2")
+    @classmethod
+    def _behind(cls, entry: EffectValue) -> EffectValue:
+        return _above_zero(entry, "There is an inertia behind the spring.")
+
+    def effect(self, values: Mapping[str, float]) -> BenchEffect:
+        """See :class:`_Spring`."""
+        whole = EffectValue(value=values["load_inertia_kg_m2"])
+        share = _divided(self.inertia_kg_m2, whole)
+        gravity = self.gravity_share.parameter()
+        parts = {**self._spring(), "inertia_share": share, "gravity_share": gravity}
+        return BenchEffect("arm", parts)
+
+
+class BaseSection(_Spring):
+    """``[base]``: what the joint is mounted on, about the joint's axis."""
+
+    inertia_kg_m2: EffectValue
+
+    @field_validator("inertia_kg_m2")
+    @classmethod
+    def _of_base(cls, entry: EffectValue) -> EffectValue:
+        return _above_zero(entry, "A base has an inertia.")
+
+    def effect(self, values: Mapping[str, float]) -> BenchEffect:
+        """See :class:`_Spring`."""
+        inertia = self.inertia_kg_m2.parameter()
+        return BenchEffect("base", {**self._spring(), "inertia_kg_m2": inertia})
+
+
+class GapSection(Section):
+    """``[gap]``: how the gap varies over the load's angle, as shares of its mean.
+
+    δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), two harmonics at most.
+    """
+
+    cosine: Annotated[tuple[EffectValue, ...], BeforeValidator(as_tuple)] = ()
+    sine: Annotated[tuple[EffectValue, ...], BeforeValidator(as_tuple)] = ()
+
+    @model_validator(mode="after")
+    def _two_harmonics(self) -> Self:
+        for name, entries in (("cosine", self.cosine), ("sine", self.sine)):
+            if len(entries) > 2:
+                refuse(
+                    "A gap varies by two harmonics of the load's angle at most.",
+                    found=f"{len(entries)} of {name}",
+                    expected="one or two",
+                )
+        return self
+
+    def effect(self) -> BenchEffect:
+        """As the bench takes it."""
+        parts = {f"cosine_{k}": entry.parameter() for k, entry in enumerate(self.cosine, start=1)}
+        parts |= {f"sine_{k}": entry.parameter() for k, entry in enumerate(self.sine, start=1)}
+        return BenchEffect("gap_variation", parts)
 
 
 class EffectEntry(Section):
@@ -276,6 +454,10 @@ class BenchFile(Section):
     parameters: dict[Annotated[str, AfterValidator(_parameter_name)], ParameterEntry]
     measurement: MeasurementSection = MeasurementSection()
     effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
+    belt: BeltSection | None = None
+    arm: ArmSection | None = None
+    base: BaseSection | None = None
+    gap: GapSection | None = None
     learned_torque: LearnedTorqueSection | None = None
     encoder_error: EncoderErrorSection | None = None
 
@@ -301,6 +483,23 @@ class BenchFile(Section):
         return effects
 
     @model_validator(mode="after")
+    def _parts_are_stated_once(self) -> Self:
+        named = {effect.name for effect in self.effects}
+        for table, effect in (
+            ("belt", "belt"),
+            ("arm", "arm"),
+            ("base", "base"),
+            ("gap", "gap_variation"),
+        ):
+            if getattr(self, table) is not None and effect in named:
+                refuse(
+                    "A part of the joint is stated twice.",
+                    found=f"[{table}] and the effect {effect}",
+                    expected="one of them",
+                )
+        return self
+
+    @model_validator(mode="after")
     def _filter_is_stated_once(self) -> Self:
         named = {effect.name for effect in self.effects}
         if self.measurement.speed_filter_s > 0.0 and AVERAGING.name in named:
@@ -311,13 +510,15 @@ class BenchFile(Section):
             )
         return self
 
-    def _effects(self) -> Iterator[BenchEffect]:
-        """As the bench takes them."""
+    def _effects(self, values: Mapping[str, float]) -> Iterator[BenchEffect]:
+        """As the bench takes them; ``values``: its parameters."""
         for effect in self.effects:
-            values = effect.parameters.items()
-            yield BenchEffect(
-                effect.name, {k: EffectParameterValue(v.value, v.sd) for k, v in values}
-            )
+            yield BenchEffect(effect.name, {k: v.parameter() for k, v in effect.parameters.items()})
+        for spring in (self.belt, self.arm, self.base):
+            if spring is not None:
+                yield spring.effect(values)
+        if self.gap is not None:
+            yield self.gap.effect()
         if self.measurement.speed_filter_s > 0.0:
             time = EffectParameterValue(self.measurement.speed_filter_s)
             yield BenchEffect(AVERAGING.name, {"time_s": time})
@@ -368,7 +569,7 @@ class BenchFile(Section):
             gap_form=self.gap_form,
             drive=self.drive,
             measurement=self.measurement.measurement(),
-            effects=tuple(self._effects()),
+            effects=tuple(self._effects(values)),
             assumed=frozenset(idle),
             learned_torque=None if self.learned_torque is None else self.learned_torque.learned(),
             encoder_error=None if self.encoder_error is None else self.encoder_error.learned(),

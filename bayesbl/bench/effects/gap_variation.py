@@ -1,0 +1,42 @@
+"""A gap that varies over the load's angle: teeth that wear where they work, or run-out.
+
+    δ → δ (1 + a_1 cos θ_l + b_1 sin θ_l + a_2 cos 2θ_l + b_2 sin 2θ_l)
+
+δ is the mean over a load rotation. The shares are zero of a gap that is the same all round.
+"""
+
+from __future__ import annotations
+
+from bayesbl.bench.effect_declaration import Amplitude, Effect
+
+
+def _share(name: str, meaning: str, typical: float) -> Amplitude:
+    return Amplitude(
+        name,
+        "",
+        meaning,
+        low=-0.5,
+        high=0.5,
+        typical=typical,
+        repeats="always",
+        smaller_than=1.0,
+    )
+
+
+EFFECT = Effect(
+    place=15,
+    name="gap_variation",
+    sentence="The gap is wider at some angles of the load than at others.",
+    equation="δ (1 + a_1 cos θ_l + b_1 sin θ_l + a_2 cos 2θ_l + b_2 sin 2θ_l)",
+    parameters=(
+        _share("cosine_1", "share a_1 of the mean gap", 0.08),
+        _share("sine_1", "share b_1 of the mean gap", -0.05),
+        _share("cosine_2", "share a_2 of the mean gap", 0.03),
+        _share("sine_2", "share b_2 of the mean gap", 0.02),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="the two impacts of a load rotation are not alike, by the same in every rotation",
+    reference="Merzouki & Cadiou 2005, Control Engineering Practice 13, 337",
+    in_bench_file="[gap] with harmonics says the same.",
+)
