@@ -155,6 +155,21 @@ DRIVE = """\
 # name = "sampled_control"
 # parameters = {period_s = {value = 250e-6}}
 
+# A belt between motor and gear: its stiffness at the motor (N m/rad: the belt's data sheet, or
+# (2 π f)² J of its frequency f), and how much of J_m is behind it (driven pulley, reducer's input).
+# [belt]
+# stiffness_nm_per_rad = {value = 80.0, relative_tolerance = 0.5}
+# damping_nm_s_per_rad = {value = 0.02, relative_tolerance = 0.9}
+# reducer_inertia_kg_m2 = {value = 4e-4, relative_tolerance = 0.3}
+
+# An arm or payload that bends: what of J_l and m g l is behind its spring. [base] is the same of
+# what the joint stands on, without gravity_share.
+# [arm]
+# stiffness_nm_per_rad = {value = 4e4, relative_tolerance = 0.5}
+# damping_nm_s_per_rad = {value = 60.0, relative_tolerance = 0.9}
+# inertia_kg_m2 = {value = 5.0, relative_tolerance = 0.3}
+# gravity_share = {value = 0.5, tolerance = 0.3}
+
 # What is recorded as the speed, if not what the controller sees: a mean over speed_filter_s, or the
 # encoder's position, differentiated from sample to sample (speed_source = "encoder").
 # [measurement]
