@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,12 +35,15 @@ class ArrayTable:
         Units that the file itself states, by name.
     clocks
         Of columns that are sampled in groups, the column that holds their time in s, by name.
+    withheld
+        Why the values of a column are not read, by its name; its array is empty.
     """
 
     file: str
     arrays: Mapping[str, AnyArray]
-    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    clocks: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    units: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    withheld: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -99,7 +101,16 @@ class ArrayTable:
         return np.column_stack([self._number(column) for column in columns])
 
     def _values(self, column: int) -> AnyArray:
-        return self.arrays[self.columns[column]]
+        name = self.columns[column]
+        if name in self.withheld:
+            raise RecordingError(
+                "The values of this column cannot be used.",
+                file=self.file,
+                where=f'column "{name}"',
+                found=self.withheld[name],
+                expected="values as they were measured, or scaled by a factor and an offset",
+            )
+        return self.arrays[name]
 
     def _number(self, column: int) -> FloatArray:
         values = self._values(column)
@@ -149,7 +160,7 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
     try:
         with _without_words():
             yield
-    except UserError:
+    except (UserError, MemoryError):
         raise
     except Exception as error:
         lines = str(error).strip().splitlines()
@@ -173,16 +184,6 @@ def _without_words() -> Iterator[None]:
     finally:
         sys.unraisablehook = hook
         logging.disable(level)
-
-
-def missing_library(file: Path, kind: str, library: str, otherwise: str = "") -> RecordingError:
-    """The optional library that a format needs is not installed."""
-    return RecordingError(
-        f"Reading {kind} needs {library}, which is not installed.",
-        file=file,
-        found=f"no module {library}",
-        expected='pip install "bayesbl[formats]"' + (f", or {otherwise}" if otherwise else ""),
-    )
 
 
 def _text(value: object) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.lost_samples import bridge, without_lost
+from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.ticks import spread_ticks
 from bayesbl.recording.types import FloatArray, Recording, Source
 
@@ -219,8 +221,28 @@ def _read_bytes(path: Path) -> bytes:
 
 def _parsed(path: Path) -> tuple[Table, str]:
     """The table in a file, and the SHA-256 of the file."""
+    format_ = _format_of(path)
     data = _read_bytes(path)
-    return _format_of(path).read(path, unpacked(path, data)), hashlib.sha256(data).hexdigest()
+    sha256 = hashlib.sha256(data).hexdigest()
+    data = unpacked(path, data)
+    if not format_.signatures:  # text is read by this package itself
+        return format_.read(path, data), sha256
+    if not format_.is_begun_by(data):
+        raise RecordingError(
+            f"The file cannot be read as {format_.name}.",
+            file=path,
+            found=f"{len(data)} bytes that do not begin as such a file does",
+            expected=f"a whole {format_.name} file, and the suffix of what the file holds",
+        )
+    if format_.library and find_spec(format_.library) is None:
+        raise RecordingError(
+            f"Reading {format_.name} needs {format_.library}, which is not installed.",
+            file=path,
+            found=f"no module {format_.library}",
+            expected='pip install "bayesbl[formats]"'
+            + (f", or {format_.otherwise}" if format_.otherwise else ""),
+        )
+    return parsed_apart(format_, path, data), sha256
 
 
 def _format_of(path: Path) -> Format:

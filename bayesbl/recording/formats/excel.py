@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
@@ -18,8 +19,8 @@ _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
 """Excel's own. A damaged file may number a line as it likes, and those before it would be made."""
 
-_LARGEST_PARTS_MB = 1000.0
-"""Of what a workbook packs, unpacked: a small file may hold any size."""
+_CELL_BYTES = 64.0
+"""A number as Python holds it, with its place in a list."""
 
 
 def read_excel(file: Path, data: bytes) -> ArrayTable:
@@ -28,15 +29,13 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no workbook, unpacks to too much, or openpyxl is not installed.
+        If it is no workbook, or unpacks to more than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import missing_library, readable
+    import openpyxl
+
+    from bayesbl.recording.array_table import readable
     from bayesbl.recording.clocked_columns import Group, table_of_groups
 
-    try:
-        import openpyxl
-    except ImportError:
-        raise missing_library(file, "Excel", "openpyxl", "save the sheet as CSV") from None
     with readable(file, "Excel", "or save the sheet as CSV"):
         _check_size(file, data)
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
@@ -46,14 +45,10 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
 
 def _check_size(file: Path, data: bytes) -> None:
     with zipfile.ZipFile(io.BytesIO(data)) as parts:
-        size_mb = sum(part.file_size for part in parts.infolist()) / 1e6
-    if size_mb > _LARGEST_PARTS_MB:
-        raise RecordingError(
-            "This workbook is too large.",
-            file=file,
-            found=f"{size_mb:.4g} MB unpacked",
-            expected=f"at most {_LARGEST_PARTS_MB:g} MB",
-        )
+        size = sum(part.file_size for part in parts.infolist())
+        # A text that many cells share is a few letters in the file and an object in memory.
+        shared = sum(p.file_size for p in parts.infolist() if p.filename.endswith("Strings.xml"))
+    require_memory(file, size + 4.0 * shared, "its sheets, unpacked")
 
 
 def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
@@ -78,6 +73,7 @@ def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
     """Rows that are not blank. What the sheet says of its own size is not believed."""
     sheet.reset_dimensions()
+    cells = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         if len(row) > _MOST_COLUMNS or number > _MOST_LINES:
             raise RecordingError(
@@ -87,6 +83,8 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
                 found=f"{len(row)} columns in line {number}",
                 expected=f"at most {_MOST_COLUMNS} columns and {_MOST_LINES} lines",
             )
+        cells += len(row)
+        require_memory(file, _CELL_BYTES * cells, f"{cells} cells, or more")
         if any(cell is not None for cell in row):
             yield row
 
@@ -104,4 +102,11 @@ def _array(cells: Sequence[Any]) -> AnyArray:
     return np.array(cells, dtype=object)
 
 
-FORMAT = Format("Excel", (".xlsx", ".xlsm"), read_excel)
+FORMAT = Format(
+    "Excel",
+    (".xlsx", ".xlsm"),
+    read_excel,
+    "openpyxl",
+    ((0, b"PK\x03\x04"),),
+    "save the sheet as CSV",
+)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
+
+_COPIES = 2.0
+"""Arrow's columns beside NumPy's."""
+
+_OBJECT_BYTES = 64.0
 
 
 def read_parquet(file: Path, data: bytes) -> ArrayTable:
@@ -19,17 +25,20 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no Parquet file, or pyarrow is not installed.
+        If it is no Parquet file, or declares more rows than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import ArrayTable, missing_library, readable
+    import pyarrow
+    import pyarrow.parquet
 
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise missing_library(file, "Parquet", "pyarrow") from None
+    from bayesbl.recording.array_table import ArrayTable, readable
+
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # its own reserves far more than it uses
     with readable(file, "Parquet"):
-        table = pyarrow.parquet.read_table(pyarrow.BufferReader(data))
+        stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
+        sizes = [_width(column.type) for column in stored.schema_arrow]
+        size = float(stored.metadata.num_rows) * sum(sizes)
+        require_memory(file, _COPIES * size, f"{stored.metadata.num_rows} rows")
+        table = stored.read(use_threads=False)
         arrays = {
             name: column.to_numpy()
             for name, column in zip(table.column_names, table.columns, strict=True)
@@ -37,4 +46,12 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
     return ArrayTable(str(file), arrays)
 
 
-FORMAT = Format("Parquet", (".parquet",), read_parquet)
+def _width(kind: Any) -> float:
+    """Bytes of a value in memory, at least."""
+    try:
+        return max(8.0, kind.bit_width / 8.0)
+    except ValueError:  # text, lists: Python objects at the end
+        return _OBJECT_BYTES
+
+
+FORMAT = Format("Parquet", (".parquet",), read_parquet, "pyarrow", ((0, b"PAR1"),))
