@@ -48,7 +48,7 @@ def _check_size(file: Path, data: bytes) -> None:
         size = sum(part.file_size for part in parts.infolist())
         # A text that many cells share is a few letters in the file and an object in memory.
         shared = sum(p.file_size for p in parts.infolist() if p.filename.endswith("Strings.xml"))
-    require_memory(file, size + 4.0 * shared, "its sheets, unpacked")
+    require_memory(file, 2.0 * size + 4.0 * shared, "its sheets, unpacked")
 
 
 def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
