@@ -37,6 +37,8 @@ class ArrayTable:
         Of columns that are sampled in groups, the column that holds their time in s, by name.
     withheld
         Why the values of a column are not read, by its name; its array is empty.
+    repairs
+        What was left out as the file was read, in words, and how many times.
     """
 
     file: str
@@ -44,6 +46,7 @@ class ArrayTable:
     units: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     withheld: Mapping[str, str] = field(default_factory=dict)
+    repairs: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def columns(self) -> tuple[str, ...]:

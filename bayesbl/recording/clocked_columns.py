@@ -37,14 +37,17 @@ class Group:
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """The names, numbered where one comes again: ``n``, ``n (2)``."""
-    taken = set(names)
+    """The names, all that come several times numbered: ``n (1)``, ``n (2)``; empty ones stay."""
+    times = Counter(names)
+    taken = set(times)
+    reached: Counter[str] = Counter()
     unique: list[str] = []
     for name in names:
-        number, free = 1, name
-        while free in unique or (number > 1 and free in taken):
-            number += 1
-            free = f"{name} ({number})"
+        free = name
+        while name and times[name] > 1 and (free == name or free in taken):
+            reached[name] += 1
+            free = f"{name} ({reached[name]})"
+        taken.add(free)
         unique.append(free)
     return unique
 

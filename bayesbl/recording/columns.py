@@ -24,6 +24,10 @@ class Table(Protocol):
     def columns(self) -> tuple[str, ...]:
         """Names as in the file."""
 
+    @property
+    def repairs(self) -> Mapping[str, int]:
+        """What was left out as the file was read, in words, and how many times."""
+
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """Values of some columns, shape (samples, len(columns)); missing ones are NaN."""
 
@@ -71,8 +75,11 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
         for channel, spec in specs.items()
     }
     taken = {column.index for column in channels.values()}
+    mapped = {table.clock(index) for index in taken} - {None}
     for channel in (TIME, *CHANNELS):
-        if channel not in channels and channel in names and names.index(channel) not in taken:
+        if channel in channels or channel not in names or names.index(channel) in taken:
+            continue
+        if not mapped or table.clock(names.index(channel)) in mapped:
             channels[channel] = _mapped(path, table, channel, ColumnSpec(channel))
     clocks = {column.index: table.clock(column.index) for column in channels.values()}
     tied = {clock for clock in clocks.values() if clock is not None}
