@@ -161,7 +161,7 @@ BAD_FILES = {
     "no header": (csv_text("0.0,2000.0"), "is missing", "header", '"column 1", "column 2"'),
     "same name twice": (
         csv_text("time_s,time_s"),
-        'Did you mean "time_s (1)"?',
+        'column "time_s" is missing',
         "header",
         '"time_s (1)", "time_s (2)"',
     ),

@@ -394,7 +394,7 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
             cut[i].pop()
         if len(cut[i]) in widths and any(cut[i]) and not any(map(_is_number, cut[i])):
             names.append(i)
-        elif head[i].lstrip().startswith(_COMMENT):
+        elif head[i].lstrip().startswith(_COMMENT) or not any(cut[i]):
             continue
         else:
             names.clear()
