@@ -11,10 +11,15 @@ from typing import Protocol
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import accepted_units, conversion_factor, is_unit, spelled
+from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
 
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _PER_SECOND = re.compile(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|p|_|/)s$")
+_WITHOUT_SIZE = frozenset(
+    ("count", "counts", "cnt", "cnts", "inc", "incs", "increment", "increments", "tick", "ticks")
+    + ("pulse", "pulses", "lsb", "lsbs", "digit", "digits", "pu", "erpm", "percent", "permille")
+)
+"""Words for units of a size that only the user knows."""
 
 
 class Table(Protocol):
@@ -117,6 +122,25 @@ def split_unit(name: str) -> tuple[str, str | None]:
     return bare, unit if is_unit(unit) else None
 
 
+def unknown_unit(name: str) -> str | None:
+    """What a column's name states as a unit that is none here: ``pos [counts]``, ``speed_erpm``.
+
+    A question, as any guess would be a factor. An index (``x[0]``) and a remark are no units.
+    """
+    if split_unit(name)[1] is not None:
+        return None
+    brackets = _BRACKETS.search(name)
+    if brackets:
+        text = brackets[1].strip()
+        looks = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
+        if text and not is_unit(spelled(text)):
+            worded = re.search(r"[^\W\d_]", text) or text in ("%", "‰", "°")
+            if worded and (looks or text.lower() in _WITHOUT_SIZE):
+                return text
+    last = re.split(r"[\W_]+", name.strip())[-1].lower()
+    return last if last in _WITHOUT_SIZE else None
+
+
 def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if not is_mappable(channel):
         raise RecordingError(
@@ -130,13 +154,13 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if spec.name not in table.columns:
         raise _missing_column(path, table.columns, spec.name)
     index = table.columns.index(spec.name)
-    if spec.unit is not None and spec.unit not in accepted_units(channel):
+    if spec.unit is not None and not is_accepted(channel, spec.unit):
         raise RecordingError(
             "The unit is not known for this channel.",
             file=path,
             where=f"[columns] {channel}",
             found=f'"{spec.unit}"',
-            expected=" or ".join(accepted_units(channel)),
+            expected=choice_of_units(channel),
         )
     if spec.unit is not None:
         return Column(index, channel, spec.unit)
@@ -144,6 +168,7 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if stated and stated.strip():
         return Column(index, channel, _known(path, table, index, channel, stated))
     _, named = split_unit(spec.name)
+    named = named or unknown_unit(spec.name)
     if named is None:
         return Column(index, channel, None)
     unit = _known(path, table, index, channel, named)
@@ -157,13 +182,13 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
 def _known(path: Path, table: Table, index: int, channel: str, stated: str) -> str:
     """The unit that the file itself states; the user's, under [columns], goes before."""
     unit = spelled(stated)
-    if unit not in accepted_units(channel):
+    if not is_accepted(channel, unit):
         raise RecordingError(
             "The file states a unit that is not known for this channel.",
             file=path,
             where=f'column "{table.columns[index]}"',
             found=f'"{shortened(stated)}"',
-            expected=" or ".join(accepted_units(channel)) + "; state the right one under [columns]",
+            expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
     return unit
 

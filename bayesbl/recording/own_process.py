@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from bayesbl.errors import RecordingError, UserError
-from bayesbl.recording import formats
 from bayesbl.libraries import absent
+from bayesbl.recording import formats
 from bayesbl.recording.input_bytes import beyond_memory, memory_bytes
 
 if TYPE_CHECKING:

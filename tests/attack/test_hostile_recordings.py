@@ -425,7 +425,8 @@ def test_a_reader_that_breaks_down_costs_that_file_alone(
 # Text that is no recording
 
 SECRETS = {
-    "passwords": "root:x:0:0:root,secret,,:/root:/bin/bash\nbin:x:1:1:secret,,,:/bin:/bin/sh\n" * 20,
+    "passwords": "root:x:0:0:root,secret,,:/root:/bin/bash\nbin:x:1:1:secret,,,:/bin:/bin/sh\n"
+    * 20,
     "a key": "-----BEGIN PRIVATE KEY-----\n" + "c2VjcmV0c2VjcmV0,c2VjcmV0\n" * 20,
     "settings": "password = secret, 1\nuser = root\n" * 10,
     "a table of secrets": "user,password\n" + "root,secret\n" * 30,

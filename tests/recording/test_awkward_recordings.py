@@ -369,7 +369,9 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         lambda p: write_csv(
             p / "a.csv",
             {
-                name: np.concatenate([values[:4000], values[4000:8000] - (4.0 if name == TIME else 0)])
+                name: np.concatenate(
+                    [values[:4000], values[4000:8000] - (4.0 if name == TIME else 0)]
+                )
                 for name, values in plain().items()
             },
         ),

@@ -107,7 +107,7 @@ def test_decimal_commas_and_decimal_points_are_never_mixed_up(tmp_path: Path) ->
     np.testing.assert_allclose(grouped.motor_speed_rpm, SPEED, atol=1e-6)
     for old, new in ((";2000.", ";2000,"), ("0.0010;", "0,0010;")):
         text = good.replace(old, new, 1)
-        with pytest.raises(RecordingError, match=r'line \d+, column.*text in a column'):
+        with pytest.raises(RecordingError, match=r"line \d+, column.*text in a column"):
             read_recording(write(tmp_path, text))
 
 

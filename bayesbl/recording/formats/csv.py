@@ -57,7 +57,24 @@ _BEGINS = frozenset("0123456789+-.")
 """With what most lines of samples begin, and hardly any other line."""
 
 _MISSING = frozenset(
-    "nan null none n/a na #n/a #na #value! #div/0! #num! nil - -- --- ? missing".split()
+    [
+        "nan",
+        "null",
+        "none",
+        "n/a",
+        "na",
+        "#n/a",
+        "#na",
+        "#value!",
+        "#div/0!",
+        "#num!",
+        "nil",
+        "-",
+        "--",
+        "---",
+        "?",
+        "missing",
+    ]
 ) | {""}
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -256,14 +273,15 @@ class CsvTable:
         return read if len(read) == len(block) else None
 
     def _number(self, cell: str, row: int, column: int) -> float:
-        value = _number(cell, self._layout.mark)
+        value = number_in(cell, self._layout.mark)
         if value is None:
             raise RecordingError(
                 "There is text in a column of numbers.",
                 file=self.file,
                 where=self.place(row, column),
                 found=repr(shortened(cell)),
-                expected="a number" + (", with a decimal comma" if self._layout.mark == "," else ""),
+                expected="a number"
+                + (", with a decimal comma" if self._layout.mark == "," else ""),
             )
         return value
 
@@ -328,7 +346,7 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _number(cell: str, mark: str) -> float | None:
+def number_in(cell: str, mark: str) -> float | None:
     """The number that a cell holds, NaN for a missing one; ``None`` if it is text."""
     text = cell.replace("−", "-")
     if mark == "," and "," in text:
@@ -351,7 +369,7 @@ def _number(cell: str, mark: str) -> float | None:
 def _is_number(cell: str) -> bool:
     """Whether it may be a number with either mark; missing ones are not."""
     return any(
-        (value := _number(cell, mark)) is not None and (value == value or cell.lower() == "nan")
+        (value := number_in(cell, mark)) is not None and (value == value or cell.lower() == "nan")
         for mark in ".,"
     )
 
@@ -379,27 +397,18 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
         )
     cut = [_split(line, separator) for line in head]
     places = range(len(written))
-    first = next((k for k in places[:MOST_ABOVE] if _is_sample(cut[written[k]], values)), None)
+    first = next((k for k in places[:MOST_ABOVE] if is_sample(cut[written[k]], values)), None)
     if first is None:
         raise _no_table(file, text, [head[i] for i in written])
     # Some loggers end each line of samples with a separator, but not the header.
     trailing = all(line.rstrip().endswith(separator) for line in middle) and separator != " "
-    widths = {width, width - 1} if trailing else {width}
     above = written[:first]
-    names: list[int] = []
     for i in above:
         if head[i].lstrip().startswith(_COMMENT):
             cut[i] = _split(head[i].lstrip().lstrip("#%/").strip(), separator)
-        while len(cut[i]) > width and not cut[i][-1]:
-            cut[i].pop()
-        if len(cut[i]) in widths and any(cut[i]) and not any(map(_is_number, cut[i])):
-            names.append(i)
-        elif head[i].lstrip().startswith(_COMMENT) or not any(cut[i]):
-            continue
-        else:
-            names.clear()
-    mark = _decimal_mark(file, separator, [_split(line, separator) for line in middle], values)
-    if not names:
+    found = header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
+    mark = decimal_mark(file, [_split(line, separator) for line in middle], values)
+    if found is None:
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(_is_number, nearest)):
             raise RecordingError(
@@ -409,26 +418,47 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
                 found=f"{width} cells",
                 expected=f"{len(nearest)}, as in the header",
             )
-        unnamed = tuple(f"column {i + 1}" for i in range(width))
-        return _Layout(separator, width, unnamed, (), (), written[first], mark)
-    bare = [cell.strip("[]() ") for cell in cut[names[-1]]]
-    has_units = len(names) > 1 and any(is_unit(spelled(cell)) for cell in bare)
-    header = names[-2] if has_units else names[-1]
-    columns = cut[header]
+        return _Layout(separator, width, unnamed(width), (), (), written[first], mark)
+    last, names, units = found
+    lines = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
+    return _Layout(separator, len(names), names, units, lines, above[last] + 1, mark)
+
+
+def header_of(
+    above: Sequence[list[str]], widths: set[int]
+) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
+    """The last of the rows above the samples that belongs to the header, names, and units if any.
+
+    Names are a row of as many cells as the samples have (``widths``) without a number; a row of
+    units may follow them.
+    """
     from bayesbl.recording.clocked_columns import numbered
 
-    return _Layout(
-        separator,
-        len(columns),
-        tuple(numbered(columns)),
-        tuple(bare[: len(columns)]) if has_units else (),
-        tuple(tuple(cut[i]) for i in names[-2:]),
-        names[-1] + 1,
-        mark,
-    )
+    named: list[int] = []
+    for i, cells in enumerate(above):
+        while len(cells) > max(widths) and not cells[-1]:
+            cells.pop()
+        if not any(cells):
+            continue
+        if len(cells) in widths and not any(map(_is_number, cells)):
+            named.append(i)
+        elif len(cells) > 1:
+            named.clear()
+    if not named:
+        return None
+    bare = [cell.strip("[]() ") for cell in above[named[-1]]]
+    has_units = len(named) > 1 and any(is_unit(spelled(cell)) for cell in bare)
+    names = above[named[-2] if has_units else named[-1]]
+    units = tuple(bare[: len(names)]) if has_units else ()
+    return named[-1], tuple(numbered(names)), units
 
 
-def _is_sample(cells: Sequence[str], values: Sequence[int]) -> bool:
+def unnamed(width: int) -> tuple[str, ...]:
+    """What columns without names are called."""
+    return tuple(f"column {i + 1}" for i in range(width))
+
+
+def is_sample(cells: Sequence[str], values: Sequence[int]) -> bool:
     """Whether a line's cells hold values where those amid the file do."""
     if len(cells) <= values[-1]:
         return False
@@ -450,31 +480,33 @@ def _dialect(lines: Sequence[str]) -> tuple[str, int, list[int]]:
         if width < 2:
             continue
         alike = [row for row in rows if len(row) == width]
-        if width > MOST_COLUMNS:
-            alike = alike[:1]
-        values: list[int] = []
-        share = 0.0
-        for column, cells in enumerate(zip(*alike, strict=True)):
-            held = [cell for cell in cells if cell.lower() not in _MISSING]
-            good = sum(map(_is_value, held))
-            share += (good + len(cells) - len(held)) / len(cells)
-            if good >= 0.5 * len(held) if held else any(cells):
-                values.append(column)
-        score = count / len(rows) * share / width
+        values, share = value_columns(alike[:1] if width > MOST_COLUMNS else alike)
+        score = count / len(rows) * share
         if len(values) >= 2 and score > 1.001 * best:
             best, chosen = score, (separator, width, values)
     return chosen
 
 
-def _decimal_mark(
-    file: Path, separator: str, rows: Sequence[Sequence[str]], values: Sequence[int]
-) -> str:
+def value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
+    """Which columns of rows alike hold numbers or dates, and the share of cells that do."""
+    values: list[int] = []
+    share = 0.0
+    for column, cells in enumerate(zip(*rows, strict=True)):
+        held = [cell for cell in cells if cell.lower() not in _MISSING]
+        good = sum(map(_is_value, held))
+        share += (good + len(cells) - len(held)) / len(cells) / len(rows[0])
+        if good >= 0.5 * len(held) if held else any(cells):
+            values.append(column)
+    return values, share
+
+
+def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int]) -> str:
     """Whether numbers have a decimal comma or a decimal point, by all of them together."""
     cells = [row[i] for row in rows for i in values if i < len(row)]
     cells = [cell for cell in cells if _is_number(cell)]
     if not any("," in cell for cell in cells):
         return "."
-    fits = {mark: sum(_number(cell, mark) is not None for cell in cells) for mark in ".,"}
+    fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
     if fits["."] == fits[","] and not any("." in cell for cell in cells):
         example = next(cell for cell in cells if "," in cell)
         raise RecordingError(
@@ -503,9 +535,7 @@ def _no_table(file: Path, text: _Text, lines: Sequence[str]) -> RecordingError:
     return RecordingError("This is not a CSV file.", file=file, found=found, expected=_EXPECTED)
 
 
-def _scanned(
-    file: Path, text: _Text, layout: _Layout
-) -> tuple[array[int], int, Mapping[str, int]]:
+def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int, Mapping[str, int]]:
     """Lines below the header that are no samples, how many are, and what was left out."""
     separator, width = layout.separator, layout.width
     marks, spaced = width - 1, layout.separator == " "

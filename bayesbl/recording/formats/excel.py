@@ -1,23 +1,37 @@
-"""Excel workbooks as a table: each sheet's first line that is not blank names its columns."""
+"""Excel workbooks as a table: names and units are looked for above the samples, as in text."""
 
 from __future__ import annotations
 
 import io
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.errors import RecordingError, shortened
+from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
+from bayesbl.recording.formats.csv import (
+    MOST_ABOVE,
+    decimal_mark,
+    header_of,
+    is_sample,
+    number_in,
+    unnamed,
+    value_columns,
+)
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
+    from bayesbl.recording.clocked_columns import Group
 
 _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
 """Excel's own. A damaged file may number a line as it likes, and those before it would be made."""
+
+_MIDDLE = 200
 
 _CELL_BYTES = 64.0
 """A number as Python holds it, with its place in a list."""
@@ -34,13 +48,14 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
     import openpyxl
 
     from bayesbl.recording.array_table import readable
-    from bayesbl.recording.clocked_columns import Group, table_of_groups
+    from bayesbl.recording.clocked_columns import table_of_groups
 
     with readable(file, "Excel", "or save the sheet as CSV"):
         _check_size(file, data)
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        sheets = [(sheet.title, _columns(file, sheet)) for sheet in book.worksheets]
-    return table_of_groups(file, [Group(title, columns) for title, columns in sheets])
+        repairs: Counter[str] = Counter()
+        groups = [_group(file, sheet, repairs) for sheet in book.worksheets]
+    return replace(table_of_groups(file, groups), repairs=repairs)
 
 
 def _check_size(file: Path, data: bytes) -> None:
@@ -51,23 +66,32 @@ def _check_size(file: Path, data: bytes) -> None:
     require_memory(file, 2.0 * size + 4.0 * shared, "its sheets, unpacked")
 
 
-def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
-    rows = _rows(file, sheet)
-    header = next(rows, ())
-    places = {str(cell).strip(): i for i, cell in enumerate(header) if cell is not None}
-    if len(places) != sum(cell is not None for cell in header):
-        raise RecordingError(
-            "Two columns have the same name.",
-            file=file,
-            where=f'sheet "{sheet.title}"',
-            found=shortened(", ".join(str(cell) for cell in header)),
-            expected="a different name for each column",
-        )
-    values: list[list[object]] = [[] for _ in places]
-    for row in rows:
-        for held, place in zip(values, places.values(), strict=True):
-            held.append(row[place] if place < len(row) else None)
-    return {name: _array(held) for name, held in zip(places, values, strict=True)}
+def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
+    from bayesbl.recording.clocked_columns import Group
+
+    rows = list(_rows(file, sheet))
+    width = max(map(len, rows), default=0)
+    middle = [_texts(row, width) for row in rows[len(rows) // 2 :][:_MIDDLE]]
+    values, _ = value_columns(middle) if middle else ([], 0.0)
+    above = [_texts(row, width) for row in rows[:MOST_ABOVE]]
+    first = next((i for i, cells in enumerate(above) if values and is_sample(cells, values)), None)
+    if first is None:  # a sheet of remarks
+        return Group(sheet.title, {})
+    found = header_of(above[:first], {width})
+    begin, names, units = found or (first - 1, unnamed(width), ())
+    mark = decimal_mark(file, middle, values)
+    columns = {
+        name: _array([row[i] if i < len(row) else None for row in rows[begin + 1 :]], mark, repairs)
+        for i, name in enumerate(names)
+        if name
+    }
+    stated = dict(zip(names, units, strict=False))
+    return Group(sheet.title, columns, units={n: u for n, u in stated.items() if n and u})
+
+
+def _texts(row: Sequence[object], width: int) -> list[str]:
+    cells = ["" if cell is None else str(cell).strip() for cell in row]
+    return cells + [""] * (width - len(cells))
 
 
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
@@ -89,17 +113,28 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
             yield row
 
 
-def _array(cells: Sequence[Any]) -> AnyArray:
+def _array(cells: Sequence[Any], mark: str, repairs: Counter[str]) -> AnyArray:
     """Numbers with empty cells as NaN, dates as dates; anything else as it is."""
     from datetime import datetime
 
     import numpy as np
 
-    if all(cell is None or type(cell) in (int, float) for cell in cells):
-        return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
     if all(cell is None or isinstance(cell, datetime) for cell in cells):
         return np.array(cells, dtype="datetime64[us]")
-    return np.array(cells, dtype=object)
+    numbers = [_number(cell, mark) for cell in cells]
+    if any(number is None for number in numbers):
+        return np.array(cells, dtype=object)
+    written = sum(isinstance(cell, str) and n == n for cell, n in zip(cells, numbers, strict=True))
+    repairs["number written as text"] += written
+    return np.array(numbers, dtype=np.float64)
+
+
+def _number(cell: Any, mark: str) -> float | None:
+    if cell is None:
+        return float("nan")
+    if isinstance(cell, str):
+        return number_in(cell.strip(), mark)
+    return float(cell) if type(cell) in (int, float) else None
 
 
 FORMAT = Format(
