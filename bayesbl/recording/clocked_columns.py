@@ -58,7 +58,8 @@ def table_of_groups(
     """All columns of all groups, each with its clock.
 
     Groups of one name are numbered. A name that only one group has stays as it is, others become
-    ``GROUP/NAME``: all of them with ``always_prefixed``. The clock of a group is ``time_s`` among them.
+    ``GROUP/NAME``: all of them with ``always_prefixed``. The clock of a group is ``time_s`` among
+    them.
     """
     prefixes = numbered([group.name for group in groups])
     with_clocks = [

@@ -16,8 +16,8 @@ from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_un
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _PER_SECOND = re.compile(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|p|_|/)s$")
 _WITHOUT_SIZE = frozenset(
-    ("count", "counts", "cnt", "cnts", "inc", "incs", "increment", "increments", "tick", "ticks")
-    + ("pulse", "pulses", "lsb", "lsbs", "digit", "digits", "pu", "erpm", "percent", "permille")
+    "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
+    "digits pu erpm percent permille".split()
 )
 """Words for units of a size that only the user knows."""
 

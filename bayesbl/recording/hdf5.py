@@ -1,8 +1,8 @@
 """The gate of every HDF5 file (MATLAB v7.3, NetCDF 4, our results): it holds all that it shows.
 
 HDF5 may name other files (links, raw storage, virtual datasets), lead in circles, ask for filters
-from a folder of plug-ins, and declare any size without storing it. Libraries follow all that as they
-open or read a file, so its structure is walked first, with calls that follow nothing.
+from a folder of plug-ins, and declare any size without storing it. Libraries follow all that as
+they open or read a file, so its structure is walked first, with calls that follow nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _DEEPEST = 32
 class Stored:
     """A dataset of an HDF5 file, by what its header declares.
 
-    ``bytes``: of all its values, or of one chunk where that is larger, as either is allocated whole.
+    ``bytes``: of all its values, or of one chunk where that is larger: either is allocated whole.
     """
 
     path: str

@@ -32,7 +32,7 @@ LONGEST_S = 120.0
 """A file that takes longer to parse is refused. A workbook of a million lines takes a minute."""
 
 SPARE_MB = 700.0
-"""Of memory for the libraries themselves, beside the limit of :mod:`bayesbl.recording.input_bytes`."""
+"""Of memory for the libraries themselves, beside the limit of one recording."""
 
 _PROGRAM = (
     "import json, sys; request = json.loads(sys.argv[1]); sys.path[:] = request['path'];"

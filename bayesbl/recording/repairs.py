@@ -1,8 +1,8 @@
 """What is put right in every recording, whatever its format: repairs that lose nothing.
 
-Each is made only where the numbers leave one reading, and is counted; the reader tells all of them in
-one note. What is ambiguous, or would lose or make up samples, stays as it is and is refused later by
-the place that it is at.
+Each is made only where the numbers leave one reading, and is counted; the reader tells all of them
+in one note. What is ambiguous, or would lose or make up samples, stays as it is and is refused
+later by the place that it is at.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SLOWEST = 20
 """Samples from one new value to the next, up to which a slower rate is looked for."""
 
 _ELSEWHERE = 0.05
-"""Of the change at new values that may be between them, where values are repeated or interpolated."""
+"""Share of the change at new values that may be between them, where these are made up."""
 
 
 def mended_clock(
@@ -109,7 +109,7 @@ def _in_order(stamps: FloatArray, values: FloatArray, repairs: Counter[str]) -> 
 
 
 def _spread(time: FloatArray, factor: float, repairs: Counter[str]) -> FloatArray:
-    """Samples of a coarse clock on the even line through all of them, or evenly within its ticks."""
+    """Samples of a coarse clock on the line through all of them, or evenly within its ticks."""
     steps = np.diff(time)
     if np.any(steps < 0.0) or np.mean(steps == 0.0) < SHARED_STAMPS:
         return time
@@ -128,7 +128,7 @@ def _spread(time: FloatArray, factor: float, repairs: Counter[str]) -> FloatArra
     # At a hole of the clock the numbers of the samples jump by what is missing.
     lost = np.zeros(time.size)
     lost[starts[1:][~ordinary]] = np.round((ticks[~ordinary] - usual) / period)
-    number = np.arange(time.size) + np.cumsum(lost)
+    number: FloatArray = np.arange(float(time.size)) + np.cumsum(lost)
     deviation, slope = deviation_from_grid(time, number)
     if np.ptp(deviation) * slope <= 1.5 * float(ticks[ordinary].max()):
         even: FloatArray = time.mean() + slope * (number - number.mean())
@@ -138,20 +138,25 @@ def _spread(time: FloatArray, factor: float, repairs: Counter[str]) -> FloatArra
     # Samples that follow a hole belong to its end: they came within an ordinary tick.
     lengths = np.minimum(ends - time[starts], usual * 1.5)
     within = np.arange(time.size) - np.repeat(starts, counts)
-    return time + within / np.repeat(counts, counts) * np.repeat(lengths, counts)
+    within_ticks: FloatArray = time + within / np.repeat(counts, counts) * np.repeat(
+        lengths, counts
+    )
+    return within_ticks
 
 
 def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
     """Values (n, c) of a log on change with each cell that is empty as the last one above it.
 
-    A log on change never writes a value twice in a row; a file that does lost its samples.
+    A log on change writes no value twice in a row, and at no even rate; other files lost samples.
     """
     missing = np.isnan(values)
     if missing.any(axis=1).mean() <= MOST_LOST:
         return values
     for column, empty in zip(values.T, missing.T, strict=True):
-        written = column[~empty]
-        if written.size < 2 or (empty.any() and np.mean(np.diff(written) == 0.0) > 0.0):
+        rows = np.flatnonzero(~empty)
+        if rows.size < 3 or (empty.any() and np.any(np.diff(column[rows]) == 0.0)):
+            return values
+        if empty.any() and np.ptp(np.diff(rows)) <= 1:  # a slower channel, at its own even rate
             return values
     last = np.where(missing, 0, np.arange(len(values))[:, None])
     full = np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
@@ -176,8 +181,14 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
         return position
     usual = float(np.max(np.abs(steps[~jumps])))
     turn = next((t for t in _TURNS if -1e-6 * t <= t - span <= 2.0 * usual + 1e-3 * t), None)
-    if turn is None or np.any(np.abs(np.abs(steps[jumps]) - turn) > 2.0 * usual + 1e-3 * turn):
+    if turn is None:
         return position
+    onward = np.where(jumps, steps - np.sign(steps) * turn, steps)
+    for at in np.flatnonzero(jumps):
+        # It goes on as fast as just before and after, or it was no turn.
+        near = np.abs(np.delete(onward[max(0, at - 5) : at + 6], min(at, 5)))
+        if near.size == 0 or abs(onward[at]) > 1.5 * float(near.max()) + 1e-3 * turn:
+            return position
     repairs[f"turn of the {name} put on ({turn:.6g})"] += int(jumps.sum())
     added = np.concatenate([[0.0], np.cumsum(-np.sign(steps) * jumps)])
     whole: FloatArray = position.copy()

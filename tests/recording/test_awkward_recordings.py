@@ -369,10 +369,8 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         lambda p: write_csv(
             p / "a.csv",
             {
-                name: np.concatenate(
-                    [values[:4000], values[4000:8000] - (4.0 if name == TIME else 0)]
-                )
-                for name, values in plain().items()
+                name: np.concatenate([v[:4000], v[4000:8000] - (4.0 if name == TIME else 0.0)])
+                for name, v in plain().items()
             },
         ),
         'line 4002, column "time_s"',

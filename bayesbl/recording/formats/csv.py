@@ -57,30 +57,16 @@ _BEGINS = frozenset("0123456789+-.")
 """With what most lines of samples begin, and hardly any other line."""
 
 _MISSING = frozenset(
-    [
-        "nan",
-        "null",
-        "none",
-        "n/a",
-        "na",
-        "#n/a",
-        "#na",
-        "#value!",
-        "#div/0!",
-        "#num!",
-        "nil",
-        "-",
-        "--",
-        "---",
-        "?",
-        "missing",
-    ]
-) | {""}
+    ("", "nan", "null", "none", "nil", "n/a", "na", "#n/a", "#na", "#value!", "#div/0!", "#num!")
+    + ("-", "--", "---", "?", "missing")
+)
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
     for mark, other in ((".", ","), (",", "."))
 }
+_NUMBER_IN = {".": "a number", ",": "a number, with a decimal comma as the others"}
+
 MOST_ABOVE = 50
 """Lines that are not blank in which the first sample is looked for."""
 MOST_COLUMNS = 1000
@@ -280,8 +266,7 @@ class CsvTable:
                 file=self.file,
                 where=self.place(row, column),
                 found=repr(shortened(cell)),
-                expected="a number"
-                + (", with a decimal comma" if self._layout.mark == "," else ""),
+                expected=_NUMBER_IN[self._layout.mark],
             )
         return value
 

@@ -49,7 +49,7 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
 def _width(kind: Any) -> float:
     """Bytes of a value in memory, at least."""
     try:
-        return max(8.0, kind.bit_width / 8.0)
+        return max(8.0, float(kind.bit_width) / 8.0)
     except ValueError:  # text, lists: Python objects at the end
         return _OBJECT_BYTES
 
