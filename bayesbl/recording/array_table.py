@@ -7,7 +7,7 @@ import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,10 @@ class ArrayTable:
         """Where a value is, in words."""
         return f'sample {row + 1}, column "{self.columns[column]}"'
 
+    def without_values(self) -> ArrayTable:
+        """Its names and places alone."""
+        return replace(self, arrays={name: values[:0] for name, values in self.arrays.items()})
+
     def timestamps(self, column: int) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not hold dates.
 
@@ -101,7 +105,10 @@ class ArrayTable:
                 found=" and ".join(str(length) for length in lengths.values()),
                 expected="one value of each for every time stamp",
             )
-        return np.column_stack([self._number(column) for column in columns])
+        values: FloatArray = np.empty((lengths.popitem()[1], len(columns)), order="F")
+        for series, column in zip(values.T, columns, strict=True):
+            series[:] = self._number(column)
+        return values
 
     def _values(self, column: int) -> AnyArray:
         name = self.columns[column]

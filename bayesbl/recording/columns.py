@@ -48,6 +48,9 @@ class Table(Protocol):
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
 
+    def without_values(self) -> Table:
+        """Its names and places alone."""
+
 
 @dataclass(frozen=True, slots=True)
 class Column:

@@ -80,6 +80,7 @@ def read_recording(
     time_column, *others = choose_columns(path, table, columns or {})
     repairs = Counter(table.repairs)
     stamps, values = _values(path, table, time_column, others)
+    table = table.without_values()
     values = held(values, repairs)
     _check_length(path, values)
     _check_finite(path, table, others, values)
@@ -88,7 +89,8 @@ def read_recording(
         order, time = mended_clock(stamps[rows], values[rows], time_column.factor, repairs)
         rows, stamps = rows[order], time
     time_s = _seconds(path, table, time_column, stamps, rows)
-    values = values[rows]
+    if rows.size < len(values) or np.any(np.diff(rows) < 0):
+        values = values[rows]
     for i, column in enumerate(others):
         if column.channel in POSITIONS:
             called = CHANNELS[column.channel]
@@ -112,7 +114,7 @@ def read_recording(
     return Recording(
         name=name or stem_of(path),
         time_s=bridged.time_s[kept],
-        channels={channel: values[kept].copy() for channel, values in series.items()},
+        channels={name: np.ascontiguousarray(values[kept]) for name, values in series.items()},
         source=Source(
             file=str(path),
             sha256=sha256,
@@ -173,12 +175,13 @@ def _values(
                 found=f"{len(stamps)} time stamps and {len(values)} values",
                 expected="one value of each for every time stamp",
             )
+    # In place and by column: a long recording is a good part of the memory.
+    stamps[~np.isfinite(stamps)] = np.nan
     with np.errstate(over="ignore"):
-        values = values * np.array([column.factor for column in others])
-    return (
-        np.where(np.isfinite(stamps), stamps, np.nan),
-        np.where(np.abs(values) < NO_MEASUREMENT, values, np.nan),
-    )
+        for series, column in zip(values.T, others, strict=True):
+            series *= column.factor
+            series[~(np.abs(series) < NO_MEASUREMENT)] = np.nan
+    return stamps, values
 
 
 def _wrong_time_unit(

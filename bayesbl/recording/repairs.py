@@ -184,7 +184,7 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     if turn is None:
         return position
     onward = np.where(jumps, steps - np.sign(steps) * turn, steps)
-    for at in np.flatnonzero(jumps):
+    for at in map(int, np.flatnonzero(jumps)):
         # It goes on as fast as just before and after, or it was no turn.
         near = np.abs(np.delete(onward[max(0, at - 5) : at + 6], min(at, 5)))
         if near.size == 0 or abs(onward[at]) > 1.5 * float(near.max()) + 1e-3 * turn:

@@ -285,7 +285,7 @@ def test_a_formula_in_an_mdf_file_is_not_run(tmp_path: Path, suffix: str, versio
     table = read_table(path)
     assert table.columns == ("time_s", "linear", "formula")
     np.testing.assert_array_equal(table.numbers([1])[:, 0], 2.0 * SPEED + 1.0)
-    with pytest.raises(RecordingError, match='column "formula".*values by a formula'):
+    with pytest.raises(RecordingError, match=r'column "formula".*values by a formula'):
         table.numbers([2])
 
 

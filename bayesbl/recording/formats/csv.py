@@ -23,7 +23,7 @@ from array import array
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,8 +57,7 @@ _BEGINS = frozenset("0123456789+-.")
 """With what most lines of samples begin, and hardly any other line."""
 
 _MISSING = frozenset(
-    ("", "nan", "null", "none", "nil", "n/a", "na", "#n/a", "#na", "#value!", "#div/0!", "#num!")
-    + ("-", "--", "---", "?", "missing")
+    "|nan|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!|#num!|-|--|---|?|missing".split("|")  # noqa: SIM905
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -165,6 +164,10 @@ class CsvTable:
     def place(self, row: int, column: int) -> str:
         """Where a cell is, in words."""
         return f'line {self._line(row) + 1}, column "{self.columns[column]}"'
+
+    def without_values(self) -> CsvTable:
+        """Its names and places alone."""
+        return replace(self, _text=_Text(b"", "utf-8", True))
 
     def unit(self, column: int) -> str | None:
         """The unit in a line of units below the names."""
