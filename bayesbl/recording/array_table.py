@@ -20,6 +20,9 @@ from bayesbl.recording.types import FloatArray
 
 AnyArray = NDArray[Any]
 
+_LONGEST_TEXT = 60
+"""Of a cell: dates are shorter, and messages quote less."""
+
 
 @dataclass(frozen=True, slots=True)
 class ArrayTable:
@@ -129,9 +132,12 @@ class ArrayTable:
             return np.asarray(filled, dtype=np.float64)
         if values.dtype.kind == "m":
             return np.asarray(values / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
-        if values.dtype.kind == "O":
-            return self._number_of_objects(values, column)
-        kinds = {"M": "dates", "c": "complex numbers", "S": "text", "U": "text"}
+        if (
+            values.dtype.kind in "OSU"
+            and (numbers := self._number_in_text(values, column)) is not None
+        ):
+            return numbers
+        kinds = {"M": "dates", "c": "complex numbers", "O": "text", "S": "text", "U": "text"}
         raise RecordingError(
             "This column does not hold numbers.",
             file=self.file,
@@ -140,24 +146,40 @@ class ArrayTable:
             expected="real numbers",
         )
 
-    def _number_of_objects(self, values: AnyArray, column: int) -> FloatArray:
+    def _number_in_text(self, values: AnyArray, column: int) -> FloatArray | None:
+        """Numbers among cells of text; ``None`` where no cell holds one."""
         numbers = np.full(values.size, np.nan)
+        bad: int | None = None
+        good = 0
         for row, value in enumerate(values.tolist()):
-            if _text(value) == "":
+            text = _text(value)
+            if text == "":
                 continue
             try:
-                if isinstance(value, str | bytes):  # float() would read text too
-                    raise TypeError
-                numbers[row] = float(value)
-            except (TypeError, ValueError, OverflowError):
-                raise RecordingError(
-                    "There is text in a column of numbers.",
-                    file=self.file,
-                    where=self.place(row, column),
-                    found=repr(shortened(str(value))),
-                    expected="a number",
-                ) from None
-        return numbers
+                if "_" in text or not text.isascii():  # float() reads more than instruments write
+                    raise ValueError
+                numbers[row] = float(text)
+                good += 1
+            except ValueError:
+                bad = row if bad is None else bad
+        if bad is None or not good:
+            return numbers if bad is None else None
+        raise RecordingError(
+            "There is text in a column of numbers.",
+            file=self.file,
+            where=self.place(bad, column),
+            found=repr(shortened(_text(values[bad]))),
+            expected="a number",
+        )
+
+    def plain_arrays(self) -> Iterator[AnyArray]:
+        """Each column without Python's objects: numbers, dates, or text cut to a length."""
+        for values in self.arrays.values():
+            if not values.dtype.hasobject:
+                yield np.ascontiguousarray(values)
+            else:
+                texts = [shortened(_text(value), _LONGEST_TEXT) for value in values.tolist()]
+                yield np.array(texts, dtype=np.str_)
 
 
 @contextmanager

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -18,7 +17,7 @@ import threading
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.libraries import absent
@@ -78,11 +77,10 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
     feeder = threading.Thread(target=_feed, args=(child.stdin, data), daemon=True)
     timer.start()
     feeder.start()
-    answer: object = None
+    answer: ArrayTable | RecordingError | None = None
     try:
-        # A child that was taken over could do here what it can do by itself.
-        with suppress(EOFError, pickle.UnpicklingError), child.stdout:
-            answer = pickle.load(child.stdout)
+        with suppress(EOFError, ValueError, KeyError, TypeError), child.stdout:
+            answer = _received(child.stdout)
     finally:
         if answer is None and not late.is_set():
             with suppress(subprocess.TimeoutExpired):  # it is about to die by itself
@@ -91,11 +89,11 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
         child.wait()
         timer.cancel()
         feeder.join()
-    if isinstance(answer, UserError):
+    if isinstance(answer, RecordingError):
         raise answer
     if answer is None:
         raise _broken(format_.name, file, late.is_set(), child.returncode)
-    return answer  # type: ignore[return-value]
+    return answer
 
 
 def _feed(stream: BinaryIO, data: bytes) -> None:
@@ -127,7 +125,7 @@ def answer(request: dict[str, object]) -> None:
     formats.__path__ = request["formats"]  # type: ignore[assignment]
     # Taken into account from here on: the file's bytes are part of what it takes.
     _limit(int(request["memory"]))  # type: ignore[call-overload]
-    result: object
+    result: ArrayTable | UserError
     try:
         format_ = import_module(str(request["module"])).FORMAT
         # pandas and xarray import them where they are there; no reader needs them for that.
@@ -138,7 +136,44 @@ def answer(request: dict[str, object]) -> None:
     except MemoryError:
         result = beyond_memory(file, f"more, reading it as {kind}")
     with suppress(BrokenPipeError), stream:
-        pickle.dump(result, stream, protocol=5)
+        _send(stream, result)
+
+
+_ERROR = ("problem", "file", "where", "found", "expected")
+_NAMED = ("file", "units", "clocks", "withheld", "repairs")
+
+
+class _Pipe:
+    """A stream of which NumPy does not think that it is a file with places."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self.read, self.write = stream.read, stream.write
+
+
+def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
+    """A line of JSON and the columns as NumPy writes them: what comes back is never unpickled."""
+    if isinstance(result, UserError):
+        stream.write(json.dumps({key: getattr(result, key) for key in _ERROR}).encode() + b"\n")
+        return
+    from numpy.lib.format import write_array
+
+    head: dict[str, object] = {key: getattr(result, key) for key in _NAMED}
+    stream.write(json.dumps({**head, "columns": list(result.arrays)}).encode() + b"\n")
+    for values in result.plain_arrays():
+        write_array(_Pipe(stream), values, allow_pickle=False)
+
+
+def _received(stream: IO[bytes]) -> ArrayTable | RecordingError:
+    head = json.loads(stream.readline())
+    if "problem" in head:
+        return RecordingError(head.pop("problem"), **head)
+    from numpy.lib.format import read_array
+
+    from bayesbl.recording.array_table import ArrayTable
+
+    names = head.pop("columns")
+    arrays = {name: read_array(_Pipe(stream), allow_pickle=False) for name in names}
+    return ArrayTable(arrays=arrays, **head)
 
 
 def _limit(size: int) -> None:
