@@ -77,6 +77,9 @@ _INCOMPLETE = "incomplete line left out, as a lost sample"
 _HEAD_LINES, _MIDDLE_LINES, _MIDDLE_BYTES = 400, 200, 1 << 16
 _BLOCK = 20_000
 
+_SCOPE_TIMES = 12.0
+"""Times its size that an export of Scope takes, whose cells are texts until all are there."""
+
 _EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
 
@@ -202,7 +205,8 @@ class CsvTable:
         """
         import numpy as np
 
-        require_memory(Path(self.file), 24.0 * self._rows * len(columns), f"{self._rows} lines")
+        needed = len(self._text.data) + 24.0 * self._rows * len(columns)
+        require_memory(Path(self.file), needed, f"{self._rows} lines of text and numbers")
         values: FloatArray = np.empty((self._rows, len(columns)), order="F")
         samples, row = self._samples(), 0
         while block := list(islice(samples, _BLOCK)):
@@ -286,6 +290,7 @@ def read_csv(file: Path, data: bytes) -> Table:
     text = _Text.of(data)
     head = list(islice(text.lines(), _HEAD_LINES))
     if is_scope_export("\n".join(head)):
+        require_memory(file, _SCOPE_TIMES * len(data), "cells of text")
         return read_scope_export(file, "\n".join(text.lines()))
     layout = _layout(file, text, head)
     skipped, rows, repairs = _scanned(file, text, layout)
