@@ -220,7 +220,7 @@ def _without_words() -> Iterator[None]:
 
 def _text(value: object) -> str:
     """Text of a cell; empty for what stands for a missing value."""
-    if value is None or value != value or type(value).__name__ in ("NAType", "NaTType"):
+    if value is None or np.any(value != value) or type(value).__name__ in ("NAType", "NaTType"):
         return ""
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace").strip()

@@ -171,7 +171,9 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if stated and stated.strip():
         return Column(index, channel, _known(path, table, index, channel, stated))
     _, named = split_unit(spec.name)
-    named = named or unknown_unit(spec.name)
+    if named is None and (named := unknown_unit(spec.name)) and channel == TIME:
+        # The form of a date (time [hh:mm:ss]) is no unit.
+        named = None if table.timestamps(index) is not None else named
     if named is None:
         return Column(index, channel, None)
     unit = _known(path, table, index, channel, named)

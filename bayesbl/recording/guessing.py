@@ -49,7 +49,8 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 )
 """Channel to the words that files use for it, in small letters."""
 
-_COUNTED = ("sample", "samples")
+_COUNTED = frozenset(("sample", "samples"))
+_COUNTERS_WORDS = _COUNTED | {"index", "number", "no", "nr", "count"}
 
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output arm"
@@ -260,8 +261,10 @@ def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | 
     stated = (table.unit(index) or "").strip() or None
     unknown = None if unit else stated or unknown_unit(name)
     words = _words(bare)
-    if not (unit or unknown) and not words.isdisjoint(_COUNTED):
+    if not (unit or unknown) and not words.isdisjoint(_COUNTED) and words <= _COUNTERS_WORDS:
         unknown = "a count of samples"
+    if unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
+        unknown = None
     return words, unit, unknown
 
 
@@ -309,7 +312,10 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
     """The likeliest column of each channel: named exactly, else the motor's, else the first."""
     chosen: dict[str, _Named] = {}
     exact = (TIME, *CHANNELS)
-    for column in sorted(named, key=lambda c: (c.name not in exact, not c.is_called(_MOTOR))):
+    for column in sorted(
+        named,
+        key=lambda c: (c.name not in exact, bool(c.words & _COUNTED), not c.is_called(_MOTOR)),
+    ):
         channel = _channel(column)
         if channel is not None:
             chosen.setdefault(channel, column)

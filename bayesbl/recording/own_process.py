@@ -50,7 +50,7 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
         more memory than the limit.
     """
     request = {
-        "path": sys.path,
+        "path": [str(path) for path in sys.path],
         "formats": list(formats.__path__),
         "module": format_.read.__module__,
         "name": format_.name,

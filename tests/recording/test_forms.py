@@ -486,3 +486,31 @@ def test_channels_of_tdms_that_start_apart_are_not_laid_on_one_another(tmp_path:
         read_recording(path, columns=both)
     alone = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm")})
     assert set(alone.channels) == {"motor_speed_rpm"}
+
+
+def test_lists_in_parquet_are_columns(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = tmp_path / "a.parquet"
+    state = [[float(n), float(i)] for i, n in enumerate(SPEED)]
+    table = {"time_s": TIME, "state": state, "uneven": [[0.0] * (i % 3) for i in range(COUNT)]}
+    pq.write_table(pa.table(table), path)
+    columns = {"motor_speed_rpm": ColumnSpec("state[0]")}
+    np.testing.assert_array_equal(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+
+
+def test_the_form_of_a_date_is_no_unit_and_a_count_of_samples_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{i},{clock(t, '%H:%M:%S.%f')},{n}" for i, (t, n) in enumerate(PAIRS)]
+    path.write_text(text(lines, "sample,Time [hh:mm:ss],speed [rpm]"))
+    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    assert (guess["time_s"].name, guess["time_s"].unit) == ("Time [hh:mm:ss]", "datetime")
+    speed = {"motor_speed_rpm": ColumnSpec("speed [rpm]")}
+    for name, unit in (("Time [hh:mm:ss]", None), ("sample", "1 ms")):
+        read = read_recording(path, columns=speed | {"time_s": ColumnSpec(name, unit)})
+        np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    path.write_text(text([f"{i},{n}" for i, n in enumerate(SPEED)], "sample,speed [rpm]"))
+    time = guess_columns(path, read_table(path)).columns[0]
+    assert (time.name, time.unit) == ("sample", UNKNOWN)
+    assert '"4 ms"' in time.reason

@@ -9,12 +9,13 @@ from bayesbl.recording.formats import Format
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
+    from bayesbl.recording.array_table import AnyArray, ArrayTable
 
 _COPIES = 2.0
 """Arrow's columns beside NumPy's."""
 
 _OBJECT_BYTES = 64.0
+_LONGEST_LIST = 64
 
 
 def read_parquet(file: Path, data: bytes) -> ArrayTable:
@@ -39,11 +40,25 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
         size = float(stored.metadata.num_rows) * sum(sizes)
         require_memory(file, _COPIES * size, f"{stored.metadata.num_rows} rows")
         table = stored.read(use_threads=False)
-        arrays = {
-            name: column.to_numpy()
-            for name, column in zip(table.column_names, table.columns, strict=True)
-        }
+        arrays: dict[str, AnyArray] = {}
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            arrays |= _of_lists(name, column) or {name: column.to_numpy()}
     return ArrayTable(str(file), arrays)
+
+
+def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
+    """``NAME[0]``, ``NAME[1]`` … of a column whose cells are lists of one length, else nothing."""
+    import pyarrow.compute
+    import pyarrow.types as types
+
+    kind = column.type
+    if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
+        return {}
+    lengths = pyarrow.compute.unique(pyarrow.compute.list_value_length(column)).to_pylist()
+    if len(lengths) != 1 or not 0 < (lengths[0] or 0) <= _LONGEST_LIST:
+        return {}
+    flat = pyarrow.compute.list_flatten(column).to_numpy().reshape(-1, lengths[0])
+    return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
 
 
 def _width(kind: Any) -> float:
