@@ -7,6 +7,7 @@ channel name; :func:`conversion_factor` converts from the other accepted units.
 from __future__ import annotations
 
 import math
+import re
 
 RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
 """Revolutions per minute in one radian per second."""
@@ -35,6 +36,8 @@ _FACTORS: dict[str, dict[str, float]] = {
         "deg": math.pi / 180.0,
         "rev": 2.0 * math.pi,
         "mrad": 1e-3,
+        "arcmin": math.pi / 10800.0,
+        "arcsec": math.pi / 648000.0,
     },
     "current": {"A": 1.0, "mA": 1e-3},
     "torque": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3},
@@ -70,6 +73,20 @@ _OTHER_SPELLINGS = {
     "dps": "deg/s",
     "rev/sec": "rev/s",
     "rps": "rev/s",
+    "turn": "rev",
+    "turns": "rev",
+    "revs": "rev",
+    "revolutions": "rev",
+    "rotations": "rev",
+    "turn/s": "rev/s",
+    "turns/s": "rev/s",
+    "revs/s": "rev/s",
+    "revolutions/s": "rev/s",
+    "arcminutes": "arcmin",
+    "'": "arcmin",
+    "′": "arcmin",
+    "arcseconds": "arcsec",
+    "″": "arcsec",
     "hertz": "Hz",
     "radian": "rad",
     "radians": "rad",
@@ -147,18 +164,59 @@ def accepted_units(channel: str) -> tuple[str, ...]:
     return () if dimension is None else tuple(_FACTORS[dimension])
 
 
+_NUMBER = r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)"
+_MULTIPLE = re.compile(rf"{_NUMBER} (\S.*)")
+_PART = re.compile(rf"(\S.*?)/{_NUMBER}")
+_SHARE = re.compile(rf"(%|‰|per ?cent|per ?mille|0\.1 ?%) of {_NUMBER} (\S.*)")
+_SIZES = {"time": '"4 ms"', "angle": '"rev/4096"', "speed": '"rpm/7"'}
+"""How a unit with a number is written: samples of 4 ms, counts of a turn, pairs of poles."""
+
+
 def conversion_factor(channel: str, unit: str) -> float:
     """Factor that brings a value in ``unit`` to the channel's own unit.
+
+    Beside :func:`accepted_units` a multiple (``4 ms``), a part (``rev/4096`` for counts of an
+    encoder, ``rpm/7`` for electrical speed) or a share (``% of 12.5 A``, ``‰ of 2.4 N m``) of one.
 
     Raises
     ------
     KeyError
-        If the unit is not one of :func:`accepted_units`.
+        If the unit is none of these.
     """
-    dimension = dimension_of(channel)
-    if dimension is None:
-        raise KeyError(unit)
-    return _FACTORS[dimension][unit]
+    units = _FACTORS.get(dimension_of(channel) or "", {})
+    if unit in units:
+        return units[unit]
+    for form in (_SHARE, _MULTIPLE, _PART):
+        held = form.fullmatch(unit)
+        if held is None:
+            continue
+        *share, first, second = held.groups()
+        inner, size = (first, second) if form is _PART else (second, first)
+        if inner not in units or float(size) == 0.0:
+            break
+        if form is _PART:
+            return units[inner] / float(size)
+        hundredth = 0.01 if share and share[0] in ("%", "percent", "per cent") else 0.001
+        return units[inner] * float(size) * (hundredth if share else 1.0)
+    raise KeyError(unit)
+
+
+def is_accepted(channel: str, unit: str) -> bool:
+    """Whether a column of this channel may come in this unit, with or without a number in it."""
+    try:
+        return math.isfinite(conversion_factor(channel, unit))
+    except KeyError:
+        return False
+
+
+def choice_of_units(channel: str) -> str:
+    """The units that a column of this channel may come in, in words."""
+    units = accepted_units(channel)
+    if not units:
+        return "no unit"
+    share = f'"% of 12.5 {units[0]}"'
+    sized = _SIZES.get(dimension_of(channel) or "", share)
+    return f"{' or '.join(units)}, or with a number as {sized}"
 
 
 def spelled(unit: str) -> str:

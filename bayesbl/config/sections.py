@@ -51,7 +51,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_END,
     WINDOW_START,
 )
-from bayesbl.units import accepted_units, spelled
+from bayesbl.units import choice_of_units, is_accepted, spelled
 
 _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATION, ROTATION})
 
@@ -183,11 +183,11 @@ class RecordedConfig(RunConfig):
     @classmethod
     def _columns_make_sense(cls, columns: dict[str, Column]) -> dict[str, Column]:
         for channel, column in columns.items():
-            if column.unit is not None and column.unit not in accepted_units(channel):
+            if column.unit is not None and not is_accepted(channel, column.unit):
                 refuse(
                     f"The unit of {channel} is not known.",
                     found=f'"{column.unit}"',
-                    expected=" or ".join(f'"{unit}"' for unit in accepted_units(channel)),
+                    expected=choice_of_units(channel),
                     at=(channel, "unit"),
                 )
             if column.reversed and channel == TIME:

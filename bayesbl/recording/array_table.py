@@ -7,9 +7,8 @@ import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,9 @@ from bayesbl.recording.timestamps import is_date, seconds_of_calendar, seconds_o
 from bayesbl.recording.types import FloatArray
 
 AnyArray = NDArray[Any]
+
+_LONGEST_TEXT = 60
+"""Of a cell: dates are shorter, and messages quote less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,18 @@ class ArrayTable:
         Units that the file itself states, by name.
     clocks
         Of columns that are sampled in groups, the column that holds their time in s, by name.
+    withheld
+        Why the values of a column are not read, by its name; its array is empty.
+    repairs
+        What was left out as the file was read, in words, and how many times.
     """
 
     file: str
     arrays: Mapping[str, AnyArray]
-    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    clocks: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    units: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    withheld: Mapping[str, str] = field(default_factory=dict)
+    repairs: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -60,6 +68,10 @@ class ArrayTable:
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
         return f'sample {row + 1}, column "{self.columns[column]}"'
+
+    def without_values(self) -> ArrayTable:
+        """Its names and places alone."""
+        return replace(self, arrays={name: values[:0] for name, values in self.arrays.items()})
 
     def timestamps(self, column: int) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not hold dates.
@@ -96,10 +108,22 @@ class ArrayTable:
                 found=" and ".join(str(length) for length in lengths.values()),
                 expected="one value of each for every time stamp",
             )
-        return np.column_stack([self._number(column) for column in columns])
+        values: FloatArray = np.empty((lengths.popitem()[1], len(columns)), order="F")
+        for series, column in zip(values.T, columns, strict=True):
+            series[:] = self._number(column)
+        return values
 
     def _values(self, column: int) -> AnyArray:
-        return self.arrays[self.columns[column]]
+        name = self.columns[column]
+        if name in self.withheld:
+            raise RecordingError(
+                "The values of this column cannot be used.",
+                file=self.file,
+                where=f'column "{name}"',
+                found=self.withheld[name],
+                expected="values as they were measured, or scaled by a factor and an offset",
+            )
+        return self.arrays[name]
 
     def _number(self, column: int) -> FloatArray:
         values = self._values(column)
@@ -108,9 +132,12 @@ class ArrayTable:
             return np.asarray(filled, dtype=np.float64)
         if values.dtype.kind == "m":
             return np.asarray(values / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
-        if values.dtype.kind == "O":
-            return self._number_of_objects(values, column)
-        kinds = {"M": "dates", "c": "complex numbers", "S": "text", "U": "text"}
+        if (
+            values.dtype.kind in "OSU"
+            and (numbers := self._number_in_text(values, column)) is not None
+        ):
+            return numbers
+        kinds = {"M": "dates", "c": "complex numbers", "O": "text", "S": "text", "U": "text"}
         raise RecordingError(
             "This column does not hold numbers.",
             file=self.file,
@@ -119,24 +146,40 @@ class ArrayTable:
             expected="real numbers",
         )
 
-    def _number_of_objects(self, values: AnyArray, column: int) -> FloatArray:
+    def _number_in_text(self, values: AnyArray, column: int) -> FloatArray | None:
+        """Numbers among cells of text; ``None`` where no cell holds one."""
         numbers = np.full(values.size, np.nan)
+        bad: int | None = None
+        good = 0
         for row, value in enumerate(values.tolist()):
-            if _text(value) == "":
+            text = _text(value)
+            if text == "":
                 continue
             try:
-                if isinstance(value, str | bytes):  # float() would read text too
-                    raise TypeError
-                numbers[row] = float(value)
-            except (TypeError, ValueError, OverflowError):
-                raise RecordingError(
-                    "There is text in a column of numbers.",
-                    file=self.file,
-                    where=self.place(row, column),
-                    found=repr(shortened(str(value))),
-                    expected="a number",
-                ) from None
-        return numbers
+                if "_" in text or not text.isascii():  # float() reads more than instruments write
+                    raise ValueError
+                numbers[row] = float(text)
+                good += 1
+            except ValueError:
+                bad = row if bad is None else bad
+        if bad is None or not good:
+            return numbers if bad is None else None
+        raise RecordingError(
+            "There is text in a column of numbers.",
+            file=self.file,
+            where=self.place(bad, column),
+            found=repr(shortened(_text(values[bad]))),
+            expected="a number",
+        )
+
+    def plain_arrays(self) -> Iterator[AnyArray]:
+        """Each column without Python's objects: numbers, dates, or text cut to a length."""
+        for values in self.arrays.values():
+            if not values.dtype.hasobject:
+                yield np.ascontiguousarray(values)
+            else:
+                texts = [shortened(_text(value), _LONGEST_TEXT) for value in values.tolist()]
+                yield np.array(texts, dtype=np.str_)
 
 
 @contextmanager
@@ -149,7 +192,7 @@ def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
     try:
         with _without_words():
             yield
-    except UserError:
+    except (UserError, MemoryError):
         raise
     except Exception as error:
         lines = str(error).strip().splitlines()
@@ -175,19 +218,9 @@ def _without_words() -> Iterator[None]:
         logging.disable(level)
 
 
-def missing_library(file: Path, kind: str, library: str, otherwise: str = "") -> RecordingError:
-    """The optional library that a format needs is not installed."""
-    return RecordingError(
-        f"Reading {kind} needs {library}, which is not installed.",
-        file=file,
-        found=f"no module {library}",
-        expected='pip install "bayesbl[formats]"' + (f", or {otherwise}" if otherwise else ""),
-    )
-
-
 def _text(value: object) -> str:
     """Text of a cell; empty for what stands for a missing value."""
-    if value is None or value != value or type(value).__name__ in ("NAType", "NaTType"):
+    if value is None or np.any(value != value) or type(value).__name__ in ("NAType", "NaTType"):
         return ""
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace").strip()

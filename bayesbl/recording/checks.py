@@ -85,6 +85,8 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
+    if MOTOR_CURRENT in recording.channels:
+        recording = without_rails(recording, MOTOR_CURRENT)
     if moves(recording):
         require_varying(recording, MOTOR_SPEED)
         return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))

@@ -11,10 +11,15 @@ from typing import Protocol
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import accepted_units, conversion_factor, is_unit, spelled
+from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
 
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _PER_SECOND = re.compile(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|p|_|/)s$")
+_WITHOUT_SIZE = frozenset(
+    "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
+    "digits pu erpm percent permille".split()
+)
+"""Words for units of a size that only the user knows."""
 
 
 class Table(Protocol):
@@ -23,6 +28,10 @@ class Table(Protocol):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names as in the file."""
+
+    @property
+    def repairs(self) -> Mapping[str, int]:
+        """What was left out as the file was read, in words, and how many times."""
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """Values of some columns, shape (samples, len(columns)); missing ones are NaN."""
@@ -38,6 +47,9 @@ class Table(Protocol):
 
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
+
+    def without_values(self) -> Table:
+        """Its names and places alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +83,11 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
         for channel, spec in specs.items()
     }
     taken = {column.index for column in channels.values()}
+    mapped = {table.clock(index) for index in taken} - {None}
     for channel in (TIME, *CHANNELS):
-        if channel not in channels and channel in names and names.index(channel) not in taken:
+        if channel in channels or channel not in names or names.index(channel) in taken:
+            continue
+        if not mapped or table.clock(names.index(channel)) in mapped:
             channels[channel] = _mapped(path, table, channel, ColumnSpec(channel))
     clocks = {column.index: table.clock(column.index) for column in channels.values()}
     tied = {clock for clock in clocks.values() if clock is not None}
@@ -110,6 +125,25 @@ def split_unit(name: str) -> tuple[str, str | None]:
     return bare, unit if is_unit(unit) else None
 
 
+def unknown_unit(name: str) -> str | None:
+    """What a column's name states as a unit that is none here: ``pos [counts]``, ``speed_erpm``.
+
+    A question, as any guess would be a factor. An index (``x[0]``) and a remark are no units.
+    """
+    if split_unit(name)[1] is not None:
+        return None
+    brackets = _BRACKETS.search(name)
+    if brackets:
+        text = brackets[1].strip()
+        looks = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
+        if text and not is_unit(spelled(text)):
+            worded = re.search(r"[^\W\d_]", text) or text in ("%", "‰", "°")
+            if worded and (looks or text.lower() in _WITHOUT_SIZE):
+                return text
+    last = re.split(r"[\W_]+", name.strip())[-1].lower()
+    return last if last in _WITHOUT_SIZE else None
+
+
 def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if not is_mappable(channel):
         raise RecordingError(
@@ -123,13 +157,13 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if spec.name not in table.columns:
         raise _missing_column(path, table.columns, spec.name)
     index = table.columns.index(spec.name)
-    if spec.unit is not None and spec.unit not in accepted_units(channel):
+    if spec.unit is not None and not is_accepted(channel, spec.unit):
         raise RecordingError(
             "The unit is not known for this channel.",
             file=path,
             where=f"[columns] {channel}",
             found=f'"{spec.unit}"',
-            expected=" or ".join(accepted_units(channel)),
+            expected=choice_of_units(channel),
         )
     if spec.unit is not None:
         return Column(index, channel, spec.unit)
@@ -137,6 +171,9 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     if stated and stated.strip():
         return Column(index, channel, _known(path, table, index, channel, stated))
     _, named = split_unit(spec.name)
+    if named is None and (named := unknown_unit(spec.name)) and channel == TIME:
+        # The form of a date (time [hh:mm:ss]) is no unit.
+        named = None if table.timestamps(index) is not None else named
     if named is None:
         return Column(index, channel, None)
     unit = _known(path, table, index, channel, named)
@@ -150,13 +187,13 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
 def _known(path: Path, table: Table, index: int, channel: str, stated: str) -> str:
     """The unit that the file itself states; the user's, under [columns], goes before."""
     unit = spelled(stated)
-    if unit not in accepted_units(channel):
+    if not is_accepted(channel, unit):
         raise RecordingError(
             "The file states a unit that is not known for this channel.",
             file=path,
             where=f'column "{table.columns[index]}"',
             found=f'"{shortened(stated)}"',
-            expected=" or ".join(accepted_units(channel)) + "; state the right one under [columns]",
+            expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
     return unit
 

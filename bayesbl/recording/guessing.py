@@ -27,20 +27,30 @@ from bayesbl.recording.channels import (
     REFERENCE_SPEED,
     TIME,
 )
-from bayesbl.recording.columns import Table, split_unit
+from bayesbl.recording.columns import Table, split_unit, unknown_unit
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor, is_unit, spelled
+from bayesbl.units import (
+    RPM_PER_RAD_PER_S,
+    accepted_units,
+    choice_of_units,
+    conversion_factor,
+    is_unit,
+    spelled,
+)
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
-        TIME: "t time timestamp zeit temps tempo clock",
-        MOTOR_SPEED: "speed velocity vel omega w rpm drehzahl n dq qd",
+        TIME: "t time timestamp zeit temps tempo clock sample samples",
+        MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel q",
         MOTOR_CURRENT: "current cur i iq strom amps",
         MOTOR_TORQUE: "torque tau trq moment drehmoment",
     }
 )
 """Channel to the words that files use for it, in small letters."""
+
+_COUNTED = frozenset(("sample", "samples"))
+_COUNTERS_WORDS = _COUNTED | {"index", "number", "no", "nr", "count"}
 
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output arm"
@@ -93,12 +103,13 @@ class Guess:
 
 @dataclass(frozen=True, slots=True)
 class _Named:
-    """What a column's name and the file say of it."""
+    """What a column's name and the file say of it; ``unknown``: a unit that is none here."""
 
     index: int
     name: str
     words: frozenset[str]
     unit: str | None
+    unknown: str | None = None
 
     def is_called(self, words: str) -> bool:
         """Whether its name has any of these words."""
@@ -231,6 +242,8 @@ def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
     """Not sure of a motor's speed that is a load's: what ROS calls a joint's velocity is one."""
     if column.channel != MOTOR_SPEED:
         return column
+    if column.unit == UNKNOWN:
+        return column
     rpm = float(np.nanmean(np.abs(values))) * conversion_factor(MOTOR_SPEED, column.unit)
     if not column.sure or rpm >= _USUAL_SPEEDS_RPM[0]:
         return column
@@ -238,14 +251,21 @@ def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
     return replace(column, reason=reason, doubted=True)
 
 
-def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None]:
-    """Words of a name in small letters, and the unit that it or the file states."""
+def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None, str | None]:
+    """Words of a name in small letters, the unit that it or the file states, and an unknown one."""
     bare, in_name = split_unit(name)
     parts = _split(bare)
     unit = _known_unit(table.unit(index)) or in_name
     if unit is None and len(parts) > 1:
         unit = _known_unit(parts[-1], also_small=True)
-    return _words(bare), unit
+    stated = (table.unit(index) or "").strip() or None
+    unknown = None if unit else stated or unknown_unit(name)
+    words = _words(bare)
+    if not (unit or unknown) and not words.isdisjoint(_COUNTED) and words <= _COUNTERS_WORDS:
+        unknown = "a count of samples"
+    if unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
+        unknown = None
+    return words, unit, unknown
 
 
 def _split(text: str) -> list[str]:
@@ -292,7 +312,10 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
     """The likeliest column of each channel: named exactly, else the motor's, else the first."""
     chosen: dict[str, _Named] = {}
     exact = (TIME, *CHANNELS)
-    for column in sorted(named, key=lambda c: (c.name not in exact, not c.is_called(_MOTOR))):
+    for column in sorted(
+        named,
+        key=lambda c: (c.name not in exact, bool(c.words & _COUNTED), not c.is_called(_MOTOR)),
+    ):
         channel = _channel(column)
         if channel is not None:
             chosen.setdefault(channel, column)
@@ -301,6 +324,10 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
 
 def _stated(channel: str, column: _Named) -> GuessedColumn:
     own = accepted_units(channel)[0]
+    if column.unknown:
+        units = choice_of_units(channel)
+        asked = f'enter its unit, as the file says "{shortened(column.unknown)}": {units}'
+        return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
     if column.unit in accepted_units(channel):
         return GuessedColumn(channel, column.name, str(column.unit), "stated in the file", True)
     if column.name == channel:
@@ -316,9 +343,10 @@ def _units(
     time = _time_unit(table, chosen[TIME], values[TIME])
     if time is not None:
         found[TIME] = time
-    factor = conversion_factor(TIME, time[0] if time else _stated(TIME, chosen[TIME]).unit)
-    if MOTOR_SPEED not in values:
+    unit = time[0] if time else _stated(TIME, chosen[TIME]).unit
+    if MOTOR_SPEED not in values or unit == UNKNOWN:
         return found
+    factor = conversion_factor(TIME, unit)
     speed = float(np.nanmean(np.abs(values[MOTOR_SPEED])))
     if MOTOR_POSITION in values:
         good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
@@ -356,6 +384,8 @@ def _agreeing(
 
 def _possible(channel: str, column: _Named) -> Iterable[str]:
     stated = _stated(channel, column)
+    if stated.unit == UNKNOWN:
+        return ()
     return (stated.unit,) if stated.sure else accepted_units(channel)
 
 

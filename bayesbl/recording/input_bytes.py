@@ -12,11 +12,11 @@ from pathlib import Path
 
 from bayesbl.errors import RecordingError
 
-LIMIT_VARIABLE = "BAYESBL_LARGEST_FILE_MB"
-"""Environment variable that raises or lowers :data:`LARGEST_FILE_MB`."""
+LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"
+"""Environment variable that raises or lowers :data:`MEMORY_MB`: the one setting for all formats."""
 
-LARGEST_FILE_MB = 1000.0
-"""Reading a text file takes up to six times its size in memory."""
+MEMORY_MB = 2000.0
+"""What reading one recording may take, whatever its format: its bytes, and what they unpack to."""
 
 PACKED = ".gz"
 
@@ -47,9 +47,8 @@ def read_input(path: Path) -> bytes:
         status = os.fstat(stream.fileno())
         if stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError(errno.EISDIR, "a folder")
-        largest = int(1e6 * _largest_mb())
-        if status.st_size > largest:
-            raise _too_large(f"{status.st_size / 1e6:.5g} MB")
+        largest = memory_bytes()
+        require_size(status.st_size)
         data = stream.read(largest + 1)
     if len(data) > largest:
         raise _too_large("more")
@@ -60,8 +59,50 @@ def require_size(size: int | None) -> None:
     """Raise ``OSError`` for what is larger than the limit, in bytes, or does not say."""
     if size is None:
         raise _too_large("a size that is not told")
-    if size > 1e6 * _largest_mb():
+    if size > memory_bytes():
         raise _too_large(f"{size / 1e6:.5g} MB")
+
+
+def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:
+    """Refuse a recording that would take more than the limit, before anything is allocated.
+
+    Parameters
+    ----------
+    size
+        In bytes, as far as the file declares it.
+    what
+        What takes them, for the message.
+
+    Raises
+    ------
+    RecordingError
+        If the size is above the limit.
+    """
+    if size > memory_bytes():
+        raise beyond_memory(file, f"{size / 1e6:.5g} MB ({what})")
+
+
+def beyond_memory(file: Path, found: str) -> RecordingError:
+    """The refusal of a recording that takes more memory than the limit."""
+    return RecordingError(
+        "Reading this file takes too much memory.",
+        file=file,
+        found=found,
+        expected=f"at most {memory_bytes() / 1e6:g} MB; record fewer channels or a shorter time, "
+        f"or raise the limit by the environment variable {LIMIT_VARIABLE}",
+    )
+
+
+def memory_bytes() -> int:
+    """The limit in bytes; ``OSError`` if the environment states no number."""
+    stated = os.environ.get(LIMIT_VARIABLE, "")
+    try:
+        limit = float(stated) if stated else MEMORY_MB
+    except ValueError:
+        limit = 0.0
+    if not 0.0 < limit < 1e12:
+        raise OSError(errno.EINVAL, f"{LIMIT_VARIABLE} = {stated!r}, which is no number of MB")
+    return int(1e6 * limit)
 
 
 def suffix_of(path: Path) -> str:
@@ -85,10 +126,9 @@ def unpacked(path: Path, data: bytes) -> bytes:
     """
     if path.suffix.lower() != PACKED:
         return data
-    largest = int(1e6 * _largest_mb())
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
-            whole = stream.read(largest + 1)
+            whole = stream.read(memory_bytes() + 1)
     except (OSError, EOFError, zlib.error):
         raise RecordingError(
             "This file cannot be unpacked: it is damaged, or not packed by gzip.",
@@ -96,13 +136,7 @@ def unpacked(path: Path, data: bytes) -> bytes:
             found=f"{len(data)} bytes",
             expected="a file packed by gzip",
         ) from None
-    if len(whole) > largest:
-        raise RecordingError(
-            "The unpacked file is too large.",
-            file=path,
-            found=f"more than {_largest_mb():g} MB",
-            expected=f"less; the environment variable {LIMIT_VARIABLE} raises the limit",
-        )
+    require_memory(path, len(whole), "unpacked, or more")
     return whole
 
 
@@ -111,20 +145,9 @@ def _kind(mode: int) -> str | None:
     return next((name for is_kind, name in _KINDS if is_kind(mode)), None)
 
 
-def _largest_mb() -> float:
-    given = os.environ.get(LIMIT_VARIABLE, "")
-    try:
-        limit = float(given) if given else LARGEST_FILE_MB
-    except ValueError:
-        limit = 0.0
-    if not 0.0 < limit < 1e12:
-        raise OSError(errno.EINVAL, f"{LIMIT_VARIABLE} = {given!r}, which is no number of MB")
-    return limit
-
-
 def _too_large(size: str) -> OSError:
     return OSError(
         errno.EFBIG,
-        f"{size}, above the limit of {_largest_mb():g} MB; the environment variable "
-        f"{LIMIT_VARIABLE} raises it, and six times the size is needed in memory",
+        f"{size}, above the limit of {memory_bytes() / 1e6:g} MB; the environment variable "
+        f"{LIMIT_VARIABLE} raises it",
     )

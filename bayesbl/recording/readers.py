@@ -7,20 +7,33 @@ Only what any task needs is checked here; rotations, sampling and the like are i
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
+from bayesbl.recording.channels import (
+    CHANNELS,
+    LOAD_POSITION,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    REFERENCE_POSITION,
+    ColumnSpec,
+    did_you_mean_file,
+)
 from bayesbl.recording.columns import Column, Table, choose_columns
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.lost_samples import bridge, without_lost
-from bayesbl.recording.ticks import spread_ticks
+from bayesbl.recording.own_process import parsed_apart
+from bayesbl.recording.repairs import held, mended_clock, new_values, told, unwrapped
 from bayesbl.recording.types import FloatArray, Recording, Source
+
+POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
 
 MINIMUM_SAMPLES = 16
 """Fewer samples than this are no recording, whatever the task."""
@@ -65,11 +78,23 @@ def read_recording(
     path = Path(path)
     table, sha256 = _parsed(path)
     time_column, *others = choose_columns(path, table, columns or {})
+    repairs = Counter(table.repairs)
     stamps, values = _values(path, table, time_column, others)
+    table = table.without_values()
+    values = held(values, repairs)
     _check_length(path, values)
     _check_finite(path, table, others, values)
     rows = np.flatnonzero(np.isfinite(stamps))
-    time_s, tick_note = _seconds(path, table, time_column, stamps, rows)
+    if rows.size >= MINIMUM_SAMPLES:
+        order, time = mended_clock(stamps[rows], values[rows], time_column.factor, repairs)
+        rows, stamps = rows[order], time
+    time_s = _seconds(path, table, time_column, stamps, rows)
+    if rows.size < len(values) or np.any(np.diff(rows) < 0):
+        values = values[rows]
+    for i, column in enumerate(others):
+        if column.channel in POSITIONS:
+            called = CHANNELS[column.channel]
+            values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
 
     def place(row: int, column: int | None) -> str:
         index = time_column.index if column is None else others[column].index
@@ -77,29 +102,40 @@ def read_recording(
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
         joined = bridge if even else without_lost
-        bridged = joined(path, time_s, values[rows], place)
-    series = {column.channel: bridged.values[:, i].copy() for i, column in enumerate(others)}
-    used = {time_column.index, *(column.index for column in others)}
+        bridged = joined(path, time_s, values, place)
+        series = {column.channel: bridged.values[:, i] for i, column in enumerate(others)}
+        new = new_values(series[MOTOR_SPEED]) if even and MOTOR_SPEED in series else None
+    kept, slower = new or (slice(None), "")
+    if slower:
+        slower = (
+            f"The speed has a new value in every {_ordinal(kept.step)} sample and is {slower} "
+            "between them: only samples with a new value are used."
+        )
     return Recording(
         name=name or stem_of(path),
-        time_s=bridged.time_s,
-        channels=series,
+        time_s=bridged.time_s[kept],
+        channels={name: np.ascontiguousarray(values[kept]) for name, values in series.items()},
         source=Source(
             file=str(path),
             sha256=sha256,
             unused_columns=tuple(
                 column or f"column {i + 1}"
                 for i, column in enumerate(table.columns)
-                if i not in used
+                if i not in {time_column.index, *(column.index for column in others)}
             ),
         ),
-        excluded=bridged.excluded if bridged.excluded.any() else None,
+        excluded=bridged.excluded[kept] if bridged.excluded[kept].any() else None,
         notes=(
             *(c.note for c in (time_column, *others) if c.note),
-            *((tick_note,) if tick_note else ()),
+            *told(repairs),
             *bridged.notes,
+            *((slower,) if slower else ()),
         ),
     )
+
+
+def _ordinal(number: int) -> str:
+    return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")
 
 
 def read_table(path: str | Path) -> Table:
@@ -139,12 +175,13 @@ def _values(
                 found=f"{len(stamps)} time stamps and {len(values)} values",
                 expected="one value of each for every time stamp",
             )
+    # In place and by column: a long recording is a good part of the memory.
+    stamps[~np.isfinite(stamps)] = np.nan
     with np.errstate(over="ignore"):
-        values = values * np.array([column.factor for column in others])
-    return (
-        np.where(np.isfinite(stamps), stamps, np.nan),
-        np.where(np.abs(values) < NO_MEASUREMENT, values, np.nan),
-    )
+        for series, column in zip(values.T, others, strict=True):
+            series *= column.factor
+            series[~(np.abs(series) < NO_MEASUREMENT)] = np.nan
+    return stamps, values
 
 
 def _wrong_time_unit(
@@ -160,12 +197,9 @@ def _wrong_time_unit(
 
 
 def _seconds(
-    path: Path, table: Table, column: Column, stamps: FloatArray, rows: NDArray[np.int64]
-) -> tuple[FloatArray, str | None]:
-    """Time of the rows that have one, in seconds, and a note where a coarse clock was spread.
-
-    A late start is taken off.
-    """
+    path: Path, table: Table, column: Column, time: FloatArray, rows: NDArray[np.int64]
+) -> FloatArray:
+    """Time of the rows, in seconds; a late start is taken off."""
     if rows.size < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
@@ -174,8 +208,6 @@ def _seconds(
             found=f"{rows.size} time stamps",
             expected=f"at least {MINIMUM_SAMPLES}",
         )
-    spread, note = spread_ticks(stamps[rows] * column.factor)
-    time = stamps[rows] if note is None else spread / column.factor
     _check_time(path, table, column, time, rows)
     with np.errstate(over="ignore"):
         if column.unit == "datenum" or abs(time[0] * column.factor) > LATEST_START_S:
@@ -186,10 +218,10 @@ def _seconds(
             "Time cannot be counted in seconds.",
             file=path,
             where=f'column "{table.columns[column.index]}"',
-            found=f"from {stamps[rows[0]]:.6g} to {stamps[rows[-1]]:.6g}",
+            found=f"from {time[0]:.6g} to {time[-1]:.6g}",
             expected="the time of a recording",
         )
-    return seconds, note
+    return seconds
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -220,7 +252,27 @@ def _read_bytes(path: Path) -> bytes:
 def _parsed(path: Path) -> tuple[Table, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
-    return _format_of(path).read(path, unpacked(path, data)), hashlib.sha256(data).hexdigest()
+    format_ = _format_of(path)
+    sha256 = hashlib.sha256(data).hexdigest()
+    data = unpacked(path, data)
+    if not format_.signatures:  # text is read by this package itself
+        return format_.read(path, data), sha256
+    if not format_.is_begun_by(data):
+        raise RecordingError(
+            f"The file cannot be read as {format_.name}.",
+            file=path,
+            found=f"{len(data)} bytes that do not begin as such a file does",
+            expected=f"a whole {format_.name} file, and the suffix of what the file holds",
+        )
+    if format_.library and find_spec(format_.library) is None:
+        raise RecordingError(
+            f"Reading {format_.name} needs {format_.library}, which is not installed.",
+            file=path,
+            found=f"no module {format_.library}",
+            expected='pip install "bayesbl[formats]"'
+            + (f", or {format_.otherwise}" if format_.otherwise else ""),
+        )
+    return parsed_apart(format_, path, data), sha256
 
 
 def _format_of(path: Path) -> Format:

@@ -8,6 +8,7 @@ import math
 import os
 import shlex
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from bayesbl.errors import ResultError
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats
 from bayesbl.recording.formats.netcdf import RESULT_MARK
+from bayesbl.recording.hdf5 import require_whole
+from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
 from bayesbl.results.atomic import replacing
 from bayesbl.results.seal import has_seal, is_intact, seal
 
@@ -91,6 +94,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
             expected=f"the output folder of a run; `bayesbl fit {quoted}` makes one",
         )
     _require_intact(file)
+    _require_whole(file)
     with xr.open_datatree(file, engine="netcdf4") as opened:
         tree: xr.DataTree = opened.load()
     _require_this_version(tree, file)
@@ -154,6 +158,27 @@ def _require_intact(file: Path) -> None:
             file=file,
             found="content that does not match its checksum",
             expected="a result.nc as bayesbl wrote it",
+        )
+
+
+def _require_whole(file: Path) -> None:
+    """The seal is no secret: whoever changes a file can seal it again."""
+    try:
+        size = require_whole(file, partial(ResultError, file=file), lambda dataset: True)
+    except (OSError, RuntimeError, ValueError):
+        raise ResultError(
+            "The result is damaged, or was changed after it was written.",
+            file=file,
+            found="no sound structure of groups and variables",
+            expected="a result.nc as bayesbl wrote it",
+        ) from None
+    if size > memory_bytes():
+        raise ResultError(
+            "Reading this result takes too much memory.",
+            file=file,
+            found=f"{size / 1e6:.5g} MB",
+            expected=f"at most {memory_bytes() / 1e6:g} MB; the environment variable "
+            f"{LIMIT_VARIABLE} raises the limit",
         )
 
 

@@ -85,6 +85,18 @@ def fitted(recording: Any, part: slice | None = None) -> PointEstimate:
     return Estimator().estimate(recording, np.random.SeedSequence(1))
 
 
+def sent_twice() -> Table:
+    """Every 50th row once more, three rows later."""
+    rows = np.insert(np.arange(SAMPLES), np.arange(53, SAMPLES, 50), np.arange(50, SAMPLES - 3, 50))
+    return {name: values[rows] for name, values in plain().items()}
+
+
+def exchanged() -> np.ndarray:
+    rows = np.arange(SAMPLES)
+    rows[[700, 701]] = rows[[701, 700]]
+    return rows
+
+
 MS = {TIME: ColumnSpec(TIME, "ms")}
 
 # What was done to the recording; how many samples the fit must leave out; the columns' mapping.
@@ -124,6 +136,48 @@ FITTED: dict[str, tuple[Callable[[Path], Path], int, dict[str, ColumnSpec]]] = {
     "time stamps missing": (
         lambda p: write_csv(p / "a.csv", with_values(plain(), TIME, [100, 200, 201], np.nan)),
         3,
+        {},
+    ),
+    "a sample twice": (
+        lambda p: write_csv(p / "a.csv", {k: np.insert(v, 10, v[10]) for k, v in plain().items()}),
+        0,
+        {},
+    ),
+    "a sample in 50 sent twice, and late": (lambda p: write_csv(p / "a.csv", sent_twice()), 0, {}),
+    "the file twice": (
+        lambda p: write_csv(p / "a.csv", {k: np.concatenate([v, v]) for k, v in plain().items()}),
+        0,
+        {},
+    ),
+    "two rows exchanged": (
+        lambda p: write_csv(p / "a.csv", {k: v[exchanged()] for k, v in plain().items()}),
+        0,
+        {},
+    ),
+    "a counter of 16 bits in ms": (
+        lambda p: write_csv(
+            p / "a.csv", changed(plain(), time_s=(60000 + 1e3 * plain()[TIME]).round() % 65536)
+        ),
+        0,
+        MS,
+    ),
+    "a clock that ticks in 10 ms": (
+        lambda p: write_csv(p / "a.csv", changed(plain(), time_s=0.01 * (plain()[TIME] // 0.01))),
+        0,
+        {},
+    ),
+    "time as floats of 32 bits": (
+        lambda p: write_csv(
+            p / "a.csv", changed(plain(), time_s=(20000.0 + plain()[TIME]).astype(np.float32))
+        ),
+        0,
+        {},
+    ),
+    "a position that begins again at each turn": (
+        lambda p: write_csv(
+            p / "a.csv", changed(plain(), motor_position_rad=plain()[POSITION] % (2.0 * np.pi))
+        ),
+        0,
         {},
     ),
     "time jitters by 0.3 of a period": (
@@ -313,16 +367,14 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
     ),
     "two files in one": (
         lambda p: write_csv(
-            p / "a.csv", {k: np.concatenate([v, v]) for k, v in plain(samples=4000).items()}
+            p / "a.csv",
+            {
+                name: np.concatenate([v[:4000], v[4000:8000] - (4.0 if name == TIME else 0.0)])
+                for name, v in plain().items()
+            },
         ),
         'line 4002, column "time_s"',
         "0 after 3.999",
-        "increases",
-    ),
-    "a sample twice": (
-        lambda p: write_csv(p / "a.csv", {k: np.insert(v, 10, v[10]) for k, v in plain().items()}),
-        'line 13, column "time_s"',
-        "0.01 after 0.01",
         "increases",
     ),
     "time in ms, not declared": (

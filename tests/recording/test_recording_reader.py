@@ -102,9 +102,13 @@ def test_the_same_numbers_come_out_however_the_csv_is_written(
 
 
 def test_decimal_commas_and_decimal_points_are_never_mixed_up(tmp_path: Path) -> None:
-    text = csv_text("time_s;motor_speed_rpm", separator=";").replace("2000.", "2,000.")
-    with pytest.raises(RecordingError, match='line 2, column "motor_speed_rpm"'):
-        read_recording(write(tmp_path, text))
+    good = csv_text("time_s;motor_speed_rpm", separator=";")
+    grouped = read_recording(write(tmp_path, good.replace("2000.", "2,000.")))
+    np.testing.assert_allclose(grouped.motor_speed_rpm, SPEED, atol=1e-6)
+    for old, new in ((";2000.", ";2000,"), ("0.0010;", "0,0010;")):
+        text = good.replace(old, new, 1)
+        with pytest.raises(RecordingError, match=r"line \d+, column.*text in a column"):
+            read_recording(write(tmp_path, text))
 
 
 def test_columns_are_renamed_and_converted_to_the_units_of_their_channels(tmp_path: Path) -> None:
@@ -153,9 +157,14 @@ BAD_FILES = {
     "blank file": (" \n\n", "empty", None, None),
     "header only": ("time_s,motor_speed_rpm\n", "no sample", None, "a header only"),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00,", "not a CSV", None, "binary data"),
-    "prose": ("Dear colleague\nthe data follow\n", "not a CSV", "line 1", "'Dear colleague'"),
-    "no header": (csv_text("0.0,2000.0"), "no names", "line 1", "'0.0,2000.0'"),
-    "same name twice": (csv_text("time_s,time_s"), "same name", "line 1", '"time_s"'),
+    "prose": ("Dear colleague\nthe data follow\n", "not a CSV", None, "no lines with a number"),
+    "no header": (csv_text("0.0,2000.0"), "is missing", "header", '"column 1", "column 2"'),
+    "same name twice": (
+        csv_text("time_s,time_s"),
+        'column "time_s" is missing',
+        "header",
+        '"time_s (1)", "time_s (2)"',
+    ),
     "time missing": (
         csv_text("tims_s,motor_speed_rpm"),
         'column "time_s" is missing. Did you mean "tims_s"?',
@@ -169,31 +178,11 @@ BAD_FILES = {
         'line 17, column "motor_speed_rpm"',
         "'fast'",
     ),
-    "units below the header": (
-        lines_with(2, "s,rpm"),
-        "There is text",
-        'line 2, column "time_s"',
-        "'s'",
-    ),
     "thousands with underscores": (
         lines_with(3, "0.001,2_000"),
         "There is text",
         'line 3, column "motor_speed_rpm"',
         "'2_000'",
-    ),
-    "thousands with points": (
-        "time_s;motor_speed_rpm\n"
-        + "".join(f"{t:.3f};999,5\n".replace(".", ",") for t in TIME)
-        + "4,000;1.995,49\n",
-        "thousands separator",
-        'line 42, column "motor_speed_rpm"',
-        "'1.995,49'",
-    ),
-    "thousands with commas": (
-        lines_with(17, '0.0150,"1,995.49"'),
-        "thousands separator",
-        'line 17, column "motor_speed_rpm"',
-        "'1,995.49'",
     ),
     "decimal commas between commas": (
         csv_text().replace(".", ","),
@@ -201,7 +190,6 @@ BAD_FILES = {
         "line 2",
         "4 cells",
     ),
-    "cut in mid-line": (lines_with(41, "0.03"), "one cell for each", "line 41", "1 cells"),
     "NaN everywhere": (
         "time_s,motor_speed_rpm\n" + "".join(f"{t:.3f},nan\n" for t in TIME),
         "holds no number",

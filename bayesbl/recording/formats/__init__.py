@@ -30,11 +30,28 @@ class Format:
         Of its files, in small letters with the dot.
     read
         From path and bytes to named columns; raises :class:`RecordingError` for a damaged file.
+        Called in a process of its own, but for text.
+    library
+        The optional library that it reads with, as it is imported; empty where there is none.
+    signatures
+        What its files have at which byte, any of them; a file without is not parsed, and nothing
+        of it is quoted. Empty for text.
+    otherwise
+        What to do without the library, for the message.
     """
 
     name: str
     suffixes: tuple[str, ...]
     read: Callable[[Path, bytes], Table]
+    library: str = ""
+    signatures: tuple[tuple[int, bytes], ...] = ()
+    otherwise: str = ""
+
+    def is_begun_by(self, data: bytes) -> bool:
+        """Whether bytes may be a file of this format."""
+        return not self.signatures or any(
+            data[at : at + len(mark)] == mark for at, mark in self.signatures
+        )
 
 
 def formats() -> dict[str, Format]:

@@ -1,18 +1,29 @@
-"""A CSV file as a table of numbers: quick where it is clean, exact about the place where not.
+"""Text as a table of numbers: what is no sample is left out and counted, what is one is read whole.
 
-numpy's parser reads the body in one go. Only if it stumbles is the body read again cell by cell,
-to read what can be read (empty rows, quoted numbers) and to name line and column of what cannot.
+The policy, for every dialect alike:
+
+* the separator is the one that cuts the middle of the file into equal rows of numbers;
+* names are the last line above the samples with a name for each cell, units a line of units below;
+* lines that are no samples (comments, repeated headers, text, a cut last line) are left out; so are
+  incomplete lines, as lost samples, up to :data:`MOST_INCOMPLETE` of all;
+* one decimal mark holds for the whole file, and thousands are grouped in threes by another mark;
+* everything else is refused with its line and column.
+
+The text is decoded and cut line by line, twice (what is there, then the numbers), so that memory is
+that of the file and its numbers.
 """
 
 from __future__ import annotations
 
 import codecs
 import csv
+import io
 import re
 from array import array
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,52 +31,120 @@ from typing import TYPE_CHECKING
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.formats import Format
 from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
+from bayesbl.recording.input_bytes import require_memory
 from bayesbl.units import is_unit, spelled
 
 if TYPE_CHECKING:
     from bayesbl.recording.columns import Table
     from bayesbl.recording.types import FloatArray
 
-_SEPARATORS = ("\t", ";", ",")
+_SEPARATORS = ("\t", ";", ",", "|", " ")
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:(?:\.\d{3})+,|(?:,\d{3})+\.)\d*")
-_CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
+_CONTROL = dict.fromkeys([*range(9), *range(0x0E, 0x20), *range(0x7F, 0xA0), 0xFEFF])
+_CONTROL_BYTES = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f-\x9f\xef]")
 _KANA = re.compile("[\u3041-\u30fa]|[\uff66-\uff9d]{2}")
 _KANJI = re.compile("(?<![A-Za-z])[\u4e00-\u9fff]+(?![A-Za-z])")
 _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
 """An accented letter of Latin-1 and the one after it may read as a kanji within a word."""
+
+_BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
+_COMMENT = ("#", "%", "//")
+_BEGINS = frozenset("0123456789+-.")
+"""With what most lines of samples begin, and hardly any other line."""
+
+_MISSING = frozenset(
+    "|nan|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!|#num!|-|--|---|?|missing".split("|")  # noqa: SIM905
+)
+_PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
+_GROUPED = {
+    mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
+    for mark, other in ((".", ","), (",", "."))
+}
+_NUMBER_IN = {".": "a number", ",": "a number, with a decimal comma as the others"}
+
 MOST_ABOVE = 50
-"""Lines in which the header is looked for."""
+"""Lines that are not blank in which the first sample is looked for."""
 MOST_COLUMNS = 1000
 """A file may have more if it has as many lines."""
+MOST_INCOMPLETE = 0.05
+"""Share of lines without one cell for each column, up to which they are lost samples."""
+
+_INCOMPLETE = "incomplete line left out, as a lost sample"
+_HEAD_LINES, _MIDDLE_LINES, _MIDDLE_BYTES = 400, 200, 1 << 16
+_BLOCK = 20_000
+
+_SCOPE_TIMES = 12.0
+"""Times its size that an export of Scope takes, whose cells are texts until all are there."""
 
 _EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
 
-class _Lines:
-    """Some lines of a text, cut out when asked for: copies would take twice the text."""
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """The bytes of a file and how they are decoded."""
 
-    def __init__(self, text: str, begins: array[int], ends: array[int]) -> None:
-        self._text, self._begins, self._ends = text, begins, ends
+    data: bytes
+    encoding: str
+    is_clean: bool
 
-    def __len__(self) -> int:
-        return len(self._begins)
+    @classmethod
+    def of(cls, data: bytes) -> _Text:
+        encoding = _encoding(data)
+        wide = encoding.startswith("utf-16")
+        return cls(data, encoding, not wide and _CONTROL_BYTES.search(data) is None)
 
-    def __getitem__(self, row: int) -> str:
-        return self._text[self._begins[row] : self._ends[row]]
+    def raw_lines(self) -> Iterator[str]:
+        """Lines without their ends, whatever these are."""
+        stream = io.TextIOWrapper(io.BytesIO(self.data), self.encoding, "replace", newline=None)
+        return (line.rstrip("\n") for line in stream)
 
-    def __iter__(self) -> Iterator[str]:
-        for begin, end in zip(self._begins, self._ends, strict=True):
-            yield self._text[begin:end]
+    def lines(self) -> Iterator[str]:
+        """Lines without control characters."""
+        raw = self.raw_lines()
+        return raw if self.is_clean else (line.translate(_CONTROL) for line in raw)
+
+    def middle(self) -> list[str]:
+        """Some lines from amid the samples that are not blank."""
+        size = len(self.data)
+        if size <= 4 * _MIDDLE_BYTES:
+            written = [line for line in self.lines() if line.strip()]
+            return written[len(written) // 2 :][:_MIDDLE_LINES]
+        begin = size // 2 & ~1
+        name = self.encoding
+        if name == "utf-16":
+            name += "-be" if self.data.startswith(codecs.BOM_UTF16_BE) else "-le"
+        text = self.data[begin : begin + _MIDDLE_BYTES].decode(name, "replace")
+        cut = text.translate(_CONTROL).splitlines()[1:-1]
+        return [line for line in cut if line.strip()][:_MIDDLE_LINES]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where the table of a text begins, and how its lines are cut."""
+
+    separator: str
+    width: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    header: tuple[tuple[str, ...], ...]
+    begin: int
+    mark: str
+
+    def cells(self, line: str) -> list[str]:
+        """A line's cells, without empty ones beyond the last column."""
+        cells = _split(line, self.separator)
+        while len(cells) > self.width and not cells[-1]:
+            cells.pop()
+        return cells
 
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """The text of a CSV file, split into a header and the lines that hold samples.
+    """A text, the layout of its table, and which of its lines are samples.
 
     Attributes
     ----------
@@ -73,24 +152,29 @@ class CsvTable:
         Path as the user gave it, for messages.
     columns
         Column names without surrounding spaces; empty where the header has none.
-    separator
-        Tab, semicolon or comma.
-    lines, line_numbers
-        The lines that are not blank, and their numbers in the file, counted from 1.
+    repairs
+        What was left out or read as something else, in words, and how many times.
     """
 
     file: str
     columns: tuple[str, ...]
-    separator: str
-    lines: _Lines
-    line_numbers: Sequence[int]
+    repairs: Mapping[str, int]
+    _text: _Text
+    _layout: _Layout
+    _skipped: array[int]
+    _rows: int
 
     def place(self, row: int, column: int) -> str:
         """Where a cell is, in words."""
-        return f'line {self.line_numbers[row]}, column "{self.columns[column]}"'
+        return f'line {self._line(row) + 1}, column "{self.columns[column]}"'
 
-    def unit(self, column: int) -> None:
-        """A CSV file states no units but in its columns' names."""
+    def without_values(self) -> CsvTable:
+        """Its names and places alone."""
+        return replace(self, _text=_Text(b"", "utf-8", True))
+
+    def unit(self, column: int) -> str | None:
+        """The unit in a line of units below the names."""
+        return self._layout.units[column] or None if self._layout.units else None
 
     def clock(self, column: int) -> None:
         """Any column may be the time of any other."""
@@ -105,10 +189,11 @@ class CsvTable:
         """
         from bayesbl.recording.timestamps import is_date, seconds_of_dates
 
-        if not is_date(self._cells(0)[column]):
+        cells = (self._layout.cells(line)[column] for line in self._samples())
+        if not is_date(next(cells, "")):
             return None
-        texts = [self._cells(row)[column] for row in range(len(self.lines))]
-        return seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
+        cells = (self._layout.cells(line)[column] for line in self._samples())
+        return seconds_of_dates(cells, self.file, lambda row: self.place(row, column))
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """The values of some columns, shape (rows, len(columns)); empty cells are NaN.
@@ -116,276 +201,395 @@ class CsvTable:
         Raises
         ------
         RecordingError
-            At the first cell that is no number or the first line with too few or many cells.
+            At the first cell that is no number.
         """
         import numpy as np
 
-        if self._is_clean():
-            comma_is_decimal = self.separator != ","
-            # Line by line: the whole text once more would be a multiple of the file in memory.
-            lines = (line.replace(",", ".") if comma_is_decimal else line for line in self.lines)
-            try:
-                values: FloatArray = np.loadtxt(
-                    lines,
-                    delimiter=self.separator,
-                    comments=None,
-                    usecols=list(columns),
-                    ndmin=2,
-                )
-            except ValueError:
-                return self._numbers_cell_by_cell(columns)
-            if values.shape[0] == len(self.lines):
-                return values
-        return self._numbers_cell_by_cell(columns)
-
-    def _is_clean(self) -> bool:
-        """Whether each line surely has one cell per column and one kind of decimal point."""
-        marks, lines = len(self.columns) - 1, self.lines
-        if self.separator != "," and _in_any(",", lines) and _in_any(".", lines):
-            return False
-        return not _in_any('"', lines) and all(
-            line.count(self.separator) == marks for line in lines
-        )
-
-    def _numbers_cell_by_cell(self, columns: Sequence[int]) -> FloatArray:
-        import numpy as np
-
-        rows = [self._cells(row) for row in range(len(self.lines))]
-        used = [[cells[column] for column in columns] for cells in rows]
-        self._refuse_thousands(used, columns)
-        comma_is_decimal = self.separator != "," and not any(
-            "." in c for cells in used for c in cells
-        )
-        values = np.empty((len(used), len(columns)))
-        for row, cells in enumerate(used):
-            for index, cell in enumerate(cells):
-                text = cell.replace(",", ".") if comma_is_decimal else cell
-                values[row, index] = self._number(text, cell, row, columns[index])
+        needed = len(self._text.data) + 24.0 * self._rows * len(columns)
+        require_memory(Path(self.file), needed, f"{self._rows} lines of text and numbers")
+        values: FloatArray = np.empty((self._rows, len(columns)), order="F")
+        samples, row = self._samples(), 0
+        while block := list(islice(samples, _BLOCK)):
+            read = self._quickly(block, columns)
+            if read is None:
+                for number, line in enumerate(block, row):
+                    cells = self._layout.cells(line)
+                    values[number] = [self._number(cells[c], number, c) for c in columns]
+            else:
+                values[row : row + len(block)] = read
+            row += len(block)
         return values
 
-    def _refuse_thousands(self, used: Sequence[Sequence[str]], columns: Sequence[int]) -> None:
-        """First of all: one such number leaves open what a comma means in every other."""
-        for row, cells in enumerate(used):
-            for cell, column in zip(cells, columns, strict=True):
-                if _THOUSANDS.fullmatch(cell):
-                    mark = min(".,", key=cell.index)
-                    raise RecordingError(
-                        "A number has a thousands separator.",
-                        file=self.file,
-                        where=self.place(row, column),
-                        found=repr(shortened(cell)),
-                        expected=f"{cell.replace(mark, '')}, and no such separator in the file",
-                    )
+    def _samples(self) -> Iterator[str]:
+        skipped = iter([*self._skipped, -1])
+        next_skipped = next(skipped)
+        for index, line in enumerate(self._text.lines()):
+            if index == next_skipped:
+                next_skipped = next(skipped)
+            elif index >= self._layout.begin:
+                yield line
 
-    def _cells(self, row: int) -> list[str]:
+    def _line(self, row: int) -> int:
+        """The line, from 0, of a sample: as many were skipped before it as lie before it."""
+        line = self._layout.begin + row
+        while True:
+            before = bisect_right(self._skipped, line)
+            moved = self._layout.begin + row + before
+            if moved == line:
+                return line
+            line = moved
+
+    def _quickly(self, block: list[str], columns: Sequence[int]) -> FloatArray | None:
+        """Numbers by NumPy's parser, where no line has anything but numbers and separators."""
+        import numpy as np
+
+        separator, mark = self._layout.separator, self._layout.mark
+        marks = self._layout.width - 1
+        if separator != " " and any(line.count(separator) != marks for line in block):
+            return None
+        text = "\n".join(block)
+        if any(bracket in text for bracket in "([{'’"):
+            return None
+        text = text.replace('"', "")
+        if separator != ",":
+            if ("," if mark == "." else ".") in text:
+                return None
+            text = text.replace(",", ".")
+        lines = text.split("\n")
+        delimiter = None if separator == " " else separator
         try:
-            cells = next(csv.reader([self.lines[row]], delimiter=self.separator))
-        except csv.Error as error:
-            raise self._error(f"This line cannot be read ({error}).", row) from None
-        width = len(self.columns)
-        # Some loggers end each line of samples with a separator, but not the header.
-        if len(cells) < width or any(cell.strip() for cell in cells[width:]):
-            raise self._error(
-                "This line does not have one cell for each column.",
-                row,
-                found=f"{len(cells)} cells",
-                expected=f"{width}, as in the header",
+            read: FloatArray = np.loadtxt(
+                lines, delimiter=delimiter, comments=None, usecols=list(columns), ndmin=2
             )
-        return [cell.strip() for cell in cells[:width]]
+        except ValueError:
+            return None
+        return read if len(read) == len(block) else None
 
-    def _number(self, text: str, cell: str, row: int, column: int) -> float:
-        if not text:
-            return float("nan")
-        if not _is_number(text):
-            expected = "a number"
-            if row == 0 and not any(map(_is_number, self._cells(0))):
-                expected += "; delete a row of units, and state the units under [columns]"
+    def _number(self, cell: str, row: int, column: int) -> float:
+        value = number_in(cell, self._layout.mark)
+        if value is None:
             raise RecordingError(
                 "There is text in a column of numbers.",
                 file=self.file,
                 where=self.place(row, column),
                 found=repr(shortened(cell)),
-                expected=expected,
+                expected=_NUMBER_IN[self._layout.mark],
             )
-        return float(text)
-
-    def _error(
-        self, problem: str, row: int, *, found: str | None = None, expected: str | None = None
-    ) -> RecordingError:
-        where = f"line {self.line_numbers[row]}"
-        return RecordingError(problem, file=self.file, where=where, found=found, expected=expected)
+        return value
 
 
 def read_csv(file: Path, data: bytes) -> Table:
-    """Split the bytes of a CSV file into header and lines, or read an export of TwinCAT Scope.
+    """Find the table in a text, or read an export of TwinCAT Scope.
 
     Raises
     ------
     RecordingError
-        If they are not text, or not a table with a header, or hold no sample.
+        If it is not text, or holds no table or no sample. Nothing of it is quoted before its lines
+        have proved to be numbers.
     """
-    text = _decode(file, data).replace("\r\n", "\n").replace("\r", "\n")
-    if is_scope_export(text):
-        return read_scope_export(file, text)
-    ends = array("q", _ends_of_lines(text))
-    begins = array("q", [0])
-    begins.extend(end + 1 for end in ends[:-1])
-    lines = _Lines(text, begins, ends)
-    written = list(islice((i for i, line in enumerate(lines) if line.strip()), MOST_ABOVE))
+    text = _Text.of(data)
+    head = list(islice(text.lines(), _HEAD_LINES))
+    if is_scope_export("\n".join(head)):
+        require_memory(file, _SCOPE_TIMES * len(data), "cells of text")
+        return read_scope_export(file, "\n".join(text.lines()))
+    layout = _layout(file, text, head)
+    skipped, rows, repairs = _scanned(file, text, layout)
+    return CsvTable(str(file), layout.names, repairs, text, layout, skipped, rows)
+
+
+def _encoding(data: bytes) -> str:
+    for mark, name in _BYTE_ORDER_MARKS:
+        if data.startswith(mark):
+            return name
+    start = data[:1000]
+    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):  # ASCII in two bytes, without a mark
+        if len(start) > 30 and start[first::2].count(0) > 0.9 * len(start[first::2]):
+            return name
+    for name in ("utf-8", "cp932"):
+        try:
+            decoder = codecs.getincrementaldecoder(name)()
+            for begin in range(0, len(data), 1 << 20):
+                decoder.decode(data[begin : begin + (1 << 20)])
+            decoder.decode(b"", True)
+        except UnicodeDecodeError:
+            continue
+        if name == "utf-8":
+            return name
+        text = data[:100_000].decode(name, "replace")
+        japanese = _KANA.search(text) or (_KANJI.search(text) and not _KANJI_IN_A_WORD.search(text))
+        if japanese:
+            return name
+    return "latin-1"  # of which any byte is a character
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if "(" in line or "[" in line or "{" in line:
+        inner = "_" if separator == " " else " "
+        line = _BRACKETS.sub(lambda held: held[0].replace(separator, inner), line)
+    if '"' in line:
+        try:
+            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+        except csv.Error:
+            cells = line.split(separator)
+        cells = [cell for cell in cells if cell.strip()] if separator == " " else cells
+    elif separator == " ":
+        return line.split()
+    else:
+        cells = line.split(separator)
+    return [cell.strip() for cell in cells]
+
+
+def number_in(cell: str, mark: str) -> float | None:
+    """The number that a cell holds, NaN for a missing one; ``None`` if it is text."""
+    text = cell.replace("−", "-")
+    if mark == "," and "," in text:
+        if _PLAIN[","].fullmatch(text):
+            return float(text.replace(",", "."))
+    elif mark == "." or "." not in text:
+        try:
+            if text.isascii() and "_" not in text:  # float() reads "1_000"; no instrument does
+                return float(text)
+        except ValueError:
+            pass
+    if text.lower() in _MISSING:
+        return float("nan")
+    if _GROUPED[mark].fullmatch(text):
+        plain = re.sub(r"[^\d+.,-]", "", text).replace("." if mark == "," else ",", "")
+        return float(plain.replace(",", "."))
+    return None
+
+
+def _is_number(cell: str) -> bool:
+    """Whether it may be a number with either mark; missing ones are not."""
+    return any(
+        (value := number_in(cell, mark)) is not None and (value == value or cell.lower() == "nan")
+        for mark in ".,"
+    )
+
+
+def _is_value(cell: str) -> bool:
+    from bayesbl.recording.timestamps import is_date
+
+    return _is_number(cell) or is_date(cell)
+
+
+def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
+    middle = text.middle()
+    separator, width, values = _dialect(middle)
+    written = [i for i, line in enumerate(head) if line.strip()]
     if not written:
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
-    amid = next((i for i in range(len(lines) // 2, 0, -1) if lines[i].strip()), written[-1])
-    header_index = _header_index(lines, written, amid)
-    separator, columns = _header(file, lines, header_index)
-    blank = f' "\t{separator}'
-    rows = range(header_index + 1, len(lines))
-    kept = array("q", (i for i in rows if lines[i].strip(blank)))
-    if not kept:
+    if len(values) < 2:
+        raise _no_table(file, text, [head[i] for i in written])
+    if width > max(MOST_COLUMNS, text.data.count(b"\n"), text.data.count(b"\r")):
         raise RecordingError(
+            "The file has more columns than lines: is it transposed?",
+            file=file,
+            found=f"{width} columns",
+            expected="a column for each channel and a line for each sample",
+        )
+    cut = [_split(line, separator) for line in head]
+    places = range(len(written))
+    first = next((k for k in places[:MOST_ABOVE] if is_sample(cut[written[k]], values)), None)
+    if first is None:
+        raise _no_table(file, text, [head[i] for i in written])
+    # Some loggers end each line of samples with a separator, but not the header.
+    trailing = all(line.rstrip().endswith(separator) for line in middle) and separator != " "
+    above = written[:first]
+    for i in above:
+        if head[i].lstrip().startswith(_COMMENT):
+            cut[i] = _split(head[i].lstrip().lstrip("#%/").strip(), separator)
+    found = header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
+    mark = decimal_mark(file, [_split(line, separator) for line in middle], values)
+    if found is None:
+        nearest = cut[above[-1]] if above else []
+        if len(nearest) > 1 and not any(map(_is_number, nearest)):
+            raise RecordingError(
+                "This line does not have one cell for each column.",
+                file=file,
+                where=f"line {written[first] + 1}",
+                found=f"{width} cells",
+                expected=f"{len(nearest)}, as in the header",
+            )
+        return _Layout(separator, width, unnamed(width), (), (), written[first], mark)
+    last, names, units = found
+    lines = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
+    return _Layout(separator, len(names), names, units, lines, above[last] + 1, mark)
+
+
+def header_of(
+    above: Sequence[list[str]], widths: set[int]
+) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
+    """The last of the rows above the samples that belongs to the header, names, and units if any.
+
+    Names are a row of as many cells as the samples have (``widths``) without a number; a row of
+    units may follow them.
+    """
+    from bayesbl.recording.clocked_columns import numbered
+
+    named: list[int] = []
+    for i, cells in enumerate(above):
+        while len(cells) > max(widths) and not cells[-1]:
+            cells.pop()
+        if not any(cells):
+            continue
+        if len(cells) in widths and not any(map(_is_number, cells)):
+            named.append(i)
+        elif len(cells) > 1:
+            named.clear()
+    if not named:
+        return None
+    bare = [cell.strip("[]() ") for cell in above[named[-1]]]
+    has_units = len(named) > 1 and any(is_unit(spelled(cell)) for cell in bare)
+    names = above[named[-2] if has_units else named[-1]]
+    units = tuple(bare[: len(names)]) if has_units else ()
+    return named[-1], tuple(numbered(names)), units
+
+
+def unnamed(width: int) -> tuple[str, ...]:
+    """What columns without names are called."""
+    return tuple(f"column {i + 1}" for i in range(width))
+
+
+def is_sample(cells: Sequence[str], values: Sequence[int]) -> bool:
+    """Whether a line's cells hold values where those amid the file do."""
+    if len(cells) <= values[-1]:
+        return False
+    here = [cells[i] for i in values]
+    return any(map(_is_value, here)) and all(
+        cell.lower() in _MISSING or _is_value(cell) for cell in here
+    )
+
+
+def _dialect(lines: Sequence[str]) -> tuple[str, int, list[int]]:
+    """Separator, number of cells and which of them hold values: equal rows, most of numbers."""
+    best, chosen = 0.0, (",", 0, list[int]())
+    for separator in _SEPARATORS:
+        rows = [_split(line, separator) for line in lines]
+        widths = Counter(map(len, rows))
+        if not widths:
+            continue
+        width, count = widths.most_common(1)[0]
+        if width < 2:
+            continue
+        alike = [row for row in rows if len(row) == width]
+        values, share = value_columns(alike[:1] if width > MOST_COLUMNS else alike)
+        score = count / len(rows) * share
+        if len(values) >= 2 and score > 1.001 * best:
+            best, chosen = score, (separator, width, values)
+    return chosen
+
+
+def value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
+    """Which columns of rows alike hold numbers or dates, and the share of cells that do."""
+    values: list[int] = []
+    share = 0.0
+    for column, cells in enumerate(zip(*rows, strict=True)):
+        held = [cell for cell in cells if cell.lower() not in _MISSING]
+        good = sum(map(_is_value, held))
+        share += (good + len(cells) - len(held)) / len(cells) / len(rows[0])
+        if good >= 0.5 * len(held) if held else any(cells):
+            values.append(column)
+    return values, share
+
+
+def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int]) -> str:
+    """Whether numbers have a decimal comma or a decimal point, by all of them together."""
+    cells = [row[i] for row in rows for i in values if i < len(row)]
+    cells = [cell for cell in cells if _is_number(cell)]
+    if not any("," in cell for cell in cells):
+        return "."
+    fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
+    if fits["."] == fits[","] and not any("." in cell for cell in cells):
+        example = next(cell for cell in cells if "," in cell)
+        raise RecordingError(
+            "A comma may be a decimal comma here, or part thousands.",
+            file=file,
+            found=repr(shortened(example)),
+            expected=f"{example.replace(',', '.')} or {example.replace(',', '')}: numbers without "
+            "marks between thousands",
+        )
+    return "," if fits[","] > fits["."] else "."
+
+
+def _no_table(file: Path, text: _Text, lines: Sequence[str]) -> RecordingError:
+    """Nothing is quoted: a name may lead to any file."""
+    if not text.is_clean and not text.encoding.startswith("utf-16"):
+        found = "binary data"
+    elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
+        return RecordingError(
             "The file has a header but no sample.",
             file=file,
             found="a header only",
             expected=_EXPECTED,
         )
-    return CsvTable(
-        file=str(file),
-        columns=columns,
-        separator=separator,
-        lines=_Lines(text, _picked(begins, kept), _picked(ends, kept)),
-        line_numbers=array("q", (i + 1 for i in kept)),
-    )
+    else:
+        found = "no lines with a number in two columns or more"
+    return RecordingError("This is not a CSV file.", file=file, found=found, expected=_EXPECTED)
 
 
-def _header_index(lines: _Lines, written: Sequence[int], amid: int) -> int:
-    """The last line above the samples with a name for each of their cells.
-
-    Drives write lines of their own above it; a row of units below it is left for the message. The
-    first line of all where there is none such. ``written``: the first lines that are not blank;
-    ``amid``: one of the samples.
-    """
-    separator = next((mark for mark in _SEPARATORS if mark in lines[amid]), None)
-    if separator is None:
-        return written[0]
-    width = lines[amid].count(separator) + 1
-    # Some loggers end each line of samples with a separator, but not the header.
-    widths = (width - 1, width) if lines[amid].rstrip(" \r").endswith(separator) else (width,)
-    names: list[int] = []
-    for i in written:
-        line = re.sub(r'"([^"]*)"', lambda quoted: quoted[1].replace(separator, ""), lines[i])
-        cells = [cell.strip() for cell in line.split(separator)]
-        if len(cells) not in widths:
-            names.clear()
-        elif any(map(_is_cell, cells)):
-            break
-        elif all(cells[: widths[0]]):
-            names.append(i)
-    if not names:
-        return written[0]
-    last = [cell.strip(' "[]()') for cell in lines[names[-1]].split(separator)]
-    has_units = len(names) > 1 and any(is_unit(spelled(cell)) for cell in last)
-    return names[-2] if has_units else names[-1]
-
-
-def _is_cell(text: str) -> bool:
-    """Whether it may be a sample: a number, with either mark."""
-    return _is_number(text.strip().replace(",", "."))
-
-
-def _decode(file: Path, data: bytes) -> str:
-    encodings = [name for mark, name in _BYTE_ORDER_MARKS if data.startswith(mark)] or ["utf-8"]
-    try:
-        text = data.decode(encodings[0])
-    except UnicodeDecodeError:
-        text = _decode_old(data)
-    if _CONTROL_CHARACTER.search(text):
+def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int, Mapping[str, int]]:
+    """Lines below the header that are no samples, how many are, and what was left out."""
+    separator, width = layout.separator, layout.width
+    marks, spaced = width - 1, layout.separator == " "
+    skipped, incomplete = array("q"), array("q")
+    counts: Counter[str] = Counter()
+    rows = index = 0
+    cells: list[str] = []
+    first_incomplete = (0, 0)
+    blank = f' "\t{separator}'
+    control = 0
+    for index, raw in enumerate(text.raw_lines()):
+        line = raw
+        if not text.is_clean:
+            line = raw.translate(_CONTROL)
+            control += len(raw) - len(line)
+        if index < layout.begin:
+            continue
+        if (len(line.split()) == width if spaced else line.count(separator) == marks) and (
+            line[:1] in _BEGINS
+        ):
+            rows += 1
+            continue
+        bare = line.strip(blank)
+        if not bare:
+            skipped.append(index)
+            continue
+        cells = layout.cells(line)
+        if bare.startswith(_COMMENT):
+            kind = "comment left out"
+        elif tuple(cells) in layout.header:
+            kind = "repeated header left out"
+        elif len(cells) == width and (
+            any(map(_is_value, cells)) or all(cell.lower() in _MISSING for cell in cells)
+        ):
+            rows += 1
+            continue
+        elif any(map(_is_number, cells)):
+            kind = _INCOMPLETE
+            first_incomplete = first_incomplete if incomplete else (index, len(cells))
+            incomplete.append(index)
+        else:
+            kind = "line of text left out"
+        counts[kind] += 1
+        skipped.append(index)
+    if incomplete and incomplete[-1] == index:
+        counts[_INCOMPLETE] -= 1
+        counts["cut last line left out"] += 1
+    if counts[_INCOMPLETE] > MOST_INCOMPLETE * rows:
+        place, found = first_incomplete
         raise RecordingError(
-            "This is not a CSV file.", file=file, found="binary data", expected=_EXPECTED
-        )
-    return text
-
-
-def _decode_old(data: bytes) -> str:
-    """Text of an older program: Japanese where it reads as such, else Latin."""
-    try:
-        text = data.decode("cp932")
-    except UnicodeDecodeError:
-        text = ""
-    is_japanese = _KANA.search(text) or (_KANJI.search(text) and not _KANJI_IN_A_WORD.search(text))
-    # Any byte is a character of Latin-1.
-    return text if is_japanese else data.decode("latin-1")
-
-
-def _picked(places: array[int], kept: Iterable[int]) -> array[int]:
-    return array("q", (places[i] for i in kept))
-
-
-def _ends_of_lines(text: str) -> Iterator[int]:
-    end = text.find("\n")
-    while end >= 0:
-        yield end
-        end = text.find("\n", end + 1)
-    yield len(text)
-
-
-def _header(file: Path, lines: _Lines, index: int) -> tuple[str, tuple[str, ...]]:
-    """Separator and column names of the header line."""
-    line, where = lines[index], f"line {index + 1}"
-    unquoted = re.sub(r'"[^"]*"', "", line)
-    separator = next((mark for mark in _SEPARATORS if mark in unquoted), None)
-    if separator is None:
-        raise RecordingError(
-            "This is not a CSV file: its first line has no comma, semicolon or tab.",
+            "This line does not have one cell for each column.",
             file=file,
-            where=where,
-            found=repr(shortened(line.strip())),
-            expected=_EXPECTED,
+            where=f"line {place + 1}",
+            found=f"{found} cells",
+            expected=f"{width}, as in the header",
         )
-    try:
-        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    except csv.Error as error:
-        raise RecordingError(
-            f"The header cannot be read ({error}).", file=file, where=where, expected=_EXPECTED
-        ) from None
-    columns = tuple(cell.strip() for cell in cells)
-    if len(columns) > max(MOST_COLUMNS, len(lines)):
-        raise RecordingError(
-            "The file has more columns than lines: is it transposed?",
-            file=file,
-            where=where,
-            found=f"{len(columns)} columns in {len(lines)} lines",
-            expected="a column for each channel and a line for each sample",
-        )
-    if any(columns) and all(_is_number(name.replace(",", ".")) for name in columns if name):
-        raise RecordingError(
-            "The columns have no names.",
-            file=file,
-            where=where,
-            found=repr(shortened(line.strip())),
-            expected="a header line with column names",
-        )
-    twice = sorted(name for name, times in Counter(columns).items() if name and times > 1)
-    if twice:
-        raise RecordingError(
-            "Two columns have the same name.",
-            file=file,
-            where=where,
-            found=", ".join(f'"{shortened(name)}"' for name in twice),
-            expected="a different name for each column",
-        )
-    return separator, columns
-
-
-def _in_any(mark: str, lines: Iterable[str]) -> bool:
-    return any(mark in line for line in lines)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    # float() reads "1_000" as a number; no instrument writes that.
-    return "_" not in text
+    bom = 1 if text.encoding == "utf-16" else 0
+    counts["control character left out"] += max(control - bom, 0)
+    if not rows:
+        raise _no_table(file, text, [])
+    return skipped, rows, {kind: count for kind, count in counts.items() if count > 0}
 
 
 FORMAT = Format("CSV, TSV", (".csv", ".tsv", ".txt"), read_csv)

@@ -1,25 +1,40 @@
-"""Excel workbooks as a table: each sheet's first line that is not blank names its columns."""
+"""Excel workbooks as a table: names and units are looked for above the samples, as in text."""
 
 from __future__ import annotations
 
 import io
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.errors import RecordingError, shortened
+from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
+from bayesbl.recording.formats.csv import (
+    MOST_ABOVE,
+    decimal_mark,
+    header_of,
+    is_sample,
+    number_in,
+    unnamed,
+    value_columns,
+)
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
+    from bayesbl.recording.clocked_columns import Group
 
 _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
 """Excel's own. A damaged file may number a line as it likes, and those before it would be made."""
 
-_LARGEST_PARTS_MB = 1000.0
-"""Of what a workbook packs, unpacked: a small file may hold any size."""
+_MIDDLE = 200
+
+_CELL_BYTES = 64.0
+"""A number as Python holds it, with its place in a list."""
 
 
 def read_excel(file: Path, data: bytes) -> ArrayTable:
@@ -28,56 +43,61 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no workbook, unpacks to too much, or openpyxl is not installed.
+        If it is no workbook, or unpacks to more than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import missing_library, readable
-    from bayesbl.recording.clocked_columns import Group, table_of_groups
+    import openpyxl
 
-    try:
-        import openpyxl
-    except ImportError:
-        raise missing_library(file, "Excel", "openpyxl", "save the sheet as CSV") from None
+    from bayesbl.recording.array_table import readable
+    from bayesbl.recording.clocked_columns import table_of_groups
+
     with readable(file, "Excel", "or save the sheet as CSV"):
         _check_size(file, data)
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        sheets = [(sheet.title, _columns(file, sheet)) for sheet in book.worksheets]
-    return table_of_groups(file, [Group(title, columns) for title, columns in sheets])
+        repairs: Counter[str] = Counter()
+        groups = [_group(file, sheet, repairs) for sheet in book.worksheets]
+    return replace(table_of_groups(file, groups), repairs=repairs)
 
 
 def _check_size(file: Path, data: bytes) -> None:
     with zipfile.ZipFile(io.BytesIO(data)) as parts:
-        size_mb = sum(part.file_size for part in parts.infolist()) / 1e6
-    if size_mb > _LARGEST_PARTS_MB:
-        raise RecordingError(
-            "This workbook is too large.",
-            file=file,
-            found=f"{size_mb:.4g} MB unpacked",
-            expected=f"at most {_LARGEST_PARTS_MB:g} MB",
-        )
+        size = sum(part.file_size for part in parts.infolist())
+        # A text that many cells share is a few letters in the file and an object in memory.
+        shared = sum(p.file_size for p in parts.infolist() if p.filename.endswith("Strings.xml"))
+    require_memory(file, 2.0 * size + 4.0 * shared, "its sheets, unpacked")
 
 
-def _columns(file: Path, sheet: Any) -> dict[str, AnyArray]:
-    rows = _rows(file, sheet)
-    header = next(rows, ())
-    places = {str(cell).strip(): i for i, cell in enumerate(header) if cell is not None}
-    if len(places) != sum(cell is not None for cell in header):
-        raise RecordingError(
-            "Two columns have the same name.",
-            file=file,
-            where=f'sheet "{sheet.title}"',
-            found=shortened(", ".join(str(cell) for cell in header)),
-            expected="a different name for each column",
-        )
-    values: list[list[object]] = [[] for _ in places]
-    for row in rows:
-        for held, place in zip(values, places.values(), strict=True):
-            held.append(row[place] if place < len(row) else None)
-    return {name: _array(held) for name, held in zip(places, values, strict=True)}
+def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
+    from bayesbl.recording.clocked_columns import Group
+
+    rows = list(_rows(file, sheet))
+    width = max(map(len, rows), default=0)
+    middle = [_texts(row, width) for row in rows[len(rows) // 2 :][:_MIDDLE]]
+    values, _ = value_columns(middle) if middle else ([], 0.0)
+    above = [_texts(row, width) for row in rows[:MOST_ABOVE]]
+    first = next((i for i, cells in enumerate(above) if values and is_sample(cells, values)), None)
+    if first is None:  # a sheet of remarks
+        return Group(sheet.title, {})
+    found = header_of(above[:first], {width})
+    begin, names, units = found or (first - 1, unnamed(width), ())
+    mark = decimal_mark(file, middle, values)
+    columns = {
+        name: _array([row[i] if i < len(row) else None for row in rows[begin + 1 :]], mark, repairs)
+        for i, name in enumerate(names)
+        if name
+    }
+    stated = dict(zip(names, units, strict=False))
+    return Group(sheet.title, columns, units={n: u for n, u in stated.items() if n and u})
+
+
+def _texts(row: Sequence[object], width: int) -> list[str]:
+    cells = ["" if cell is None else str(cell).strip() for cell in row]
+    return cells + [""] * (width - len(cells))
 
 
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
     """Rows that are not blank. What the sheet says of its own size is not believed."""
     sheet.reset_dimensions()
+    cells = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         if len(row) > _MOST_COLUMNS or number > _MOST_LINES:
             raise RecordingError(
@@ -87,21 +107,41 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
                 found=f"{len(row)} columns in line {number}",
                 expected=f"at most {_MOST_COLUMNS} columns and {_MOST_LINES} lines",
             )
+        cells += len(row)
+        require_memory(file, _CELL_BYTES * cells, f"{cells} cells, or more")
         if any(cell is not None for cell in row):
             yield row
 
 
-def _array(cells: Sequence[Any]) -> AnyArray:
+def _array(cells: Sequence[Any], mark: str, repairs: Counter[str]) -> AnyArray:
     """Numbers with empty cells as NaN, dates as dates; anything else as it is."""
     from datetime import datetime
 
     import numpy as np
 
-    if all(cell is None or type(cell) in (int, float) for cell in cells):
-        return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
     if all(cell is None or isinstance(cell, datetime) for cell in cells):
         return np.array(cells, dtype="datetime64[us]")
-    return np.array(cells, dtype=object)
+    numbers = [_number(cell, mark) for cell in cells]
+    if any(number is None for number in numbers):
+        return np.array(cells, dtype=object)
+    written = sum(isinstance(cell, str) and n == n for cell, n in zip(cells, numbers, strict=True))
+    repairs["number written as text"] += written
+    return np.array(numbers, dtype=np.float64)
 
 
-FORMAT = Format("Excel", (".xlsx", ".xlsm"), read_excel)
+def _number(cell: Any, mark: str) -> float | None:
+    if cell is None:
+        return float("nan")
+    if isinstance(cell, str):
+        return number_in(cell.strip(), mark)
+    return float(cell) if type(cell) in (int, float) else None
+
+
+FORMAT = Format(
+    "Excel",
+    (".xlsx", ".xlsm"),
+    read_excel,
+    "openpyxl",
+    ((0, b"PK\x03\x04"),),
+    "save the sheet as CSV",
+)

@@ -12,17 +12,18 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
+from bayesbl.recording.hdf5 import SIGNATURES, require_whole
+from bayesbl.recording.input_bytes import memory_bytes, require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_HDF5_PLACES = (0, 512)
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _SPARSE = 1, 2, 5
 _ELEMENTS = frozenset({*range(1, 8), 9, *range(12, 19)})
@@ -31,6 +32,9 @@ _DEEPEST = 5
 _NUMERIC = frozenset(
     {"double", "single", "logical", *(f"{s}int{b}" for s in ("", "u") for b in (8, 16, 32, 64))}
 )
+_BYTES_OF_CLASS = {1: 64.0, 2: 64.0, 4: 4.0, 7: 4.0}
+"""In memory: of cells and structures what Python's objects take, of text and single 4, else 8."""
+
 _HINT = "tables and timetables: save their columns as plain vectors"
 
 
@@ -40,15 +44,15 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no MATLAB file, holds no vector, or is v7.3 and h5py is not installed.
+        If it is no MATLAB file, holds no vector, or is v7.3 and shows what it does not hold itself.
     """
     from bayesbl.recording.array_table import ArrayTable, readable
 
     with readable(file, "MATLAB", _HINT):
-        if any(data[place : place + len(_HDF5)] == _HDF5 for place in _HDF5_PLACES):
+        if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
             variables = _hdf5_variables(file, data)
         else:
-            variables = _mat5_variables(data)
+            variables = _mat5_variables(file, data)
         if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
             variables = only
         arrays = dict(_columns(variables))
@@ -76,52 +80,74 @@ def _columns(
                 yield f"{prefix}{name}(:,{column + 1})", value[:, column]
 
 
-def _mat5_variables(data: bytes) -> dict[str, Any]:
+def _mat5_variables(file: Path, data: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    _require_sound_tags(data)
+    require_memory(file, 2.0 * _Walk(file, data).bytes, "its variables, unpacked")
     stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
     return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
 
 
-def _require_sound_tags(data: bytes) -> None:
-    """Every element of a v5 file has a known type and ends within its parent.
+class _Walk:
+    """The elements of a v5 file: each has a known type and ends within its parent.
 
     scipy's compiled reader looks types up in a table without asking, and a damaged one ends the
-    whole process.
+    whole process. ``bytes`` is what the matrices take in memory, by the sizes that they declare.
     """
-    if len(data) < 128 or 0 in data[:4]:
-        return  # v4, which has neither this header nor these tags
-    orders = {b"IM": "<", b"MI": ">"}
-    if data[126:128] not in orders:
-        raise ValueError("neither a MATLAB header nor HDF5")
-    _walk(data, 128, len(data), orders[data[126:128]])
+
+    def __init__(self, file: Path, data: bytes) -> None:
+        self._file = file
+        self.bytes = 0.0
+        if len(data) < 128 or 0 in data[:4]:
+            return  # v4, which has neither this header nor these tags, and packs nothing
+        orders = {b"IM": "<", b"MI": ">"}
+        if data[126:128] not in orders:
+            raise ValueError("neither a MATLAB header nor HDF5")
+        self._walk(data, 128, len(data), orders[data[126:128]])
+
+    def _walk(self, data: bytes, begin: int, end: int, order: str, depth: int = 0) -> None:
+        children: list[tuple[int, int]] = []
+        first = begin
+        while begin < end:
+            kind, size = struct.unpack_from(order + "II", data, begin)
+            start, step = begin + 8, -(-size // 8) * 8
+            if kind >> 16:
+                # A small element: type and size share the first word, four bytes of content follow.
+                kind, size, start, step = kind & 0xFFFF, kind >> 16, begin + 4, 4
+            elif kind == _COMPRESSED:
+                step = size
+            if kind not in _ELEMENTS or start + size > end or (start == begin + 4 and size > 4):
+                raise ValueError(f"a damaged element at byte {begin}")
+            if kind == _COMPRESSED and depth == 0:
+                inner = self._unpacked(data[start : start + size])
+                self._walk(inner, 0, len(inner), order, 1)
+            elif kind == _MATRIX and depth < 4 * _DEEPEST:
+                self._walk(data, start, start + size, order, depth + 2)
+            elif kind in (_MATRIX, _COMPRESSED):
+                raise ValueError(f"elements nested too deeply at byte {begin}")
+            children.append((start, size))
+            begin = start + step
+        if depth > 1 and children:
+            self.bytes += _memory(data, children, order)
+            if len(children) < _parts(data, children, order):
+                raise ValueError(f"a matrix that lacks a part at byte {first}")
+
+    def _unpacked(self, packed: bytes) -> bytes:
+        most = memory_bytes() - int(self.bytes)
+        whole = zlib.decompressobj().decompress(packed, max(most, 1))
+        require_memory(self._file, self.bytes + len(whole) + 1, "a variable, unpacked, or more")
+        return whole
 
 
-def _walk(data: bytes, begin: int, end: int, order: str, depth: int = 0) -> None:
-    children: list[tuple[int, int]] = []
-    first = begin
-    while begin < end:
-        kind, size = struct.unpack_from(order + "II", data, begin)
-        start, step = begin + 8, -(-size // 8) * 8
-        if kind >> 16:
-            # A small element: type and size share the first word, four bytes of content follow.
-            kind, size, start, step = kind & 0xFFFF, kind >> 16, begin + 4, 4
-        elif kind == _COMPRESSED:
-            step = size
-        if kind not in _ELEMENTS or start + size > end or (start == begin + 4 and size > 4):
-            raise ValueError(f"a damaged element at byte {begin}")
-        if kind == _COMPRESSED and depth == 0:
-            inner = zlib.decompress(data[start : start + size])
-            _walk(inner, 0, len(inner), order, 1)
-        elif kind == _MATRIX and depth < 4 * _DEEPEST:
-            _walk(data, start, start + size, order, depth + 2)
-        elif kind in (_MATRIX, _COMPRESSED):
-            raise ValueError(f"elements nested too deeply at byte {begin}")
-        children.append((start, size))
-        begin = start + step
-    if depth > 1 and children and len(children) < _parts(data, children, order):
-        raise ValueError(f"a matrix that lacks a part at byte {first}")
+def _memory(data: bytes, children: list[tuple[int, int]], order: str) -> float:
+    """Bytes that a matrix takes, by its flags and dimensions."""
+    if len(children) < 2 or children[0][1] < 4:
+        return 0.0
+    (flags,) = struct.unpack_from(order + "I", data, children[0][0])
+    start, size = children[1]
+    cells = math.prod(map(float, struct.unpack_from(f"{order}{size // 4}i", data, start)))
+    width = _BYTES_OF_CLASS.get(flags & 0xFF, 8.0)
+    return (2.0 if flags & 0x800 else 1.0) * width * abs(cells)
 
 
 def _parts(data: bytes, children: list[tuple[int, int]], order: str) -> int:
@@ -170,14 +196,11 @@ def _is_text(cell: Any) -> bool:
 
 
 def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
+    import h5py
     import numpy as np
 
-    from bayesbl.recording.array_table import missing_library
-
-    try:
-        import h5py
-    except ImportError:
-        raise missing_library(file, "MATLAB v7.3", "h5py") from None
+    size = require_whole(data, partial(RecordingError, file=file), lambda dataset: True)
+    require_memory(file, 2.0 * size, "its variables, unpacked")
 
     def variables(group: Any, depth: int) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -201,4 +224,12 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
         return variables(stored, 0)
 
 
-FORMAT = Format("MATLAB", (".mat",), read_matlab)
+_V4 = tuple((0, bytes([kind, 0, 0, 0])) for kind in range(0, 60, 10))
+"""Version 4 has no signature but the type of its first variable."""
+
+FORMAT = Format(
+    "MATLAB",
+    (".mat",),
+    read_matlab,
+    signatures=((126, b"IM"), (126, b"MI"), *SIGNATURES, *_V4, (0, b"\x00\x00\x03\xe8")),
+)

@@ -1,4 +1,8 @@
-"""MDF files (version 3 and 4) as a table; each group of channels has its own master, the time."""
+"""MDF files (version 3 and 4) as a table; each group of channels has its own master, the time.
+
+Nothing of a file is evaluated: the values are read as they are stored, of masters too, and factor
+and offset are applied here. A channel with another conversion is withheld by the conversion's name.
+"""
 
 from __future__ import annotations
 
@@ -10,50 +14,48 @@ from traceback import clear_frames
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
+    from bayesbl.recording.array_table import AnyArray, ArrayTable
     from bayesbl.recording.clocked_columns import Group
-
-_PLAIN_4 = (0, 1, 2, 4, 5, 6)
-"""Conversions of MDF 4: none, linear, rational, and tables from number to number."""
-
-_PLAIN_3 = (65535, 0, 1, 2, 6, 7, 8, 9)
-"""Conversions of MDF 3: none, linear, tables, polynomial, exponential, logarithm, rational."""
 
 _IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
 """What asammdf calls a file by that it was given in memory."""
 
+_NAMES_4 = {
+    3: "a formula", 4: "a table", 5: "a table", 6: "a table of ranges", 7: "a table of text",
+    8: "a table of text", 9: "text to a number", 10: "text to text", 11: "bits to text",
+}  # fmt: skip
+_NAMES_3 = {
+    1: "a table", 2: "a table", 6: "a polynomial", 7: "an exponential", 8: "a logarithm",
+    10: "a formula", 11: "a table of text", 12: "a table of text", 132: "a date", 133: "a time",
+}  # fmt: skip
+"""Conversions that are no factor and offset, by their number in MDF 4 and in MDF 3."""
+
 
 def read_mdf(file: Path, data: bytes) -> ArrayTable:
-    """Every channel of one dimension, in the units after its conversion; none with a formula.
+    """Every channel of one dimension, in the units after its conversion where that is linear.
 
     Raises
     ------
     RecordingError
-        If it is no MDF file, or asammdf is not installed.
+        If it is no MDF file, or declares more than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import missing_library, readable
+    import asammdf
+
+    from bayesbl.recording.array_table import readable
     from bayesbl.recording.clocked_columns import table_of_groups
 
-    try:
-        import asammdf
-    except ImportError:
-        raise missing_library(file, "MDF", "asammdf") from None
     with readable(file, "MDF"), _opened(asammdf.MDF, data) as stored:
+        size = 0.0
+        for group in stored.groups:
+            block = group.channel_group
+            record = block.samples_byte_nr + (getattr(block, "invalidation_bytes_nr", 0) or 0)
+            size += float(block.cycles_nr) * (record + 8.0 * len(group.channels))
+        require_memory(file, size, "its groups, unpacked")
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups)
-
-
-def _is_plain(conversion: Any) -> bool:
-    """Whether a conversion is arithmetic or a table of numbers.
-
-    A formula is text that would be run, and any other gives text.
-    """
-    if conversion is None:
-        return True
-    plain = _PLAIN_4 if conversion.id == b"##CC" else _PLAIN_3
-    return conversion.conversion_type in plain
 
 
 def _opened(mdf: Any, data: bytes) -> Any:
@@ -66,23 +68,86 @@ def _opened(mdf: Any, data: bytes) -> Any:
         raise ValueError(_IN_MEMORY.sub("it", str(error))) from None
 
 
-def _group(stored: Any, number: int) -> Group:
-    from bayesbl.recording.clocked_columns import Group
+class _Scale:
+    """Factor and offset of a channel's conversion; ``withheld`` names one that is neither."""
 
+    def __init__(self, conversion: Any) -> None:
+        self.factor, self.offset, self.withheld = 1.0, 0.0, ""
+        if conversion is None:
+            return
+        is_new = conversion.id == b"##CC"
+        kind = int(conversion.conversion_type)
+        if kind == (0 if is_new else 65535):
+            return
+        if kind == (1 if is_new else 0):
+            self.factor, self.offset = float(conversion.a), float(conversion.b)
+        elif kind == (2 if is_new else 9):
+            # (P1 x² + P2 x + P3) / (P4 x² + P5 x + P6)
+            p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
+            if p[0] == p[3] == p[4] == 0.0 != p[5]:
+                self.factor, self.offset = p[1] / p[5], p[2] / p[5]
+            else:
+                self.withheld = "a rational function"
+        else:
+            named = (_NAMES_4 if is_new else _NAMES_3).get(kind, f"kind {kind}")
+            self.withheld = named
+
+    def of(self, values: AnyArray) -> AnyArray:
+        """Values as they are meant, of values as they are stored."""
+        if self.factor == 1.0 and self.offset == 0.0:
+            return values
+        scaled: AnyArray = self.factor * values + self.offset
+        return scaled
+
+
+def _group(stored: Any, number: int) -> Group:
+    import numpy as np
+
+    from bayesbl.recording.clocked_columns import Group, numbered
+
+    channels = stored.groups[number].channels
+    scales = [_Scale(channel.conversion) for channel in channels]
+    units = [_unit(channel) for channel in channels]
+    for channel in channels:
+        channel.conversion = None  # from here on asammdf has nothing to evaluate
     master = stored.masters_db.get(number)
-    signals = [
-        stored.get(group=number, index=index)
-        for index, channel in enumerate(stored.groups[number].channels)
-        if index != master and _is_plain(channel.conversion)
-    ]
-    flat = [signal for signal in signals if signal.samples.ndim == 1]
-    name = getattr(stored.groups[number].channel_group, "acq_name", "") or f"group {number + 1}"
+    time, withheld = None, ""
+    if master is not None:
+        time = scales[master].of(np.asarray(stored.get_master(number)))
+        withheld = scales[master].withheld
+    others = [index for index in range(len(channels)) if index != master]
+    names = numbered([channels[index].name for index in others])
+    columns: dict[str, AnyArray] = {}
+    reasons: dict[str, str] = {}
+    for name, index in zip(names, others, strict=True):
+        samples = np.asarray(stored.get(group=number, index=index, raw=True).samples)
+        if samples.ndim != 1:
+            continue
+        reason = scales[index].withheld or (withheld and f"{withheld} on its time")
+        if reason:
+            reasons[name] = f"values by {reason}, which is not applied"
+            columns[name] = samples[:0]
+        elif samples.dtype.kind in "biuf":
+            columns[name] = scales[index].of(samples)
+        else:
+            columns[name] = samples
+    acquired = getattr(stored.groups[number].channel_group, "acq_name", "")
     return Group(
-        name,
-        {signal.name: signal.samples for signal in flat},
-        flat[0].timestamps if flat and master is not None else None,
-        {signal.name: signal.unit for signal in flat if signal.unit},
+        acquired or f"group {number + 1}",
+        columns,
+        None if withheld else time,
+        {name: units[index] for name, index in zip(names, others, strict=True) if units[index]},
+        reasons,
     )
 
 
-FORMAT = Format("MDF", (".mf4", ".mdf"), read_mdf)
+def _unit(channel: Any) -> str:
+    """Of the values after the conversion, which states it where there is one."""
+    conversion = channel.conversion
+    unit = getattr(conversion, "unit", "") or getattr(conversion, "unit_field", "")
+    unit = unit or getattr(channel, "unit", "") or ""
+    text = unit.decode("latin-1") if isinstance(unit, bytes) else str(unit)
+    return text.strip("\0 ")
+
+
+FORMAT = Format("MDF", (".mf4", ".mdf"), read_mdf, "asammdf", ((0, b"MDF "), (0, b"UnFinMF")))

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
+    from bayesbl.recording.array_table import AnyArray, ArrayTable
+
+_COPIES = 2.0
+"""Arrow's columns beside NumPy's."""
+
+_OBJECT_BYTES = 64.0
+_LONGEST_LIST = 64
 
 
 def read_parquet(file: Path, data: bytes) -> ArrayTable:
@@ -19,22 +26,47 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no Parquet file, or pyarrow is not installed.
+        If it is no Parquet file, or declares more rows than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import ArrayTable, missing_library, readable
+    import pyarrow
+    import pyarrow.parquet
 
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise missing_library(file, "Parquet", "pyarrow") from None
+    from bayesbl.recording.array_table import ArrayTable, readable
+
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # its own reserves far more than it uses
     with readable(file, "Parquet"):
-        table = pyarrow.parquet.read_table(pyarrow.BufferReader(data))
-        arrays = {
-            name: column.to_numpy()
-            for name, column in zip(table.column_names, table.columns, strict=True)
-        }
+        stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
+        sizes = [_width(column.type) for column in stored.schema_arrow]
+        size = float(stored.metadata.num_rows) * sum(sizes)
+        require_memory(file, _COPIES * size, f"{stored.metadata.num_rows} rows")
+        table = stored.read(use_threads=False)
+        arrays: dict[str, AnyArray] = {}
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            arrays |= _of_lists(name, column) or {name: column.to_numpy()}
     return ArrayTable(str(file), arrays)
 
 
-FORMAT = Format("Parquet", (".parquet",), read_parquet)
+def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
+    """``NAME[0]``, ``NAME[1]`` … of a column whose cells are lists of one length, else nothing."""
+    import pyarrow.compute
+    import pyarrow.types as types
+
+    kind = column.type
+    if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
+        return {}
+    lengths = pyarrow.compute.unique(pyarrow.compute.list_value_length(column)).to_pylist()
+    if len(lengths) != 1 or not 0 < (lengths[0] or 0) <= _LONGEST_LIST:
+        return {}
+    flat = pyarrow.compute.list_flatten(column).to_numpy().reshape(-1, lengths[0])
+    return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
+
+
+def _width(kind: Any) -> float:
+    """Bytes of a value in memory, at least."""
+    try:
+        return max(8.0, float(kind.bit_width) / 8.0)
+    except ValueError:  # text, lists: Python objects at the end
+        return _OBJECT_BYTES
+
+
+FORMAT = Format("Parquet", (".parquet",), read_parquet, "pyarrow", ((0, b"PAR1"),))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+import math
+import struct
+from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
@@ -20,10 +23,11 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Of a joint that turns, as the definition of JointState states them."""
 
+_MCAP, _ROS_1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _LONGEST_ARRAY = 100
 _DEEPEST = 6
-_LARGEST_MESSAGES_MB = 1000.0
-"""Of what a bag packs, unpacked: a small file may hold any size."""
+_OVERHEAD = 3.0
+"""Times its messages that a bag takes: a chunk is held packed, unpacked and cut into messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,56 +70,96 @@ def read_bag(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no bag, holds no message of numbers, or rosbags is not installed.
+        If it is no bag, or declares to unpack to more than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import missing_library, readable
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    from bayesbl.recording.array_table import readable
     from bayesbl.recording.clocked_columns import table_of_groups
 
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise missing_library(file, "ROS bags and MCAP", "rosbags") from None
     path = _Bytes(file.name.removesuffix(".gz").lower(), data)
     with readable(file, "ROS bag"):
+        require_memory(file, _OVERHEAD * _unpacked_bytes(data), "its messages, unpacked")
         # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
         store = get_typestore(Stores.ROS2_HUMBLE)
         with AnyReader([path], default_typestore=store) as reader:
-            series = _series(file, reader)
+            series = _series(reader)
         groups = _groups(series)
     return table_of_groups(file, groups, always_prefixed=True)
 
 
-_Row = tuple[int, int, Mapping[str, float]]
-"""Header's stamp (0 if none) and time of recording, in ns, and a message's numbers."""
+def _unpacked_bytes(data: bytes) -> float:
+    """What the chunks of a bag declare to unpack to; of a bag without chunks its own size."""
+    if data.startswith(_MCAP):
+        return sum(_of_mcap(data))
+    return sum(_of_ros_1(data)) if data.startswith(_ROS_1) else float(len(data))
 
 
-_Series = dict[tuple[str, str], list[_Row]]
+def _of_mcap(data: bytes) -> Iterator[float]:
+    """Of each chunk (record 6): its times (16 bytes) and then its size; of others their own."""
+    place = len(_MCAP)
+    while place + 9 <= len(data):
+        kind, size = struct.unpack_from("<BQ", data, place)
+        place += 9
+        if kind == 6 and size >= 24 and place + 24 <= len(data):
+            yield float(struct.unpack_from("<Q", data, place + 16)[0])
+        yield float(min(size, len(data)))
+        place += size
+
+
+def _of_ros_1(data: bytes) -> Iterator[float]:
+    """Of each chunk (``op=5``) the field ``size`` of its header; of others their own."""
+    place = len(_ROS_1)
+    while place + 4 <= len(data):
+        (length,) = struct.unpack_from("<I", data, place)
+        header = data[place + 4 : place + 4 + min(length, 4096)]
+        place += 4 + length
+        if place + 4 > len(data):
+            break
+        (size,) = struct.unpack_from("<I", data, place)
+        at = header.find(b"\x09\0\0\0size=")
+        if b"op=\x05" in header and 0 <= at <= len(header) - 13:
+            yield float(struct.unpack_from("<I", header, at + 9)[0])
+        yield float(size)
+        place += 4 + size
+
+
+class _Rows:
+    """The messages of a topic or joint: header's stamp (0 if none) and time of recording, in ns,
+    and every number by its name."""
+
+    def __init__(self) -> None:
+        self.stamps_ns, self.received_ns = array("q"), array("q")
+        self.fields: dict[str, array[float]] = {}
+
+    def add(self, stamp_ns: int, received_ns: int, numbers: Mapping[str, float]) -> None:
+        """One message more; NaN for the numbers that it lacks."""
+        for name, value in numbers.items():
+            held = self.fields.setdefault(name, array("d"))
+            held.extend([math.nan] * (len(self.stamps_ns) - len(held)))
+            held.append(value)
+        self.stamps_ns.append(stamp_ns)
+        self.received_ns.append(received_ns)
+
+
+_Series = dict[tuple[str, str], _Rows]
 """Topic and joint, empty but for JointState, to their messages."""
 
 
-def _series(file: Path, reader: Any) -> _Series:
-    series: _Series = defaultdict(list)
-    unpacked = 0
+def _series(reader: Any) -> _Series:
+    series: _Series = defaultdict(_Rows)
     for connection, received_ns, raw in reader.messages():
-        unpacked += len(raw)
-        if unpacked > 1e6 * _LARGEST_MESSAGES_MB:
-            raise RecordingError(
-                "The messages of this bag are too large.",
-                file=file,
-                found=f"more than {_LARGEST_MESSAGES_MB:g} MB",
-                expected="less; record the joint's topics alone",
-            )
         message = reader.deserialize(raw, connection.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamp_ns = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
         if connection.msgtype == _JOINT_STATE:
             for joint, numbers in _joints(message):
-                series[connection.topic, joint].append((stamp_ns, received_ns, numbers))
+                series[connection.topic, joint].add(stamp_ns, received_ns, numbers)
         else:
             numbers = dict(_fields(message))
             if numbers:
-                series[connection.topic, ""].append((stamp_ns, received_ns, numbers))
+                series[connection.topic, ""].add(stamp_ns, received_ns, numbers)
     return series
 
 
@@ -157,20 +201,25 @@ def _groups(series: _Series) -> list[Group]:
     ]
 
 
-def _group(name: str, rows: list[_Row], units: Mapping[str, str]) -> Group:
+def _group(name: str, rows: _Rows, units: Mapping[str, str]) -> Group:
     import numpy as np
 
     from bayesbl.recording.clocked_columns import Group
 
-    stamps_ns = np.array([row[0] for row in rows], dtype=np.int64)
-    received_ns = np.array([row[1] for row in rows], dtype=np.int64)
-    fields = dict.fromkeys(field for row in rows for field in row[2])
-    columns: dict[str, AnyArray] = {
-        field: np.array([row[2].get(field, np.nan) for row in rows]) for field in fields
-    }
+    stamps_ns, received_ns = np.array(rows.stamps_ns), np.array(rows.received_ns)
+    columns: dict[str, AnyArray] = {}
+    for field, values in rows.fields.items():
+        columns[field] = np.full(stamps_ns.size, np.nan)
+        columns[field][: len(values)] = values
     columns["received_s"] = (received_ns - received_ns[0]) / 1e9
     time = (stamps_ns - stamps_ns[0]) / 1e9 if stamps_ns.all() else None
     return Group(name, columns, time, {**units, "received_s": "s"})
 
 
-FORMAT = Format("ROS bag, MCAP", (".mcap", ".db3", ".bag"), read_bag)
+FORMAT = Format(
+    "ROS bag, MCAP",
+    (".mcap", ".db3", ".bag"),
+    read_bag,
+    "rosbags",
+    ((0, _MCAP), (0, b"SQLite format 3\0"), (0, _ROS_1)),
+)

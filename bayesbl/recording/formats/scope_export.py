@@ -128,8 +128,13 @@ def _groups(
     """Channels that have the same times; a line that only repeats a time is left out."""
     import numpy as np
 
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.clocked_columns import Group, numbered
 
+    starting = set(starts)
+    channels = [column for column in range(numbers.shape[1]) if column not in starting]
+    names = dict(
+        zip(channels, numbered([known["Name"][column] for column in channels]), strict=True)
+    )
     times: list[FloatArray] = []
     columns: list[dict[str, FloatArray]] = []
     units: dict[str, str] = {}
@@ -144,21 +149,11 @@ def _groups(
             times.append(time)
             columns.append({})
         for column in range(start + 1, end):
-            name = _unused(known["Name"][column], columns)
+            name = names[column]
             columns[same][name] = numbers[kept, column]
             units[name] = _unit(known, column)
     for number, (time, held) in enumerate(zip(times, columns, strict=True), 1):
         yield Group(f"clock {number}", held, time / 1e3, {n: units[n] for n in held})
-
-
-def _unused(name: str, columns: Sequence[Mapping[str, FloatArray]]) -> str:
-    """A channel's name; numbered where another has it."""
-    taken = {other for held in columns for other in held}
-    number, free = 1, name
-    while free in taken:
-        number += 1
-        free = f"{name} ({number})"
-    return free
 
 
 def _unit(known: Mapping[str, Sequence[str]], column: int) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
@@ -21,22 +23,27 @@ def read_tdms(file: Path, data: bytes) -> ArrayTable:
     Raises
     ------
     RecordingError
-        If it is no TDMS file, or npTDMS is not installed.
+        If it is no TDMS file, or declares more than the limit of memory allows.
     """
-    from bayesbl.recording.array_table import missing_library, readable
+    import nptdms
+
+    from bayesbl.recording.array_table import readable
     from bayesbl.recording.clocked_columns import table_of_groups
 
-    try:
-        import nptdms
-    except ImportError:
-        raise missing_library(file, "TDMS", "npTDMS") from None
     with readable(file, "TDMS"):
+        declared = nptdms.TdmsFile.read_metadata(io.BytesIO(data))
+        counts = [len(channel) for group in declared.groups() for channel in group.channels()]
+        require_memory(file, 16.0 * sum(counts), "its channels")
         stored = nptdms.TdmsFile.read(io.BytesIO(data))
-        return table_of_groups(file, [_group(group) for group in stored.groups()])
+        groups = [part for group in stored.groups() for part in _groups(group)]
+        return table_of_groups(file, groups)
 
 
-def _group(group: Any) -> Group:
-    """Channels of a group; with a clock if all that state an increment state the same."""
+def _groups(group: Any) -> Iterator[Group]:
+    """Channels of a group that have one clock: waveforms that start together at one rate.
+
+    Channels that state no increment belong to the only clock, if there is only one.
+    """
     import numpy as np
 
     from bayesbl.recording.clocked_columns import Group
@@ -44,7 +51,8 @@ def _group(group: Any) -> Group:
     channels = {str(channel.name): channel for channel in group.channels()}
     columns = {name: np.asarray(channel[:]) for name, channel in channels.items()}
     clocks = {
-        (
+        name: (
+            str(channel.properties.get("wf_start_time", "")),
             float(channel.properties.get("wf_start_offset", 0.0)),
             float(channel.properties["wf_increment"]),
             columns[name].size,
@@ -52,17 +60,20 @@ def _group(group: Any) -> Group:
         for name, channel in channels.items()
         if "wf_increment" in channel.properties
     }
-    time = None
-    if len(clocks) == 1:
-        ((offset_s, increment_s, count),) = clocks
-        time = offset_s + increment_s * np.arange(count)
+    kinds: list[Any] = list(dict.fromkeys(clocks.values()))
+    if len(kinds) == 1:
+        clocks = dict.fromkeys(columns, kinds[0])
     units = {
         name: str(channel.properties[key])
         for name, channel in channels.items()
         for key in _UNITS
         if key in channel.properties
     }
-    return Group(str(group.name), columns, time, units)
+    for clock in [*kinds, None]:
+        held = {name: columns[name] for name in columns if clocks.get(name) == clock}
+        if held:
+            time = None if clock is None else clock[1] + clock[2] * np.arange(clock[3])
+            yield Group(str(group.name), held, time, {n: units[n] for n in held if n in units})
 
 
-FORMAT = Format("TDMS", (".tdms",), read_tdms)
+FORMAT = Format("TDMS", (".tdms",), read_tdms, "nptdms", ((0, b"TDSm"),))

@@ -1,0 +1,188 @@
+"""A file is parsed in a process of its own: a library that crashes, hangs or takes all memory on it
+costs that file alone.
+
+A fresh interpreter, not a fork: the program may have threads of numba, Arrow or Dask, whose state a
+fork would copy half way, and ``multiprocessing`` is closed to Dask's workers and runs the user's
+script again. The file's bytes go in by a pipe, so the child opens no path, and columns come back.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, BinaryIO
+
+from bayesbl.errors import RecordingError, UserError
+from bayesbl.libraries import absent
+from bayesbl.recording import formats
+from bayesbl.recording.input_bytes import beyond_memory, memory_bytes
+
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import ArrayTable
+
+LONGEST_S = 120.0
+"""A file that takes longer to parse is refused. A workbook of a million lines takes a minute."""
+
+SPARE_MB = 700.0
+"""Of memory for the libraries themselves, beside the limit of one recording."""
+
+_PROGRAM = (
+    "import json, sys; request = json.loads(sys.argv[1]); sys.path[:] = request['path'];"
+    "from bayesbl.recording.own_process import answer; answer(request)"
+)
+_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
+
+
+def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable:
+    """What ``format_.read`` makes of a file's bytes, in a process of its own.
+
+    Raises
+    ------
+    RecordingError
+        What the format raises; or if the process dies, takes longer than :data:`LONGEST_S`, or
+        more memory than the limit.
+    """
+    request = {
+        "path": [str(path) for path in sys.path],
+        "formats": list(formats.__path__),
+        "module": format_.read.__module__,
+        "name": format_.name,
+        "file": str(file),
+        "memory": memory_bytes() + int(1e6 * SPARE_MB),
+    }
+    child = subprocess.Popen(
+        # Isolated: what is imported is what this process would import, not what a folder holds.
+        [sys.executable, "-I", "-c", _PROGRAM, json.dumps(request)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, **_ONE_THREAD},
+    )
+    assert child.stdin is not None
+    assert child.stdout is not None
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        child.kill()
+
+    timer = threading.Timer(LONGEST_S, end)
+    feeder = threading.Thread(target=_feed, args=(child.stdin, data), daemon=True)
+    timer.start()
+    feeder.start()
+    answer: ArrayTable | RecordingError | None = None
+    try:
+        with suppress(EOFError, ValueError, KeyError, TypeError), child.stdout:
+            answer = _received(child.stdout)
+    finally:
+        if answer is None and not late.is_set():
+            with suppress(subprocess.TimeoutExpired):  # it is about to die by itself
+                child.wait(1.0)
+        child.kill()
+        child.wait()
+        timer.cancel()
+        feeder.join()
+    if isinstance(answer, RecordingError):
+        raise answer
+    if answer is None:
+        raise _broken(format_.name, file, late.is_set(), child.returncode)
+    return answer
+
+
+def _feed(stream: BinaryIO, data: bytes) -> None:
+    with suppress(OSError), stream:  # a child that has died, or has seen enough
+        stream.write(data)
+
+
+def _broken(kind: str, file: Path, late: bool, status: int) -> RecordingError:
+    if late:
+        problem = f"Reading this file as {kind} takes too long."
+        found = f"no end after {LONGEST_S:g} s"
+    else:
+        problem = f"The library that reads {kind} breaks down on this file."
+        found = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        if status == -getattr(signal, "SIGKILL", 0):
+            found += ", as where the system is out of memory"
+    return RecordingError(
+        problem, file=file, found=found, expected=f"a whole {kind} file; save it again, or as CSV"
+    )
+
+
+def answer(request: dict[str, object]) -> None:
+    """The child's part: bytes from standard input, a pickled table or error to standard output."""
+    stream = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no part of the answer
+    with suppress(ValueError):
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    file, kind = Path(str(request["file"])), str(request["name"])
+    formats.__path__ = request["formats"]  # type: ignore[assignment]
+    # Taken into account from here on: the file's bytes are part of what it takes.
+    _limit(int(request["memory"]))  # type: ignore[call-overload]
+    result: ArrayTable | UserError
+    try:
+        format_ = import_module(str(request["module"])).FORMAT
+        # pandas and xarray import them where they are there; no reader needs them for that.
+        with absent(*({"dask", "matplotlib", "numba", "pyarrow"} - {format_.library})):
+            result = format_.read(file, sys.stdin.buffer.read())
+    except UserError as error:
+        result = error
+    except MemoryError:
+        result = beyond_memory(file, f"more, reading it as {kind}")
+    with suppress(BrokenPipeError), stream:
+        _send(stream, result)
+
+
+_ERROR = ("problem", "file", "where", "found", "expected")
+_NAMED = ("file", "units", "clocks", "withheld", "repairs")
+
+
+class _Pipe:
+    """A stream of which NumPy does not think that it is a file with places."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self.read, self.write = stream.read, stream.write
+
+
+def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
+    """A line of JSON and the columns as NumPy writes them: what comes back is never unpickled."""
+    if isinstance(result, UserError):
+        stream.write(json.dumps({key: getattr(result, key) for key in _ERROR}).encode() + b"\n")
+        return
+    from numpy.lib.format import write_array
+
+    head: dict[str, object] = {key: getattr(result, key) for key in _NAMED}
+    stream.write(json.dumps({**head, "columns": list(result.arrays)}).encode() + b"\n")
+    for values in result.plain_arrays():
+        write_array(_Pipe(stream), values, allow_pickle=False)
+
+
+def _received(stream: IO[bytes]) -> ArrayTable | RecordingError:
+    head = json.loads(stream.readline())
+    if "problem" in head:
+        return RecordingError(head.pop("problem"), **head)
+    from numpy.lib.format import read_array
+
+    from bayesbl.recording.array_table import ArrayTable
+
+    names = head.pop("columns")
+    arrays = {name: read_array(_Pipe(stream), allow_pickle=False) for name in names}
+    return ArrayTable(arrays=arrays, **head)
+
+
+def _limit(size: int) -> None:
+    """No more data than ``size`` bytes, and an end of its own should the parent have died."""
+    try:
+        import resource
+    except ImportError:  # Windows: what files declare is limited all the same
+        return
+    for what, most in ((resource.RLIMIT_DATA, size), (resource.RLIMIT_CPU, int(2 * LONGEST_S))):
+        _, hard = resource.getrlimit(what)
+        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(what, (least, hard))

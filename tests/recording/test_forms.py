@@ -1,0 +1,516 @@
+"""Forms in which real tools write a recording: each is read as it is meant, with its repairs told
+in one note, or refused with the place and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.checks import ready_for_fit
+from bayesbl.recording.guessing import UNKNOWN, guess_columns
+from bayesbl.recording.readers import read_recording, read_table
+from bayesbl.recording.types import Recording
+from bayesbl.units import RPM_PER_RAD_PER_S, conversion_factor, is_accepted
+
+COUNT = 600
+TIME = np.arange(COUNT) / 1000.0
+NOISE = np.random.default_rng(7).normal(0.0, 1.5, COUNT)
+SPEED = np.round(1995.0 + 10.0 * np.sin(40.0 * TIME) + NOISE, 3)
+PAIRS = list(zip(TIME, SPEED, strict=True))
+NAMES = "time_s", "motor_speed_rpm"
+
+
+def rows(form: str = "{t:.3f},{n:.3f}") -> list[str]:
+    return [form.format(t=t, n=n) for t, n in PAIRS]
+
+
+def text(lines: list[str], header: str | None = ",".join(NAMES)) -> str:
+    return "\n".join([header, *lines] if header is not None else lines) + "\n"
+
+
+def with_line(line: str, at: int = 300) -> str:
+    lines = rows()
+    return text([*lines[:at], line, *lines[at:]])
+
+
+def grouped(number: float, mark: str, decimal: str) -> str:
+    whole, _, part = f"{number:,.3f}".partition(".")
+    return whole.replace(",", mark) + decimal + part
+
+
+def clock(seconds: float, form: str = "%H:%M:%S") -> str:
+    start = np.datetime64("2026-03-01T23:59:59.700", "ms")
+    return (start + np.timedelta64(round(1000 * seconds), "ms")).item().strftime(form)
+
+
+SPACED = {
+    "np.savetxt": text(rows("{t:.18e} {n:.18e}"), f"# {' '.join(NAMES)}"),
+    "spaces": text(rows("{t:.3f}   {n:.3f}"), "  ".join(NAMES)),
+    "bars": text(rows("{t:.3f} | {n:.3f}"), " | ".join(NAMES)),
+}
+MARKS = {
+    "1.000,0": text(
+        [f"{t:.3f};".replace(".", ",") + grouped(n, ".", ",") for t, n in PAIRS],
+        ";".join(NAMES),
+    ),
+    "1'000.0": text(
+        [f"{t:.3f};" + grouped(n, "'", ".") for t, n in PAIRS],
+        ";".join(NAMES),
+    ),
+    "1’000.0": text(
+        [f"{t:.3f}\t" + grouped(n, "’", ".") for t, n in PAIRS],
+        "\t".join(NAMES),
+    ),
+    "1,000.0 quoted": text([f'{t:.3f},"' + grouped(n, ",", ".") + '"' for t, n in PAIRS]),
+    "1 000,0": text(
+        [f"{t:.3f};".replace(".", ",") + grouped(n, " ", ",") for t, n in PAIRS],
+        ";".join(NAMES),
+    ),
+}
+ENCODED = {
+    "UTF-16 without a mark": text(rows()).encode("utf-16-le"),
+    "UTF-16, the other end first": text(rows()).encode("utf-16-be"),
+    "umlauts of Latin-1": text(rows(), ["time_s,motor_speed_rpm", "Öl °C"][0]).encode("latin-1"),
+    "a control byte at each line's end": text(rows()).replace("\n", "\x02\n").encode(),
+    "NUL bytes": text(rows()).encode().replace(b"0.300,", b"\0\0\x000.300,"),
+    "NULs at the end": text(rows()).encode() + bytes(4096),
+}
+LEFT_OUT = {
+    "a cut last line": text(rows()).encode()[: len(text(rows())) - 1] + b"\n0.6",
+    "a footer": text(rows()) + "\nStopped by the user\nend of file;\n",
+    "comments": with_line("# the brake was closed here"),
+    "a header again": with_line(",".join(NAMES)),
+    "a line of text": with_line("stopped"),
+    "units below": text(["s,rpm", *rows()]),
+    "brackets of units below": text(["[s],[rpm]", *rows()]),
+    "a title above": "Recorder 7\nMachine;A\n\n" + text(rows()),
+}
+MORE_COLUMNS = {
+    "two columns of one name": text([f"{row},1,2" for row in rows()], "time_s,motor_speed_rpm,x,x"),
+    "a tuple": text([f'{row},"(1, 2)"' for row in rows()], "time_s,motor_speed_rpm,pose"),
+    "a tuple without quotes": text(
+        [f"(1, 2),{row}" for row in rows()], "pose,time_s,motor_speed_rpm"
+    ),
+    "a list": text([f"[1, 2, 3],{row}" for row in rows()], "pose,time_s,motor_speed_rpm"),
+}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(content, id=name)
+        for name, content in {**SPACED, **MARKS, **ENCODED, **LEFT_OUT, **MORE_COLUMNS}.items()
+    ],
+)
+def test_every_form_of_text_holds_the_same_samples(content: str | bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    read = read_recording(path)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED, atol=1e-9)
+    assert sum("Put right" in note for note in read.notes) <= 1
+
+
+def test_what_is_left_out_is_told_once_with_its_count(tmp_path: Path) -> None:
+    lines = rows()
+    lines[200:200] = ["# one", ",".join(NAMES), "# two"]
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines) + "0.6")
+    (note,) = read_recording(path).notes
+    assert "2 × comment" in note
+    assert "1 × repeated header" in note
+    assert "1 × cut last line" in note
+
+
+def test_one_missing_field_is_a_lost_sample(tmp_path: Path) -> None:
+    lines = rows()
+    lines[300] = "0.300"
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines))
+    read = read_recording(path)
+    assert read.excluded is not None
+    assert np.flatnonzero(read.excluded).tolist() == [300]
+    assert read.samples == COUNT
+
+
+def test_many_missing_fields_are_refused_with_the_first(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [row.split(",")[0] if i % 9 == 8 else row for i, row in enumerate(rows())]
+    path.write_text(text(lines))
+    with pytest.raises(RecordingError, match=r"line 10: .*one cell for each column.*1 cells"):
+        read_recording(path)
+
+
+def test_a_comma_that_may_be_either_mark_is_a_question(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{i + 1};{1 + i % 3},{100 + i}" for i in range(COUNT)], ";".join(NAMES)))
+    with pytest.raises(RecordingError, match=r"decimal comma.*part thousands.*'2,401'|'\d,\d{3}'"):
+        read_recording(path)
+
+
+def test_columns_without_names_are_numbered(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(text(rows("{t:.6f} {n:.6f} 0 1"), None))
+    with pytest.raises(RecordingError, match=r'"time_s" is missing.*"column 1", "column 2"'):
+        read_recording(path)
+    columns = {name: ColumnSpec(f"column {i + 1}") for i, name in enumerate(NAMES)}
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+
+
+# Time
+
+TIMES: dict[str, Callable[[float], str]] = {
+    "German dates": lambda t: clock(t, "%d.%m.%Y %H:%M:%S,%f"),
+    "English dates": lambda t: clock(t, "%m/%d/%Y %I:%M:%S.%f %p"),
+    "dates of open order": lambda t: clock(t, "%d/%m/%y %H:%M:%S.%f"),
+    "ISO dates": lambda t: clock(t, "%Y-%m-%dT%H:%M:%S.%f"),
+    "times of day": lambda t: clock(t, "%H:%M:%S.%f"),
+    "milliseconds after a colon": lambda t: clock(t, "%H:%M:%S:%f")[:-3],
+    "milliseconds without zeros": lambda t: (
+        clock(t, "%H:%M:%S.") + str(int(clock(t, "%f")) // 1000)
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TIMES)
+def test_dates_and_times_of_day_are_seconds_over_midnight(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{TIMES[kind](t)};{n}" for t, n in PAIRS], ";".join(NAMES)))
+    read = read_recording(path)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+
+
+def recorded(tmp_path: Path, columns: dict[str, np.ndarray], **units: str) -> Recording:
+    """What is read of a Parquet file: the stage is one for all formats."""
+    import pandas as pd
+
+    path = tmp_path / "a.parquet"
+    pd.DataFrame(columns).to_parquet(path)
+    return read_recording(path, columns={k: ColumnSpec(k, unit) for k, unit in units.items()})
+
+
+@pytest.mark.parametrize(
+    ("unit", "stamps"),
+    [
+        ("ms", (65000 + 1000 * TIME).round() % 2**16),
+        ("us", (2**32 - 100_000 + 1e6 * TIME).round() % 2**32),
+        ("ms", (86_399_800 + 1000 * TIME).round() % 86_400_000),
+    ],
+    ids=["16 bits of ms", "32 bits of us", "ms of the day"],
+)
+def test_a_counter_that_begins_again_goes_on(unit: str, stamps: np.ndarray, tmp_path: Path) -> None:
+    read = recorded(tmp_path, {"time_s": stamps, "motor_speed_rpm": SPEED}, time_s=unit)
+    np.testing.assert_allclose(read.time_s - read.time_s[0], TIME, atol=1e-9)
+    assert "time counter" in read.notes[0]
+
+
+@pytest.mark.parametrize("tick_ms", [2, 5, 10, 20])
+@pytest.mark.parametrize("start_ms", [0.0, 0.7])
+def test_a_coarse_clock_is_spread_by_its_own_fit(
+    tick_ms: int, start_ms: float, tmp_path: Path
+) -> None:
+    stamps = np.floor((1000.0 * TIME + start_ms) / tick_ms) * tick_ms / 1000.0
+    read = recorded(tmp_path, {"time_s": stamps, "motor_speed_rpm": SPEED})
+    steps = np.diff(read.time_s)
+    np.testing.assert_allclose(steps, 1e-3, rtol=0.01)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
+    assert "ticks" in read.notes[0]
+
+
+def test_time_as_floats_of_32_bits_is_even_again(tmp_path: Path) -> None:
+    stamps = (30_000.0 + TIME).astype(np.float32)
+    read = recorded(tmp_path, {"time_s": stamps.astype(float), "motor_speed_rpm": SPEED})
+    np.testing.assert_allclose(np.diff(read.time_s), 1e-3, rtol=0.01)
+
+
+def test_rows_sent_twice_or_late_are_put_in_order(tmp_path: Path) -> None:
+    order = np.arange(COUNT)
+    order[[50, 51]] = order[[51, 50]]
+    order = np.insert(order, 300, [250, 251, 252])
+    read = recorded(tmp_path, {"time_s": TIME[order], "motor_speed_rpm": SPEED[order]})
+    np.testing.assert_array_equal(read.time_s, TIME)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+    assert "3 × exact repeat" in read.notes[0]
+    assert "2 × row out of order" in read.notes[0]
+
+
+def test_two_recordings_in_one_file_are_not_merged(tmp_path: Path) -> None:
+    for shift in (0.0, 0.0005):
+        time = np.concatenate([TIME, TIME + shift])
+        speed = np.concatenate([SPEED, SPEED[::-1]])
+        with pytest.raises(RecordingError, match="Time runs backwards"):
+            recorded(tmp_path, {"time_s": time, "motor_speed_rpm": speed})
+
+
+def test_a_stamp_that_comes_twice_with_other_values_is_refused(tmp_path: Path) -> None:
+    time = np.insert(TIME, 300, TIME[300])
+    with pytest.raises(RecordingError, match="Time does not advance"):
+        recorded(tmp_path, {"time_s": time, "motor_speed_rpm": np.insert(SPEED, 300, 1.0)})
+
+
+# Values
+
+
+@pytest.mark.parametrize(
+    ("turn", "unit", "low"),
+    [
+        (2 * np.pi, "rad", 0.0),
+        (360.0, "deg", 0.0),
+        (360.0, "deg", -180.0),
+        (65536.0, "rev/65536", 0.0),
+        (1.0, "rev", 0.0),
+        (4096.0, "rev/4096", 0.0),
+    ],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_position_that_begins_again_goes_on(
+    turn: float, unit: str, low: float, sign: float, tmp_path: Path
+) -> None:
+    turns = sign * (0.3 + SPEED.mean() / 60.0 * TIME)
+    columns = {
+        "time_s": TIME,
+        "motor_speed_rpm": SPEED,
+        "motor_position_rad": (turns * turn - low) % turn + low,
+    }
+    read = recorded(tmp_path, columns, motor_position_rad=unit)
+    position = read.channels["motor_position_rad"]
+    np.testing.assert_allclose(np.diff(position), 2 * np.pi * np.diff(turns), atol=1e-9)
+    assert "turn of the motor position" in read.notes[0]
+
+
+def test_strokes_are_no_turns(tmp_path: Path) -> None:
+    strokes = np.pi * np.sign(np.sin(30.0 * TIME)) * 0.9
+    columns = {"time_s": TIME, "motor_speed_rpm": SPEED, "motor_position_rad": strokes}
+    np.testing.assert_array_equal(
+        recorded(tmp_path, columns).channels["motor_position_rad"], strokes
+    )
+
+
+@pytest.mark.parametrize("every", [2, 4, 5])
+@pytest.mark.parametrize("how", ["interpolated", "repeated"])
+@pytest.mark.parametrize("digits", [3, 12])
+def test_samples_that_the_recorder_made_up_are_not_used(
+    every: int, how: str, digits: int, tmp_path: Path
+) -> None:
+    knots = np.arange(0, COUNT, every)
+    made = np.interp(np.arange(COUNT), knots, SPEED[knots])
+    if how == "repeated":
+        made = SPEED[np.arange(COUNT) // every * every]
+    read = recorded(tmp_path, {"time_s": TIME, "motor_speed_rpm": np.round(made, digits)})
+    np.testing.assert_allclose(read.time_s, TIME[knots][: read.samples], atol=1e-12)
+    assert read.samples >= knots.size - 1
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED[knots][: read.samples], atol=1e-9)
+    assert how in read.notes[-1]
+
+
+@pytest.mark.parametrize("lines", [64, 512, 4096])
+def test_an_encoders_rounded_speed_is_not_called_made_up(lines: int, tmp_path: Path) -> None:
+    speed = np.round(SPEED / (60e3 / lines)) * (60e3 / lines)
+    read = recorded(tmp_path, {"time_s": TIME, "motor_speed_rpm": speed + 1e-9 * TIME})
+    assert read.samples == COUNT
+
+
+def test_a_log_on_change_is_held_and_a_slower_channel_is_not(tmp_path: Path) -> None:
+    full = np.round(SPEED / 500.0, 2)
+    change = np.r_[True, np.diff(full) != 0.0]
+    columns = {
+        "time_s": TIME,
+        "motor_speed_rpm": SPEED,
+        "motor_current_a": np.where(change, full, np.nan),
+    }
+    read = recorded(tmp_path, columns)
+    np.testing.assert_array_equal(read.channels["motor_current_a"], full)
+    assert f"{(~change).sum()} × empty cell of a log on change" in read.notes[0]
+    slower = np.where(np.arange(COUNT) % 3 == 0, SPEED / 500.0, np.nan)
+    with pytest.raises(RecordingError, match="Too many samples"):
+        recorded(tmp_path, {**columns, "motor_current_a": slower})
+
+
+@pytest.mark.parametrize("stray", [32767.0, -32768.0])
+def test_single_strays_of_the_current_are_left_out(stray: float, tmp_path: Path) -> None:
+    current = np.round(4.0 + np.random.default_rng(3).normal(0, 0.3, COUNT), 3)
+    current[[100, 400]] = stray
+    columns = {"time_s": TIME, "motor_speed_rpm": SPEED, "motor_current_a": current}
+    mended = ready_for_fit(recorded(tmp_path, columns))
+    assert mended.excluded is not None
+    assert np.flatnonzero(mended.excluded).tolist() == [100, 400]
+    assert np.abs(mended.channels["motor_current_a"]).max() < 10.0
+
+
+# Units
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "factor"),
+    [
+        ("motor_position_rad", "rev/4096", 2 * np.pi / 4096),
+        ("motor_position_rad", "arcmin", np.pi / 10800),
+        ("motor_position_rad", "arcsec", np.pi / 648000),
+        ("motor_speed_rpm", "rpm/7", 1 / 7),
+        ("motor_speed_rpm", "0.1 rpm", 0.1),
+        ("time_s", "4 ms", 4e-3),
+        ("motor_current_a", "% of 12.5 A", 0.125),
+        ("motor_current_a", "‰ of 12.5 A", 0.0125),
+        ("motor_torque_nm", "per mille of 2.4 N m", 2.4e-3),
+        ("motor_torque_nm", "% of 2.4 N m", 2.4e-2),
+    ],
+)
+def test_units_with_a_number_in_them(channel: str, unit: str, factor: float) -> None:
+    assert conversion_factor(channel, unit) == pytest.approx(factor, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["rpm/0", "0 ms", "counts", "%", "4 parsec", "rev/", "?"])
+def test_what_is_no_unit_is_not_accepted(unit: str) -> None:
+    for channel in ("motor_position_rad", "motor_speed_rpm", "time_s", "motor_current_a"):
+        assert not is_accepted(channel, unit)
+
+
+def test_turns_that_the_file_states_win_over_every_guess(tmp_path: Path) -> None:
+    path = tmp_path / "odrive.csv"
+    turns = np.cumsum(SPEED / 60.0) * 1e-3
+    lines = [f"{t:.3f},{n / 60.0:.9f},{p:.9f}" for (t, n), p in zip(PAIRS, turns, strict=True)]
+    path.write_text(text(lines, "time [s],vel_estimate [turns/s],pos_estimate [turns]"))
+    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    assert guess["motor_speed_rpm"].unit == "rev/s"
+    assert guess["motor_position_rad"].unit == "rev"
+    columns = {
+        "time_s": ColumnSpec("time [s]"),
+        "motor_speed_rpm": ColumnSpec("vel_estimate [turns/s]"),
+        "motor_position_rad": ColumnSpec("pos_estimate [turns]"),
+    }
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED, rtol=1e-7)
+    position = read.channels["motor_position_rad"]
+    assert np.ptp(position) / 0.599 * RPM_PER_RAD_PER_S == pytest.approx(1995, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "speed [furlong/s]",
+        "speed (cnt/s)",
+        "speed [counts]",
+        "motor_erpm",
+        "speed (%)",
+        "vel_counts",
+    ],
+)
+def test_a_unit_that_is_not_known_is_a_question(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows(), f"time_s,{name}"))
+    with pytest.raises(RecordingError, match=r"states a unit that is not known.*state the right"):
+        read_recording(path, columns={"motor_speed_rpm": ColumnSpec(name)})
+    speed = guess_columns(path, read_table(path)).columns[1]
+    assert speed.unit == UNKNOWN
+    assert "the file says" in speed.reason
+    stated = {"motor_speed_rpm": ColumnSpec(name, "rpm/7")}
+    np.testing.assert_allclose(read_recording(path, columns=stated).motor_speed_rpm, SPEED / 7)
+
+
+@pytest.mark.parametrize("name", ["data(:,2)", "speed (filtered)", "x[1]", "n (raw)", "v(1)"])
+def test_a_remark_or_an_index_is_no_unit(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([row.replace(",", ";") for row in rows()], f"time_s;{name}"))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec(name)})
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED)
+
+
+# Other formats
+
+
+def test_a_workbook_may_have_titles_units_text_and_faults(tmp_path: Path) -> None:
+    import openpyxl
+
+    path = tmp_path / "a.xlsx"
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["Measurement of joint 2"])
+    sheet.append([])
+    sheet.append(["Time", "Speed", "Remark"])
+    sheet.append(["ms", "rpm", ""])
+    for i, (t, n) in enumerate(PAIRS):
+        sheet.append([1000.0 * t, str(n) if i % 2 else float(n), "warm" if i == 3 else None])
+    sheet.cell(200, 2).value = "#N/A"
+    book.save(path)
+    columns = {"time_s": ColumnSpec("Time"), "motor_speed_rpm": ColumnSpec("Speed")}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    assert read.excluded is not None
+    assert np.flatnonzero(read.excluded).tolist() == [195]
+    kept = ~read.excluded
+    np.testing.assert_array_equal(read.motor_speed_rpm[kept], SPEED[kept])
+    assert "number written as text" in read.notes[0]
+
+
+def test_times_of_day_in_a_workbook_are_times(tmp_path: Path) -> None:
+    import datetime
+
+    import openpyxl
+
+    path = tmp_path / "a.xlsx"
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(list(NAMES))
+    for t, n in PAIRS:
+        sheet.append([datetime.time(12, 0, 0, round(1e6 * t)), float(n)])
+    book.save(path)
+    np.testing.assert_allclose(read_recording(path).time_s, TIME, atol=2e-6)
+
+
+def test_channels_of_tdms_that_start_apart_are_not_laid_on_one_another(tmp_path: Path) -> None:
+    import nptdms
+
+    path = tmp_path / "a.tdms"
+    start = np.datetime64("2026-03-01T12:00:00", "us")
+    channels = [
+        nptdms.ChannelObject(
+            "log",
+            name,
+            values,
+            properties={"wf_start_time": start + np.timedelta64(late, "s"), "wf_increment": 1e-3},
+        )
+        for name, values, late in (
+            ("motor_speed_rpm", SPEED, 0),
+            ("motor_current_a", SPEED / 500.0, 3),
+        )
+    ]
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment(channels)
+    both = {c.channel: ColumnSpec(c.channel) for c in channels}
+    with pytest.raises(RecordingError, match="not sampled together"):
+        read_recording(path, columns=both)
+    alone = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm")})
+    assert set(alone.channels) == {"motor_speed_rpm"}
+
+
+def test_lists_in_parquet_are_columns(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = tmp_path / "a.parquet"
+    state = [[float(n), float(i)] for i, n in enumerate(SPEED)]
+    table = {"time_s": TIME, "state": state, "uneven": [[0.0] * (i % 3) for i in range(COUNT)]}
+    pq.write_table(pa.table(table), path)
+    columns = {"motor_speed_rpm": ColumnSpec("state[0]")}
+    np.testing.assert_array_equal(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+
+
+def test_the_form_of_a_date_is_no_unit_and_a_count_of_samples_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{i},{clock(t, '%H:%M:%S.%f')},{n}" for i, (t, n) in enumerate(PAIRS)]
+    path.write_text(text(lines, "sample,Time [hh:mm:ss],speed [rpm]"))
+    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    assert (guess["time_s"].name, guess["time_s"].unit) == ("Time [hh:mm:ss]", "datetime")
+    speed = {"motor_speed_rpm": ColumnSpec("speed [rpm]")}
+    for name, unit in (("Time [hh:mm:ss]", None), ("sample", "1 ms")):
+        read = read_recording(path, columns=speed | {"time_s": ColumnSpec(name, unit)})
+        np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    path.write_text(text([f"{i},{n}" for i, n in enumerate(SPEED)], "sample,speed [rpm]"))
+    time = guess_columns(path, read_table(path)).columns[0]
+    assert (time.name, time.unit) == ("sample", UNKNOWN)
+    assert '"4 ms"' in time.reason
