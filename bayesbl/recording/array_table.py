@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.errors import RecordingError, UserError, shortened
+from bayesbl.errors import RecordingError, UnavailableError, UserError, shortened
 from bayesbl.recording.timestamps import is_date, seconds_of_calendar, seconds_of_dates
 from bayesbl.recording.types import FloatArray
 
@@ -175,9 +175,9 @@ def _without_words() -> Iterator[None]:
         logging.disable(level)
 
 
-def missing_library(file: Path, kind: str, library: str, otherwise: str = "") -> RecordingError:
+def missing_library(file: Path, kind: str, library: str, otherwise: str = "") -> UnavailableError:
     """The optional library that a format needs is not installed."""
-    return RecordingError(
+    return UnavailableError(
         f"Reading {kind} needs {library}, which is not installed.",
         file=file,
         found=f"no module {library}",

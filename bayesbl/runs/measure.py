@@ -35,7 +35,7 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
 
 def swept_benches(config: SnapshotConfig) -> WorkStore:
     """Where swept benches are kept, for all runs with results beside this one's."""
-    return WorkStore(config.run.output.parent / STORE)
+    return WorkStore.shared(config.run.output.parent / STORE)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:
