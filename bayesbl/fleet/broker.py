@@ -208,6 +208,16 @@ def session(largest_bytes: int | None = None) -> Any:
     return properties
 
 
+def publishing(expires_s: int) -> Any:
+    """Properties of a message that the broker is to forget after a time."""
+    from paho.mqtt.packettypes import PacketTypes
+    from paho.mqtt.properties import Properties
+
+    properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+    properties.MessageExpiryInterval = expires_s
+    return properties
+
+
 def unreachable(address: Address, error: BaseException | None) -> str:
     """Why there is no connection, as a sentence."""
     if isinstance(error, ssl.SSLCertVerificationError):

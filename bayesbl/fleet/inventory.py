@@ -211,10 +211,14 @@ FileState = tuple[int, int, int, int]
 def file_state(file: str) -> FileState | None:
     """``None`` where there is no file any more."""
     try:
-        found = os.stat(file)
+        return state_of(os.stat(file))
     except OSError:
         return None
-    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def state_of(status: os.stat_result) -> FileState:
+    """State of a file that is open, or was asked for."""
+    return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def is_joint_name(text: str) -> bool:

@@ -212,8 +212,15 @@ class PrivateFolder:
         ):
             return stream.read()
 
-    def write(self, name: str, content: bytes, *, replace: bool = True) -> None:
+    def write(
+        self, name: str, content: bytes, *, replace: bool = True, durable: bool = False
+    ) -> None:
         """A file, readable by this user alone; ``FileExistsError`` unless it may ``replace`` one.
+
+        Parameters
+        ----------
+        durable
+            As of :func:`replacing`.
 
         Raises
         ------
@@ -232,6 +239,9 @@ class PrivateFolder:
             try:
                 with open(os.open(part, _NEW, 0o600, dir_fd=handle), "wb") as stream:
                     stream.write(content)
+                    if durable:
+                        stream.flush()
+                        os.fsync(stream.fileno())
                 move(part, at + name, src_dir_fd=handle, dst_dir_fd=handle)
             except OSError as error:
                 error.filename = str(self.path / name)
@@ -239,6 +249,8 @@ class PrivateFolder:
             finally:
                 with suppress(OSError):
                     os.unlink(part, dir_fd=handle)
+            if durable and handle is not None:
+                os.fsync(handle)
 
     def delete(self, name: str) -> None:
         """A file, or a folder with all that is in it; what is gone already is no error."""

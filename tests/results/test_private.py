@@ -48,9 +48,12 @@ def test_a_link_planted_where_a_run_keeps_its_work_is_refused(tmp_path, foreign,
         work.locked_sibling(tmp_path / "out", suffix),
     ):
         pass
-    with pytest.raises(ResultError), WorkStore.beside(tmp_path / "out", {"a": "1"}, fresh=fresh):
-        (tmp_path / ".out.unfinished").symlink_to(foreign, target_is_directory=True)
-        raise ResultError("as refused")
+    if suffix == ".unfinished":
+        with (
+            pytest.raises(ResultError, match="somebody else"),
+            WorkStore.beside(tmp_path / "out", {"a": "1"}, fresh=fresh),
+        ):
+            pass
     assert (foreign / "thesis.tex").read_text() == "mine"
 
 
@@ -200,9 +203,8 @@ def test_only_what_the_manifest_lists_is_replaced(tmp_path):
 
 def test_what_a_user_puts_there_while_a_result_is_replaced_is_kept(tmp_path):
     make(tmp_path / "out")
-    (tmp_path / "out").rename(tmp_path / ".out.abc.replaced")
+    make(tmp_path / ".out.abc.replaced")
     (tmp_path / ".out.abc.replaced/notes.txt").write_text("mine")
-    make(tmp_path / "out")
     make(tmp_path / "out")
     assert (tmp_path / ".out.abc.replaced/notes.txt").read_text() == "mine"
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from places import BEFORE
+from places import BEFORE, ROOT
 from test_fleet import configure, start, table
 
 from bayesbl import cli
@@ -66,6 +66,11 @@ def without_use(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     return [{**row, "used": None} for row in rows]
 
 
+def without_device(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    assert len({row["device"] for row in rows}) == 1
+    return [{**row, "device": None} for row in rows]
+
+
 def test_rows_are_those_of_a_fleet_and_are_made_once(plant):
     assert watched(plant)[:2] == ["J1 2025-01-01", "J1 2025-02-01"]
     assert watched(plant) == []
@@ -106,20 +111,6 @@ def test_a_file_that_still_grows_waits(plant):
     assert len(rows) == 5
 
 
-def test_only_the_latest_that_are_measured_stay_where_that_is_asked(plant):
-    put(plant, "J1", "2025-03-01")
-    note = plant / "data/J1/note.txt"
-    note.write_text("mine")
-    watched(plant, keep_latest=2)
-    assert [f.name for f in sorted(note.parent.iterdir())] == [
-        "2025-02-01.csv",
-        "2025-03-01.csv",
-        "note.txt",
-    ]
-    assert len(table(plant / "watched", "recordings")) == 6
-    assert watched(plant, keep_latest=2) == []
-
-
 def test_what_cannot_be_watched_is_told(plant):
     with pytest.raises(ConfigError, match="no such folder"):
         watch(load_config(plant / "plant.toml"), Watched(plant / "no", plant / "w"), print, print)
@@ -138,7 +129,7 @@ def test_what_cannot_be_watched_is_told(plant):
 KILLED = """
 import os, signal, sys
 from bayesbl.fleet.recording_table import RecordingTable
-from bayesbl.fleet.outbox import Outbox
+from bayesbl.fleet.sender import Outbox
 from bayesbl import cli
 kind, name = sys.argv[1].split(".")
 of = {"RecordingTable": RecordingTable, "Outbox": Outbox}[kind]
@@ -204,8 +195,14 @@ def free_port() -> int:
         return int(listener.getsockname()[1])
 
 
+def documented() -> str:
+    """The settings of mosquitto in the documentation."""
+    text = (ROOT / "docs/fleet.md").read_text(encoding="utf-8")
+    return text[text.index("persistence true") :].partition("```")[0]
+
+
 class Broker:
-    """A mosquitto that keeps its sessions, and asks for a password."""
+    """A mosquitto as the documentation has it, which asks for a password."""
 
     def __init__(self, folder: Path) -> None:
         self.port, self.folder, self.process = free_port(), folder, None
@@ -217,8 +214,7 @@ class Broker:
         )
         (folder / "mosquitto.conf").write_text(
             f"listener {self.port} 127.0.0.1\npassword_file {folder}/users\n"
-            f"persistence true\npersistence_location {folder}/\nmax_queued_messages 0\n"
-            f"user {getpass.getuser()}\n"
+            f"persistence_location {folder}/\nuser {getpass.getuser()}\n{documented()}"
         )
 
     def start(self) -> None:
@@ -231,9 +227,9 @@ class Broker:
             except OSError:
                 time.sleep(0.05)
 
-    def stop(self) -> None:
+    def stop(self, *, kill: bool = False) -> None:
         if self.process is not None:
-            self.process.terminate()
+            (self.process.kill if kill else self.process.terminate)()
             self.process.wait()
             self.process = None
 
@@ -255,6 +251,9 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
     ann = Credentials("ann", "secret")
     said: list[str] = []
 
+    def waiting() -> int:
+        return len(list((plant / ".watched.growing/outbox").glob("*.json")))
+
     def collected(credentials: Credentials = ann) -> int:
         before = len(said)
         collect(address, credentials, plant / "all", said.append, lambda row: None, once=True)
@@ -268,9 +267,9 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
 
     with patch.object(collecting, "IDLE_S", 0.3):
         # Nobody has asked yet, so the broker would drop what it takes.
-        told = sent(1.0)
+        told = sent(3.0)
         assert "Nobody has asked" in told
-        assert "wait to be sent: 5" in told
+        assert "has not stored yet: 5" in told
         with pytest.raises(BrokerError, match="Not authorized"):
             collected(Credentials("ann", "wrong"))
         assert collected() == 0
@@ -281,13 +280,16 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
         broker.start()
         put(plant, "J2", "2025-05-01")
         assert "Answers go to plant/r1" in sent(10.0)
-        # The collector is away, the broker is stopped with what it took, and starts again.
-        broker.stop()
+        # The collector is away, the broker is killed with what it took, and starts again.
+        broker.stop(kill=True)
         broker.start()
+        assert waiting() == 6
         assert collected() == 6
         assert collected() == 6
+        sent(10.0)
+        assert waiting() == 0
     rows = [table(plant / name, "recordings") for name in ("watched", "all")]
-    assert rows[0] == rows[1]
+    assert rows[0] == without_device(rows[1])
     assert not any("secret" in text for text in said)
 
 
@@ -304,7 +306,7 @@ def test_a_mean_rotation_goes_with_its_answer_where_it_is_asked_for(plant, broke
     watched(plant, publish=address, credentials=ann, mean_rotation=True)
     collected()
     rows = [table(plant / name, "recordings") for name in ("watched", "all")]
-    assert rows[0] == rows[1]
+    assert rows[0] == without_device(rows[1])
     (file,) = (plant / "all/rotations").rglob("*.parquet")
     digest = {row["date"]: row["sha256"] for row in rows[0] if row["joint"] == "J1"}["2025-03-01"]
     assert file.stem == f"2025-03-01_{digest[:12]}"
@@ -332,18 +334,32 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
 
     watched(plant)
     row, *_ = table(plant / "watched", "recordings")
+    odd = (
+        b"\x1b[2J",
+        b"x" * 200_000,
+        b'{"schema": NaN}',
+        b'{"schema": 2, "device": "d", "mean_rotation": {"joint": "J1", "date": "2025-01-01", '
+        b'"sha256": "%s", "rotations": 3, "channels": {"motor_speed_rpm": {"mean": "AACAPwAAgD8=",'
+        b' "noise_sd": 1, "noise_coefficients": []}}, "rotation_s": 1%s}}'
+        % (b"a" * 64, b"0" * 400),
+        b'{"schema": 2, "device": "d", "recording": {"delta_rad_sd": 1%s}}' % (b"0" * 5000),
+    )
     with patch.object(collecting, "IDLE_S", 0.3):
         collected()
-        answer = encoded_answer(row)
+        answer = encoded_answer(row, "d1")
         multiple(
-            [
-                ("plant/r1", payload, 1, False)
-                for payload in (answer, b"\x1b[2J", answer, b"x" * 200_000, b'{"schema": NaN}')
-            ],
+            [("plant/r1", payload, 1, False) for payload in (answer, *odd, answer, odd[0])],
             port=broker.port,
             auth={"username": "ann", "password": "secret"},
         )
         collected()
-    assert table(plant / "all", "recordings") == [row]
-    assert "A message of 4 bytes is left out: it is no JSON." in said
-    assert "A message of 15 bytes is left out: NaN is no number." in said
+    assert table(plant / "all", "recordings") == [row | {"device": "d1"}]
+    assert "A message of 4 bytes is set aside: it is no JSON." in said
+    refused = table(plant / "all", "refused")
+    assert [one["bytes"] for one in refused] == [len(one) for one in (*odd[1:], odd[0])]
+    assert [one["times"] for one in refused] == [1, 1, 1, 1, 2]
+    assert refused[-1]["start"] == "\x1b[2J"
+    with patch.object(collecting, "IDLE_S", 0.3):
+        said.clear()
+        collected()
+    assert said == [f"Waiting for answers from plant at localhost:{broker.port}."]
