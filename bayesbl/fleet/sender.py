@@ -169,15 +169,19 @@ class Sender:
             due = [file for file in waiting if self._is_due(file)]
             if not due or not self._listening.wait(_POLL_S):
                 self._stop.wait(_POLL_S)
-            elif self._sent(due[0]):
+            elif self._sent(min(due, key=self._due_s)):
                 pause = FIRST_WAIT_S
             else:
                 self._stop.wait(pause)
                 pause = min(2 * pause, LONGEST_WAIT_S)
 
+    def _due_s(self, file: str) -> float:
+        """When a message is to be sent: the oldest first of those that have not been."""
+        return self._again.get(file, (0.0, 0.0))[0]
+
     def _is_due(self, file: str) -> bool:
-        at_s, _ = self._again.get(file, (0.0, 0.0))
-        return not time.time() < at_s <= time.time() + LONGEST_AGAIN_S  # a clock may be set
+        now = time.time()
+        return not now < self._due_s(file) <= now + LONGEST_AGAIN_S  # a clock may be set
 
     def _sent(self, file: str) -> bool:
         """Whether the broker has taken a message; it is waited for however long that takes."""
