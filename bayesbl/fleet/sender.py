@@ -65,8 +65,10 @@ class Outbox:
     folder: PrivateFolder
     device: str
 
-    def put(self, message: bytes) -> None:
+    def put(self, message: bytes, subject: str) -> None:
         """Keep a message, unless it waits already; it is on the disk when this returns.
+
+        An older one of the same subject goes: sent once more, it would take the newer one's place.
 
         Raises
         ------
@@ -76,7 +78,12 @@ class Outbox:
         waiting, name = self.waiting(), name_of(message)
         if not any(_name_in(file) == name for file in waiting):
             number = int(waiting[-1][:_DIGITS]) + 1 if waiting else 1
-            self.folder.write(f"{number:0{_DIGITS}d}-{name}{_WAITING}", message, durable=True)
+            about = name_of(subject.encode())[:_DIGITS]
+            file = f"{number:0{_DIGITS}d}-{about}-{name}{_WAITING}"
+            self.folder.write(file, message, durable=True)
+            for older in waiting:
+                if f"-{about}-" in older:
+                    self.folder.delete(older)
 
     def waiting(self) -> list[str]:
         """Files of all messages that wait, the oldest first."""
@@ -106,7 +113,7 @@ class Outbox:
 
 
 def _name_in(file: str) -> str:
-    return file[_DIGITS + 1 :].removesuffix(_WAITING)
+    return file.rpartition("-")[2].removesuffix(_WAITING)
 
 
 class Sender:

@@ -89,8 +89,7 @@ def staging(path: Path) -> Iterator[Path]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        for left in left_behind(path, _STAGING):
-            shutil.rmtree(left, ignore_errors=True)
+        clear_away(path)
         folder, handle = _locked_new(path)
     except OSError as error:
         raise _unwritable(path, error) from None
@@ -105,6 +104,12 @@ def staging(path: Path) -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
         if handle is not None:
             os.close(handle)
+
+
+def clear_away(path: Path) -> None:
+    """Delete what killed writers of this path left, and nothing of living ones."""
+    for left in left_behind(path, _STAGING):
+        shutil.rmtree(left, ignore_errors=True)
 
 
 def left_behind(path: Path, suffix: str) -> Iterator[Path]:

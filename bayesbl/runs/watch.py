@@ -291,7 +291,8 @@ class _Measuring:
         if self.table.knows(row):
             return
         if self.outbox is not None:
-            self.outbox.put(encoded_answer(row, self.outbox.device))
+            of = f"{row['joint']}\n{row['file']}"
+            self.outbox.put(encoded_answer(row, self.outbox.device), of)
             if self.mean_rotation and sha256 is not None and answer.outcome != REFUSED:
                 self._send_rotation(one, sha256, answer)
         changed = self.table.put(row)
@@ -304,4 +305,4 @@ class _Measuring:
         if rotation is not None and self.outbox is not None:
             message = encoded_rotation(rotation, self.outbox.device)
             if message is not None:
-                self.outbox.put(message)
+                self.outbox.put(message, f"mean rotation of {sha256}")

@@ -23,6 +23,9 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import BrokerError, ConfigError, ResultError
 from bayesbl.fleet.broker import Credentials, read_address
+from bayesbl.fleet.message import name_of
+from bayesbl.fleet.sender import Outbox
+from bayesbl.results.atomic import PrivateFolder
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
@@ -170,6 +173,17 @@ def test_a_device_that_is_killed_loses_nothing_and_measures_nothing_twice(plant,
     ]
     sent = {(one["recording"]["joint"], one["recording"]["file"]) for one in waiting}
     assert sent == {(row["joint"], row["file"]) for row in rows}
+
+
+def test_an_older_answer_of_a_file_is_not_sent_after_a_newer(tmp_path):
+    outbox = Outbox(PrivateFolder(tmp_path / "outbox"), "d1")
+    for message, subject in ((b"a", "1"), (b"b", "2"), (b"c", "1"), (b"b", "2"), (b"c", "1")):
+        outbox.put(message, subject)
+    assert [outbox.folder.read(file) for file in outbox.waiting()] == [b"b", b"c"]
+    outbox.settle({name_of(b"b"), name_of(b"a")}, {name_of(b"c")})
+    assert outbox.waiting() == []
+    (aside,) = outbox.folder.entries()
+    assert outbox.folder.read(aside) == b"c"
 
 
 @pytest.mark.long
