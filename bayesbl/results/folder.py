@@ -187,9 +187,9 @@ def _delete(folder: Path) -> None:
                 if Path(root, name).relative_to(folder).as_posix() in own - {MANIFEST_FILE}:
                     with suppress(OSError):
                         remove(at + name, **where)
-    with suppress(OSError):
-        os.unlink(folder / MANIFEST_FILE)
-        folder.rmdir()
+    for remove, place in ((os.unlink, folder / MANIFEST_FILE), (os.rmdir, folder)):
+        with suppress(OSError):
+            remove(place)
 
 
 def _listed(names: Collection[str]) -> str:

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 def run(config: SnapshotConfig, options: Options) -> Summary:
     """Measure, and write the output folder."""
+    swept = swept_benches(config)
+    if config.estimator.bench is not None and swept.folder is None:
+        options.say(
+            f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
+        )
     return run_into_folder(
         config,
         options,
@@ -27,7 +32,7 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
             options.progress,
             work,
             options.say,
-            swept_benches(config),
+            swept,
             recordings=options.recordings,
         ),
     )

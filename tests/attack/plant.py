@@ -212,8 +212,9 @@ class Turn:
                     killed(child)
             except (ChildProcessError, ProcessLookupError):
                 pass  # it was killed before
-        # Each hears of the other what it has missed.
-        for what in ("watch", "collect", "watch"):
+        # The broker learns of the collector, which may never have been there; then each hears of
+        # the other what it has missed.
+        for what in ("collect", "watch", "collect", "watch"):
             self.finish(what)
 
     def finish(self, what: str) -> None:

@@ -102,6 +102,7 @@ def test_an_empty_folder_is_taken_and_one_with_other_files_never(tmp_path: Path)
     (tmp_path / "empty").mkdir()
     finish(tmp_path / "empty", "here")
     assert is_finished(tmp_path / "empty")
+    assert names(tmp_path) == ["empty"]
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").touch()
     for force in (False, True):

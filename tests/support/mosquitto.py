@@ -49,7 +49,9 @@ class Broker:
 
     def start(self) -> None:
         program = shutil.which("mosquitto", path=PATHS)
-        self.process = subprocess.Popen([program, "-c", self.folder / "mosquitto.conf"])
+        self.process = subprocess.Popen(
+            [program, "-c", self.folder / "mosquitto.conf"], stderr=subprocess.DEVNULL
+        )
         for _ in range(100):
             try:
                 socket.create_connection(("127.0.0.1", self.port), 1.0).close()
