@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
 from bayesbl.errors import BrokerError, ConfigError
+from bayesbl.fleet.message import REPLIES
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.atomic import replacing
@@ -90,6 +91,7 @@ def read_address(url: str) -> Address:
     if parts.scheme not in PORTS or not host:
         raise ConfigError("This is no address of a broker.", where="URL", expected=_EXPECTED)
     wrong = not topic or topic.startswith("$") or any(sign in topic for sign in "+#\0")
+    wrong |= topic.rpartition("/")[2] == REPLIES
     if wrong or parts.query or parts.fragment:
         raise ConfigError(
             "This address names no topic.",

@@ -140,9 +140,10 @@ class RecordingTable:
             strange = self._rows.take(others).to_pylist()
             new = [_of_neither(row, strange[0]), *(_of_neither(one, row) for one in strange)]
         gone = {*old, *others}
+        rows = self._rows
         if gone:
-            self._rows = self._rows.filter([number not in gone for number in range(len(self))])
-        self._rows = _joined(self._rows, new)
+            rows = rows.filter([number not in gone for number in range(len(self))])
+        self._rows = _joined(rows, new)
         self._changed = True
         return new
 

@@ -17,6 +17,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ if sys.platform != "win32":
 
 _STAGING = ".staging"
 _PART = ".part"
+_DEAD_AFTER_S = 3600.0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _READ = os.O_RDONLY | _NO_LINK | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -264,6 +266,16 @@ class PrivateFolder:
                 shutil.rmtree(at + name, ignore_errors=True, dir_fd=handle)
             else:
                 os.unlink(at + name, dir_fd=handle)
+
+    def tidy(self) -> None:
+        """Delete what writers that were killed have left: nobody writes for so long."""
+        with suppress(FileNotFoundError), self._opened() as (at, handle):
+            for name in os.listdir(self.path if handle is None else handle):
+                if name.endswith(_PART):
+                    with suppress(OSError):
+                        status = os.stat(at + name, dir_fd=handle, follow_symlinks=False)
+                        if time.time() - status.st_mtime > _DEAD_AFTER_S:
+                            os.unlink(at + name, dir_fd=handle)
 
     def clear(self, *, last: str = "") -> None:
         """Delete everything, what a killed writer left too, and one file after all others."""

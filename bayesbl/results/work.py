@@ -183,6 +183,7 @@ class WorkStore:
 
     def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
         """Delete the oldest entries until the others are no more, and take no more, than this."""
+        self._tidy()
         latest = sorted(self._entries().items(), key=lambda entry: -entry[1].st_mtime_ns)
         taken = 0
         for number, (name, status) in enumerate(latest, start=1):
@@ -192,9 +193,14 @@ class WorkStore:
 
     def keep_only(self, addresses: Collection[str]) -> None:
         """Forget all but what is under these addresses."""
+        self._tidy()
         for name in self._entries().keys() - set(addresses):
             if self.folder is not None:
                 PrivateFolder(self.folder).delete(name)
+
+    def _tidy(self) -> None:
+        if self.folder is not None:
+            PrivateFolder(self.folder).tidy()
 
     def _entries(self) -> dict[str, os.stat_result]:
         """Files in the folder, by name."""

@@ -110,6 +110,7 @@ def watch(
         outbox = None
         if asked.publish is not None:
             outbox = Outbox(PrivateFolder(table.beside / _OUTBOX), stays_known_by(table.beside))
+            outbox.folder.tidy()
         store = WorkStore(sibling(config.run.output, KEPT))
         measuring = _Measuring(config, joints, table, outbox, store, tell, asked.mean_rotation)
         with _sending(asked, outbox, say):

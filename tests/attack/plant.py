@@ -232,7 +232,6 @@ class Turn:
         if "Traceback" in said or "This is a bug" in said:
             yield said[-400:]
         left = [path.name for path in self.place.rglob(".*.staging")]
-        left += [path.name for path in self.place.rglob("*.part")]
         left += [path.name for path in self.place.rglob("outbox/*.json")]
         if left:
             yield f"left behind: {', '.join(left[:3])}"

@@ -6,6 +6,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -220,3 +221,15 @@ def test_files_are_whole_or_absent_and_a_full_disk_leaves_none(tmp_path, monkeyp
     assert caught.value.filename == str(tmp_path / "kept/a")
     assert folder.read("a") == b"first"
     assert os.listdir(tmp_path / "kept") == ["a"]
+
+
+def test_what_killed_writers_left_goes_and_what_is_being_written_stays(tmp_path):
+    store = WorkStore(tmp_path / "kept")
+    store.keep("work", 1, np.arange(3))
+    for name, age_s in (("new.part", 0.0), ("old.part", 7200.0)):
+        (tmp_path / "kept" / name).touch()
+        os.utime(tmp_path / "kept" / name, (time.time() - age_s,) * 2)
+    store.keep_latest(count=1)
+    assert (tmp_path / "kept/new.part").exists()
+    assert not (tmp_path / "kept/old.part").exists()
+    assert store.recall("work", 1, np.ndarray) is not None
