@@ -85,6 +85,13 @@ class RecordingError(UserError):
     """A recording that cannot be read, or that a task cannot use."""
 
 
+class UnavailableError(RecordingError):
+    """A recording that cannot be read here and now: what it holds is not what is wrong.
+
+    A library is missing, the file may not be read, or a limit of this machine is in the way.
+    """
+
+
 class BenchError(UserError):
     """A virtual bench whose parameters make no physical sense, or whose simulation fails."""
 

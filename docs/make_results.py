@@ -49,7 +49,8 @@ Made by `python docs/make_results.py` from the declarations that the program goe
 
 A result folder holds `summary.json` (the answer), `result.nc` (everything, an xarray tree with
 units on every variable), `config.toml` (the configuration as it ran) and `figures`. A fleet's
-folder holds tables instead. A quantity that is withheld is null, and `reason` says why.
+folder holds tables instead. `manifest.json` lists what the run wrote, which is all that another run
+replaces. A quantity that is withheld is null, and `reason` says why.
 """
 
 

@@ -31,12 +31,12 @@ _GAP = (
 _AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
 
 
-def encoded_answer(row: Mapping[str, Any]) -> bytes:
+def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
     """A row as a message; columns without a value, or with none that is finite, are left out."""
-    return encoded(ANSWER, {name: value for name, value in row.items() if _is_given(value)})
+    return encoded(ANSWER, {name: row[name] for name in row if _is_given(row[name])}, device)
 
 
-def decoded_answer(given: Any) -> dict[str, Any]:
+def decoded_answer(given: Any, device: str) -> dict[str, Any]:
     """The row that a message of this kind holds, every column in it.
 
     Raises
@@ -46,7 +46,7 @@ def decoded_answer(given: Any) -> dict[str, Any]:
     """
     if not isinstance(given, dict):
         raise ValueError("it holds no row")
-    unknown = sorted(given.keys() - RECORDING_COLUMNS.keys())
+    unknown = sorted(given.keys() - (RECORDING_COLUMNS.keys() - {"device"}))
     if unknown:
         raise ValueError(f"there is no column {shortened(unknown[0])!r}")
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
@@ -54,7 +54,7 @@ def decoded_answer(given: Any) -> dict[str, Any]:
         row[name] = _VALUES[RECORDING_COLUMNS[name][0]](name, value)
     _require_names(row)
     _require_gap(row)
-    return row
+    return row | {"device": device}
 
 
 def _is_given(value: object) -> bool:

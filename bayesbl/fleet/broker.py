@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
 from bayesbl.errors import BrokerError, ConfigError
+from bayesbl.fleet.message import REPLIES
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.atomic import replacing
@@ -90,6 +91,7 @@ def read_address(url: str) -> Address:
     if parts.scheme not in PORTS or not host:
         raise ConfigError("This is no address of a broker.", where="URL", expected=_EXPECTED)
     wrong = not topic or topic.startswith("$") or any(sign in topic for sign in "+#\0")
+    wrong |= topic.rpartition("/")[2] == REPLIES
     if wrong or parts.query or parts.fragment:
         raise ConfigError(
             "This address names no topic.",
@@ -205,6 +207,16 @@ def session(largest_bytes: int | None = None) -> Any:
     properties.SessionExpiryInterval = 0xFFFFFFFF  # never
     if largest_bytes is not None:
         properties.MaximumPacketSize = largest_bytes
+    return properties
+
+
+def publishing(expires_s: int) -> Any:
+    """Properties of a message that the broker is to forget after a time."""
+    from paho.mqtt.packettypes import PacketTypes
+    from paho.mqtt.properties import Properties
+
+    properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+    properties.MessageExpiryInterval = expires_s
     return properties
 
 

@@ -24,6 +24,7 @@ from bayesbl.errors import ConfigError
 from bayesbl.fleet.object_store import copied, listed
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
 from bayesbl.recording.input_bytes import read_input
+from bayesbl.results.atomic import PrivateFolder
 
 _NAME = re.compile(rf"\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}")
 
@@ -188,9 +189,9 @@ def fetched(found: Sequence[Found], folder: Path) -> list[Found]:
     """
     taken = [_fetched(one, folder) for one in found]
     needed = {Path(one.file).name for one in taken if one.address is not None}
-    for path in folder.glob("*") if folder.is_dir() else ():
-        if path.name not in needed:
-            path.unlink()
+    copies = PrivateFolder(folder)
+    for name in copies.entries().keys() - needed:
+        copies.delete(name)
     return taken
 
 
@@ -201,6 +202,23 @@ def _fetched(one: Found, folder: Path) -> Found:
         return replace(one, file=str(copied(one.file, folder)), address=one.file)
     except OSError as error:
         return replace(one, reason=f"The file cannot be read: {error.strerror}.")
+
+
+FileState = tuple[int, int, int, int]
+"""A file's number, size and times: another state may be another content."""
+
+
+def file_state(file: str) -> FileState | None:
+    """``None`` where there is no file any more."""
+    try:
+        return state_of(os.stat(file))
+    except OSError:
+        return None
+
+
+def state_of(status: os.stat_result) -> FileState:
+    """State of a file that is open, or was asked for."""
+    return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def is_joint_name(text: str) -> bool:
@@ -241,10 +259,18 @@ def _by_pattern(section: FleetSection) -> Iterator[Found]:
         again = f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+)"
         exact += again if name else re.escape(part)
         seen.add(name)
+    fixed = parts[0].rpartition("/")[0]
     for path in listed(anything) if remote else glob(anything):
         match = re.fullmatch(exact, path)
         if match and (remote or os.path.isfile(path)):
-            yield _dated(match["joint"], match["date"], path)
+            yield _within(fixed, _dated(match["joint"], match["date"], path), remote)
+
+
+def _within(folder: str | Path, one: Found, remote: bool = False) -> Found:
+    """Whoever puts recordings into a folder gives no access to what is outside of it."""
+    if remote or Path(os.path.realpath(one.file)).is_relative_to(os.path.realpath(folder)):
+        return one
+    return _refused(one, f"This is a link, or below one, that leads out of {folder}.")
 
 
 def _glob_escaped(text: str) -> str:
@@ -265,7 +291,7 @@ def _by_table(section: FleetSection) -> Iterator[Found]:
         one = _dated(str(row["joint"]), row["date"], str(path), speed)
         if one.reason is None and not path.is_file():
             one = _refused(one, f"There is no such file.{did_you_mean_file(path)}")
-        yield one
+        yield _within(file.parent if path.is_relative_to(file.parent) else path.parent, one)
 
 
 def _dated(joint: str, date: object, file: str, speed: float | None = None) -> Found:

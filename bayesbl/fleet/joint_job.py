@@ -43,6 +43,8 @@ class RecordingAnswer:
         Median, low and high.
     optimum
         Symbols and RMSE, by the amplitude.
+    lasting
+        Whether content and code alone decide it, so that it is the same whenever it is asked.
     """
 
     outcome: str
@@ -54,6 +56,7 @@ class RecordingAnswer:
     bench: FloatArray | None = None
     amplitude_rpm: tuple[float, float, float] | None = None
     optimum: Mapping[str, float] | None = None
+    lasting: bool = True
 
     @property
     def answers(self) -> bool:
@@ -80,6 +83,8 @@ class JointAnswer:
         :data:`bayesbl.measurement.wear_laws.KINDS`.
     jump_rad
         Mean jump of irregular wear of each of these draws.
+    lasting
+        As of a recording's answer.
     """
 
     reason: str | None
@@ -92,6 +97,7 @@ class JointAnswer:
     kind: FloatArray | None = None
     jump_rad: FloatArray | None = None
     probability_wear: float | None = None
+    lasting: bool = True
 
 
 @dataclass(frozen=True, slots=True)

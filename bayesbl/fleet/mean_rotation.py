@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +38,7 @@ REPEATING = (MOTOR_SPEED, MOTOR_CURRENT, MOTOR_TORQUE)
 MOST_ROTATIONS, MOST_COEFFICIENTS = 1_000_000, 100
 """Far more than ``watch`` sends."""
 
+_LARGEST = 1e30
 _LITTLE_ENDIAN = np.dtype("<f4")
 _PARTS = {"joint", "date", "sha256", "rotation_s", "rotations", "channels"}
 _OF_A_CHANNEL = {"mean", "noise_sd", "noise_coefficients"}
@@ -73,14 +73,15 @@ class MeanRotation:
     rotation_s: float
     rotations: int
     channels: Mapping[str, MeanChannel]
+    device: str = ""
 
     @property
     def file(self) -> str:
         """Where it is stored, below the table of recordings."""
-        return f"{FOLDER}/{self.joint}/{self.date}_{self.sha256[:12]}.parquet"
+        return f"{FOLDER}/{self.device}/{self.joint}/{self.date}_{self.sha256[:12]}.parquet"
 
 
-def encoded_rotation(rotation: MeanRotation) -> bytes | None:
+def encoded_rotation(rotation: MeanRotation, device: str) -> bytes | None:
     """As a message, single precision; ``None`` if it is too large to be sent."""
     channels = {
         name: {
@@ -98,11 +99,11 @@ def encoded_rotation(rotation: MeanRotation) -> bytes | None:
         "rotations": rotation.rotations,
         "channels": channels,
     }
-    message = encoded(ROTATION_MESSAGE, content)
+    message = encoded(ROTATION_MESSAGE, content, device)
     return message if len(message) <= LARGEST_MESSAGE_BYTES else None
 
 
-def decoded_rotation(given: Any) -> MeanRotation:
+def decoded_rotation(given: Any, device: str) -> MeanRotation:
     """The mean rotation that a message of this kind holds.
 
     Raises
@@ -131,6 +132,7 @@ def decoded_rotation(given: Any) -> MeanRotation:
         _positive("rotation_s", given["rotation_s"]),
         rotations,
         found,
+        device,
     )
 
 
@@ -153,6 +155,7 @@ def store_rotation(rotation: MeanRotation, output: Path) -> None:
         for name, own in rotation.channels.items()
     }
     told = {
+        "device": rotation.device,
         "joint": rotation.joint,
         "date": rotation.date,
         "sha256": rotation.sha256,
@@ -189,8 +192,8 @@ def _channel(name: str, given: Any) -> MeanChannel:
 
 
 def _finite(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{name} = {shortened(str(value))} is no number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
+        raise ValueError(f"{name} = {shortened(repr(value))} is no number, or too large")
     return float(value)
 
 

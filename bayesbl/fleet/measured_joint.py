@@ -8,7 +8,6 @@ they share (:mod:`bayesbl.fleet.shared_bench`), so that a new recording is match
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +20,8 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.errors import UserError
+from bayesbl.errors import UnavailableError, UserError
+from bayesbl.fleet.inventory import FileState, digest_of_file, file_state
 from bayesbl.fleet.joint_job import (
     FAILED,
     REFUSED,
@@ -47,6 +47,10 @@ from bayesbl.ringing.warm_start import EarlierOptimum
 DRAWS = 2000
 """Of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
 
+_CHANGED = RecordingAnswer(
+    REFUSED, "A file changed while it was measured. Measure it again.", lasting=False
+)
+
 OTHER_JOINT = "By the curve of the paper's test bench neither rate nor date is given."
 
 MeasuredJoint = tuple[tuple[RecordingAnswer, ...], JointAnswer]
@@ -65,7 +69,9 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
     for number in range(len(job.recordings)):
         answer = job.known.get(number)
         answers.append(answer or measure_recording(job, number, answers[-1] if answers else None))
-    return tuple(answers), _wear(job, answers)
+    wear = _wear(job, answers)
+    lasting = wear.lasting and all(answer.lasting for answer in answers)
+    return tuple(answers), replace(wear, lasting=lasting)
 
 
 def measure_recording(
@@ -79,28 +85,42 @@ def measure_recording(
         If nothing can be written where fits are kept.
     """
     name = job.names[number]
+    before_it = _states(job, [number])
     try:
         config = job.config("fit", [number])
         earlier = _earlier(job, {name: before}) if before is not None else {}
         tree = measure(
             config, None, _fits(job), lambda _: None, _swept(job), job.seeds([number]), earlier
         )
-        return _answer(job, number, tree)
+        answer = _answer(job, number, tree)
     except UserError as error:
-        return RecordingAnswer(REFUSED, str(error))
+        lasting = not isinstance(error, UnavailableError)
+        answer = RecordingAnswer(REFUSED, str(error), lasting=lasting)
     except (OSError, MemoryError):
         raise
     except Exception as error:
         # One recording that meets a bug must not hide the answers of a plant.
-        return RecordingAnswer(FAILED, f"This is a bug in bayesbl: {type(error).__name__}: {error}")
+        answer = RecordingAnswer(
+            FAILED, f"This is a bug in bayesbl: {type(error).__name__}: {error}"
+        )
+    return answer if before_it and before_it == _states(job, [number]) else _CHANGED
+
+
+def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
+    """Of the files of recordings, bench and curve; none where one does not hold what was asked."""
+    told = [(job.recordings[number].file, job.sha256[number]) for number in numbers]
+    named = ((job.joint.bench, job.of_bench), (job.joint.curve, job.of_curve))
+    states = []
+    for file, sha256 in (*told, *named):
+        if file is not None and sha256 is not None:
+            state = file_state(file)
+            if state is None or digest_of_file(file)[0] != sha256:
+                return []
+            states.append(state)
+    return states
 
 
 def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
-    measured = json.loads(tree.attrs["input_sha256"])[job.recordings[number].file]
-    if measured != job.sha256[number]:
-        return RecordingAnswer(
-            REFUSED, "The file changed while it was measured. Run the fleet again."
-        )
     (stored,) = stored_snapshots(tree)
     posterior = stored.groups["posterior"]
     gap = bench = None
@@ -163,12 +183,19 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
             tuple(used[-1:]),
             None if not used else _alone(answers[used[-1]]),
         )
+    asked = used if route == "amplitude" else []
+    before_it = _states(job, asked)
     try:
         if route == "direct":
-            return _by_bench(job, used, answers)
-        return _by_curve(job, used, answers)
+            answer = _by_bench(job, used, answers)
+        else:
+            answer = _by_curve(job, used, answers)
     except UserError as error:
-        return JointAnswer(str(error), route, tuple(used))
+        lasting = not isinstance(error, UnavailableError)
+        answer = JointAnswer(str(error), route, tuple(used), lasting=lasting)
+    if before_it != _states(job, asked):
+        return JointAnswer(_CHANGED.reason, route, tuple(used), lasting=False)
+    return answer
 
 
 def _alone(answer: RecordingAnswer) -> FloatArray:
@@ -279,9 +306,7 @@ def _fits(job: JointJob) -> WorkStore:
     """Where fits are kept that ``compare`` takes up again."""
     if not job.by_amplitude:
         return NOTHING_KEPT
-    folder = fits_beside(Path(job.output))
-    folder.mkdir(parents=True, exist_ok=True)
-    return WorkStore(folder)
+    return WorkStore.shared(fits_beside(Path(job.output)))
 
 
 def fits_beside(output: Path) -> Path:
@@ -290,7 +315,7 @@ def fits_beside(output: Path) -> Path:
 
 
 def _swept(job: JointJob) -> WorkStore:
-    return WorkStore(Path(job.output).parent / STORE)
+    return WorkStore.shared(Path(job.output).parent / STORE)
 
 
 def _thin(draws: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Messages of devices: JSON of one schema, and whose recording each is about.
+"""Messages of devices: JSON of one schema, from which device, and whose recording each is about.
 
 Whatever may come from a network is checked: :mod:`bayesbl.fleet.answer_message` and
 :mod:`bayesbl.fleet.mean_rotation` say what may stand in a message of each kind.
@@ -6,30 +6,52 @@ Whatever may come from a network is checked: :mod:`bayesbl.fleet.answer_message`
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
-from collections.abc import Mapping
 from datetime import date as Date
 from typing import Any, NoReturn
 
 from bayesbl.errors import shortened
 from bayesbl.fleet.inventory import is_joint_name
 
-SCHEMA = 1
+SCHEMA = 2
 
 LARGEST_MESSAGE_BYTES = 1_000_000
 """An answer takes some 1,200 bytes; two channels of ten seconds at 4 kHz as means 430,000."""
 
+STORED, REFUSED = "stored", "refused"
+"""What ``collect`` answers: SHA-256 of messages that it has stored, and of those set aside."""
+
+REPLIES = "stored"
+"""Last level of the topic that ``collect`` answers on, below that of a message."""
+
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+_DEVICE = re.compile(r"[A-Za-z0-9._-]{1,100}")
 
 
-def encoded(kind: str, given: Mapping[str, Any]) -> bytes:
+def encoded(kind: str, given: object, device: str) -> bytes:
     """A message of a kind."""
-    return json.dumps({"schema": SCHEMA, kind: given}, allow_nan=False).encode()
+    return json.dumps({"schema": SCHEMA, "device": device, kind: given}, allow_nan=False).encode()
 
 
-def decoded(message: bytes) -> tuple[str, Any]:
-    """Kind and content of a message.
+def name_of(message: bytes) -> str:
+    """SHA-256 of a message, by which it is known to both sides."""
+    return hashlib.sha256(message).hexdigest()
+
+
+def replies(message: bytes) -> tuple[set[str], set[str]]:
+    """Names of messages that are stored, and of those that were refused; none if it is no reply."""
+    try:
+        kind, given, _ = decoded(message)
+    except ValueError:
+        return set(), set()
+    names = {name for name in given if isinstance(name, str)} if isinstance(given, list) else set()
+    return (names if kind == STORED else set()), (names if kind == REFUSED else set())
+
+
+def decoded(message: bytes) -> tuple[str, Any, str]:
+    """Kind and content of a message, and the device that it is from.
 
     Raises
     ------
@@ -42,12 +64,17 @@ def decoded(message: bytes) -> tuple[str, Any]:
         content = json.loads(message, parse_constant=_no_number, object_pairs_hook=_once)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         raise ValueError("it is no JSON") from None
+    except ValueError as error:  # of a number with thousands of digits, also
+        raise ValueError(shortened(str(error), 100)) from None
     if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
         raise ValueError(f"it is no message of schema {SCHEMA}")
+    device = content.pop("device", None)
+    if not isinstance(device, str) or not _DEVICE.fullmatch(device):
+        raise ValueError("it does not say which device it is from")
     if len(content) != 1:
-        raise ValueError("it has other parts than schema and one more")
+        raise ValueError("it has other parts than schema, device and one more")
     ((kind, given),) = content.items()
-    return kind, given
+    return kind, given, device
 
 
 def require_joint(name: object) -> None:

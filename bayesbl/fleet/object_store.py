@@ -53,7 +53,7 @@ def copied(address: str, folder: Path) -> Path:
         copy = folder / (state[:32] + "".join(Path(path).suffixes[-2:]))
         if not copy.exists():
             require_size(store.size(path))
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=folder) as apart:
                 store.get_file(path, f"{apart}/copy")
                 os.replace(f"{apart}/copy", copy)

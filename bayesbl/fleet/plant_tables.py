@@ -51,6 +51,7 @@ RECORDING_COLUMNS = {
     "amplitude_rpm_low": ("double", "rpm"),
     "amplitude_rpm_high": ("double", "rpm"),
     "probability_above_limit": ("double", "that δ was above the joint's limit"),
+    "device": ("string", "that sent it, as it says of itself; null where it was measured here"),
 }
 """Column to its type and meaning."""
 

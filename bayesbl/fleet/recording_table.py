@@ -1,32 +1,49 @@
 """A ``recordings.parquet`` that grows a row at a time, and survives a power cut at any moment.
 
-Its key is the joint and the SHA-256 of the recording: the same answer twice is one row. The same
-laws hold on the device that measures and where answers of many devices are collected, whatever the
-order in which they come.
+Its key is the device, the joint and the SHA-256 of the recording: the same answer twice is one row,
+and one that could be used takes the place of one that could not. The same laws hold on the device
+that measures and where answers of many are collected, whatever the order in which they come.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import ResultError
 from bayesbl.fleet.inventory import file_of_another
-from bayesbl.fleet.joint_job import REFUSED
+from bayesbl.fleet.joint_job import FAILED, REFUSED
 from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, require_tables, schema_of
-from bayesbl.results.atomic import locked_sibling, replacing
-from bayesbl.results.folder import is_finished
+from bayesbl.results.atomic import clear_away, locked_sibling, replacing
+from bayesbl.results.folder import is_finished, require_no_link
 
 if TYPE_CHECKING:
     import pyarrow
 
 Row = Mapping[str, Any]
 
+REFUSED_FILE = "refused.parquet"
+REFUSED_COLUMNS = {
+    "sha256": ("string", "of the message"),
+    "topic": ("string", "that it came by"),
+    "bytes": ("int64", "its length"),
+    "reason": ("string", "why it could not be used"),
+    "times": ("int64", "that it came"),
+    "first": ("string", "when it came first"),
+    "last": ("string", "when it came last"),
+    "start": ("string", "how it begins"),
+}
+MOST_REFUSED, REFUSED_START = 1000, 200
+
+UNUSABLE = frozenset({REFUSED, FAILED})
+
 _BESIDE = ".growing"
-_OF_THE_RECORDING = ("joint", "date", "file", "sha256")
+_OF_THE_RECORDING = ("joint", "date", "file", "sha256", "device")
 
 
 @dataclass(slots=True)
@@ -56,6 +73,7 @@ class RecordingTable:
             is there is no such table, another writer has it, or pyarrow is missing.
         """
         require_tables()
+        require_no_link(output)
         if is_finished(output):
             raise ResultError(
                 "This folder holds the result of a run, which would be mixed with other rows.",
@@ -64,14 +82,16 @@ class RecordingTable:
             )
         with locked_sibling(output, _BESIDE) as beside:
             path = output / RECORDINGS_FILE
+            for file in (path, output / REFUSED_FILE):
+                clear_away(file)
             yield cls(path, beside, _read(path))
 
     def __len__(self) -> int:
         return int(self._rows.num_rows)
 
-    def has(self, joint: str, sha256: str) -> bool:
-        """Whether there is a row of this joint and these bytes."""
-        return bool(self._where(joint=joint, sha256=sha256))
+    def holds_measured(self, **wanted: str) -> bool:
+        """Whether a recording was measured here, and could be used, whose row has these values."""
+        return bool(self._outcomes(device=None, **wanted) - UNUSABLE)
 
     def before(self, joint: str, date: str) -> str | None:
         """Digest of the joint's last recording before a date."""
@@ -85,30 +105,45 @@ class RecordingTable:
         return None if not len(digests) else str(digests[-1].as_py())
 
     def knows(self, row: Row) -> bool:
-        """Whether a row is there already."""
-        if row["sha256"] is not None:
-            return self.has(row["joint"], row["sha256"])
-        return bool(self._where(joint=row["joint"], file=row["file"], reason=row["reason"]))
+        """Whether a row is there already, or one of the same recording that says more."""
+        same = {"device": row["device"], "joint": row["joint"]}
+        if row["sha256"] is None:
+            return bool(self._where(**same, file=row["file"], reason=row["reason"]))
+        known = self._outcomes(**same, sha256=row["sha256"])
+        return bool(known if self._is_unusable(row) else known - UNUSABLE)
+
+    def _is_unusable(self, row: Row) -> bool:
+        """Whether it says nothing, or what it says is of nobody: the same bytes are another's."""
+        return row["outcome"] in UNUSABLE or bool(self._of_others(row))
+
+    def _of_others(self, row: Row) -> list[int]:
+        """Rows of the same bytes for another joint."""
+        joints = self._rows.column("joint")
+        alike = [] if row["sha256"] is None else self._where(sha256=row["sha256"])
+        return [number for number in alike if joints[number].as_py() != row["joint"]]
 
     def put(self, row: Row) -> list[dict[str, Any]]:
         """Add a row that is not known, and return what changed: it, and others that it concerns.
 
-        A row of the same joint and file is of what the file held before, and goes. A recording that
-        is there for another joint too is of neither.
+        A row of the same device, joint and file is of what the file held before, and goes. A
+        recording that is there for another joint too is of neither.
         """
         if self.knows(row):
             return []
-        old = self._where(joint=row["joint"], file=row["file"])
-        alike = self._where(sha256=row["sha256"]) if row["sha256"] is not None else []
-        others = [number for number in alike if number not in old]
+        same = {"device": row["device"], "joint": row["joint"]}
+        old = self._where(**same, file=row["file"])
+        if row["sha256"] is not None:
+            old += self._where(**same, sha256=row["sha256"])
+        others = self._of_others(row)
         new = [dict(row)]
         if others:
             strange = self._rows.take(others).to_pylist()
             new = [_of_neither(row, strange[0]), *(_of_neither(one, row) for one in strange)]
         gone = {*old, *others}
+        rows = self._rows
         if gone:
-            self._rows = self._rows.filter([number not in gone for number in range(len(self))])
-        self._rows = _joined(self._rows, new)
+            rows = rows.filter([number not in gone for number in range(len(self))])
+        self._rows = _joined(rows, new)
         self._changed = True
         return new
 
@@ -127,15 +162,74 @@ class RecordingTable:
                 pyarrow.parquet.write_table(self._rows, temporary)
             self._changed = False
 
+    def _outcomes(self, **wanted: object) -> set[str]:
+        column = self._rows.column("outcome")
+        return {str(column[number]) for number in self._where(**wanted)}
+
     def _where(self, **wanted: object) -> list[int]:
         """Numbers of the rows that have these values."""
         import pyarrow.compute as compute
 
         found = None
         for name, value in wanted.items():
-            this = compute.equal(self._rows.column(name), value)
+            column = self._rows.column(name)
+            this = compute.is_null(column) if value is None else compute.equal(column, value)
             found = this if found is None else compute.and_kleene(found, this)
         return [int(number) for number in compute.indices_nonzero(found).to_pylist()]
+
+
+@dataclass(slots=True)
+class RefusedTable:
+    """``refused.parquet``: messages that could not be used, each once, with how often it came."""
+
+    path: Path
+    _rows: dict[str, dict[str, Any]]
+    _changed: bool = False
+
+    @classmethod
+    def read(cls, path: Path) -> RefusedTable:
+        """The table that is there, or a new one where there is none that can be read."""
+        import pyarrow
+        import pyarrow.parquet
+
+        try:
+            found = pyarrow.parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
+            rows = found.select(list(REFUSED_COLUMNS)).to_pylist()
+        except (OSError, pyarrow.ArrowException, KeyError):
+            rows = []
+        return cls(path, {row["sha256"]: row for row in rows})
+
+    def put(self, topic: str, message: bytes, reason: str) -> None:
+        """Set a message aside; of more than :data:`MOST_REFUSED`, the first go."""
+        sha256 = hashlib.sha256(message).hexdigest()
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        before = self._rows.pop(sha256, {"times": 0, "first": now})
+        self._rows[sha256] = {
+            "sha256": sha256,
+            "topic": topic,
+            "bytes": len(message),
+            "reason": reason,
+            "times": before["times"] + 1,
+            "first": before["first"],
+            "last": now,
+            "start": message[:REFUSED_START].decode("utf-8", "backslashreplace"),
+        }
+        while len(self._rows) > MOST_REFUSED:
+            del self._rows[next(iter(self._rows))]
+        self._changed = True
+
+    def save(self) -> None:
+        """Have all rows on the disk; raises ``OSError`` if they cannot be written."""
+        import pyarrow
+        import pyarrow.parquet
+
+        if self._changed:
+            rows = pyarrow.Table.from_pylist(
+                list(self._rows.values()), schema=schema_of(REFUSED_COLUMNS)
+            )
+            with replacing(self.path, durable=True) as temporary:
+                pyarrow.parquet.write_table(rows, temporary)
+            self._changed = False
 
 
 def _joined(rows: pyarrow.Table, new: list[dict[str, Any]]) -> pyarrow.Table:
@@ -165,6 +259,8 @@ def _read(path: Path) -> pyarrow.Table:
     try:
         # Read into memory: the file is replaced while the table is in use.
         found = pyarrow.parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
+        if "device" not in found.schema.names:  # an earlier version's
+            found = found.append_column("device", pyarrow.nulls(len(found), pyarrow.string()))
         return found.select(schema.names).cast(schema)
     except (pyarrow.ArrowException, KeyError, ValueError) as error:
         raise ResultError(

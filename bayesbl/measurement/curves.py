@@ -11,7 +11,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -35,7 +34,6 @@ from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import Recording
-from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 
 GAPS, START_ANGLES = 20, 4
@@ -234,7 +232,7 @@ class BenchCurves(CurveSource):
             need: self._curve(need, estimator, task, recording)
             for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
         }
-        _forget_oldest(task.swept)
+        task.swept.keep_latest(count=MOST_KEPT)
         return [made[need] for need in needs]
 
     def _need(self, recording: Recording) -> _Need:
@@ -289,20 +287,3 @@ class BenchCurves(CurveSource):
 def _report(progress: StageProgress | None, label: str, made: int, total: int) -> None:
     if progress is not None:
         progress(label, made, total)
-
-
-def _forget_oldest(store: WorkStore) -> None:
-    """Keeps the store bounded; what another process has taken away meanwhile is no harm."""
-    if store.folder is None or not store.folder.is_dir():
-        return
-    files = [file for file in store.folder.iterdir() if file.is_file()]
-    if len(files) > MOST_KEPT:
-        for file in sorted(files, key=_age)[: len(files) - MOST_KEPT]:
-            file.unlink(missing_ok=True)
-
-
-def _age(file: Path) -> float:
-    try:
-        return file.stat().st_mtime
-    except OSError:
-        return 0.0

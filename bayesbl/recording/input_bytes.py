@@ -10,7 +10,7 @@ import stat
 import zlib
 from pathlib import Path
 
-from bayesbl.errors import RecordingError
+from bayesbl.errors import RecordingError, UnavailableError
 
 LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"
 """Environment variable that raises or lowers :data:`MEMORY_MB`: the one setting for all formats."""
@@ -82,9 +82,9 @@ def require_memory(file: Path, size: float, what: str = "its content, unpacked")
         raise beyond_memory(file, f"{size / 1e6:.5g} MB ({what})")
 
 
-def beyond_memory(file: Path, found: str) -> RecordingError:
+def beyond_memory(file: Path, found: str) -> UnavailableError:
     """The refusal of a recording that takes more memory than the limit."""
-    return RecordingError(
+    return UnavailableError(
         "Reading this file takes too much memory.",
         file=file,
         found=found,

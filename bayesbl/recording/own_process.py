@@ -19,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO
 
-from bayesbl.errors import RecordingError, UserError
+from bayesbl.errors import RecordingError, UnavailableError, UserError
 from bayesbl.libraries import absent
 from bayesbl.recording import formats
 from bayesbl.recording.input_bytes import beyond_memory, memory_bytes
@@ -102,21 +102,24 @@ def _feed(stream: BinaryIO, data: bytes) -> None:
 
 
 def _broken(kind: str, file: Path, late: bool, status: int) -> RecordingError:
+    kept: type[RecordingError] = RecordingError
     if late:
+        kept = UnavailableError  # a quieter machine may end it
         problem = f"Reading this file as {kind} takes too long."
         found = f"no end after {LONGEST_S:g} s"
     else:
         problem = f"The library that reads {kind} breaks down on this file."
         found = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
         if status == -getattr(signal, "SIGKILL", 0):
+            kept = UnavailableError
             found += ", as where the system is out of memory"
-    return RecordingError(
+    return kept(
         problem, file=file, found=found, expected=f"a whole {kind} file; save it again, or as CSV"
     )
 
 
 def answer(request: dict[str, object]) -> None:
-    """The child's part: bytes from standard input, a pickled table or error to standard output."""
+    """The child's part: bytes from standard input, a table or an error to standard output."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no part of the answer
     with suppress(ValueError):
@@ -153,7 +156,9 @@ class _Pipe:
 def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
     """A line of JSON and the columns as NumPy writes them: what comes back is never unpickled."""
     if isinstance(result, UserError):
-        stream.write(json.dumps({key: getattr(result, key) for key in _ERROR}).encode() + b"\n")
+        told = {key: getattr(result, key) for key in _ERROR}
+        told["is_unavailable"] = isinstance(result, UnavailableError)
+        stream.write(json.dumps(told).encode() + b"\n")
         return
     from numpy.lib.format import write_array
 
@@ -166,7 +171,8 @@ def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
 def _received(stream: IO[bytes]) -> ArrayTable | RecordingError:
     head = json.loads(stream.readline())
     if "problem" in head:
-        return RecordingError(head.pop("problem"), **head)
+        kind = UnavailableError if head.pop("is_unavailable") else RecordingError
+        return kind(head.pop("problem"), **head)
     from numpy.lib.format import read_array
 
     from bayesbl.recording.array_table import ArrayTable

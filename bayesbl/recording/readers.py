@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.errors import RecordingError
+from bayesbl.errors import RecordingError, UnavailableError
 from bayesbl.recording.channels import (
     CHANNELS,
     LOAD_POSITION,
@@ -228,18 +228,18 @@ def _read_bytes(path: Path) -> bytes:
     try:
         data = read_input(path)
     except (FileNotFoundError, NotADirectoryError):
-        raise RecordingError(
+        raise UnavailableError(
             "There is no such file." + did_you_mean_file(path),
             file=path,
             expected="an existing recording",
         ) from None
     except IsADirectoryError:
-        raise RecordingError(
+        raise UnavailableError(
             "This is a folder.", file=path, found="a folder", expected="a recording's file"
         ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise RecordingError(
+        raise UnavailableError(
             "The file cannot be read.", file=path, found=reason, expected="a readable file"
         ) from None
     if not data.strip():
@@ -265,7 +265,7 @@ def _parsed(path: Path) -> tuple[Table, str]:
             expected=f"a whole {format_.name} file, and the suffix of what the file holds",
         )
     if format_.library and find_spec(format_.library) is None:
-        raise RecordingError(
+        raise UnavailableError(
             f"Reading {format_.name} needs {format_.library}, which is not installed.",
             file=path,
             found=f"no module {format_.library}",

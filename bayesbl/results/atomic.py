@@ -1,18 +1,26 @@
-"""Files and folders that appear whole or not at all, by one writer at a time.
+"""Files and folders that appear whole or not at all, by one writer at a time, and are ours alone.
 
 What is being written is in a hidden folder beside its place and is renamed when it is whole. A
 process that is killed leaves at most such a folder, which the next writer of the same place clears
 away: one that is still in use is known by a lock, which the system drops with the process.
+
+Others may be able to write beside an output folder. So each hidden folder is made exclusively, for
+this user alone; one that is there already is opened without following a link and used only if it is
+a folder of this user that nobody else can write. What is in it is reached through that open folder.
 """
 
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
+import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.errors import ResultError
@@ -21,6 +29,12 @@ if sys.platform != "win32":
     import fcntl
 
 _STAGING = ".staging"
+_PART = ".part"
+_DEAD_AFTER_S = 3600.0
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_READ = os.O_RDONLY | _NO_LINK | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK | getattr(os, "O_BINARY", 0)
 
 
 @contextmanager
@@ -75,7 +89,12 @@ def staging(path: Path) -> Iterator[Path]:
     OSError
         What the system said in the block, a full disk say, of ``path``: the hidden folder is gone.
     """
-    folder, handle = _new_staging(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        clear_away(path)
+        folder, handle = _locked_new(path)
+    except OSError as error:
+        raise _unwritable(path, error) from None
     try:
         yield folder
     except OSError as error:
@@ -83,9 +102,51 @@ def staging(path: Path) -> Iterator[Path]:
             error.filename = str(path)
         raise
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if handle is None or _is_still(folder, handle):
+            shutil.rmtree(folder, ignore_errors=True)
         if handle is not None:
             os.close(handle)
+
+
+def clear_away(path: Path) -> None:
+    """Delete what killed writers of this path left, and nothing of living ones."""
+    for left in left_behind(path, _STAGING):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def left_behind(path: Path, suffix: str) -> Iterator[Path]:
+    """Folders ``.<name>.<anything><suffix>`` of this user whose process has ended; each locked."""
+    try:
+        names = os.listdir(path.parent)
+    except OSError:
+        return
+    for name in names:
+        if name.startswith(f".{path.name}.") and name.endswith(suffix):
+            folder = path.with_name(name)
+            with suppress(OSError, ResultError), _own(folder) as handle:
+                if handle is not None and _lock(handle):
+                    yield folder
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """A folder that is locked, where it can be: it is not left behind by a process that ended."""
+    handle = None if sys.platform == "win32" else os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+    try:
+        if handle is not None:
+            _lock(handle)
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def make_readable(folder: Path) -> None:
+    """As readable as any folder that is made here: one that is being written is private."""
+    mask = os.umask(0)
+    os.umask(mask)
+    with _own(folder) as handle:
+        os.chmod(folder if handle is None else handle, 0o777 & ~mask)
 
 
 @contextmanager
@@ -95,7 +156,8 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        If another process holds the lock, or no folder can be made there.
+        If another process holds the lock, no folder can be made there, or what is there may be of
+        somebody else.
     """
     folder = sibling(output, suffix)
     made = [parent for parent in folder.parents if not parent.exists()]
@@ -118,98 +180,232 @@ def sibling(output: Path, suffix: str) -> Path:
     return output.with_name(f".{output.name}{suffix}")
 
 
+@dataclass(frozen=True, slots=True)
+class PrivateFolder:
+    """Small files in a folder of this user alone, each whole or absent; made when it is written.
+
+    Every method opens the folder anew and raises :class:`~bayesbl.errors.ResultError` if it is a
+    link, or others own it or can write it.
+    """
+
+    path: Path
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is this user's alone, or there is none yet."""
+        try:
+            with self._opened():
+                return True
+        except FileNotFoundError:
+            return True
+        except (OSError, ResultError):
+            return False
+
+    def entries(self) -> dict[str, os.stat_result]:
+        """What is in it, by name, none if there is no folder; not what is being written."""
+        found = {}
+        with suppress(FileNotFoundError), self._opened() as (at, handle):
+            for name in os.listdir(self.path if handle is None else handle):
+                with suppress(FileNotFoundError):
+                    if not name.endswith(_PART):
+                        found[name] = os.stat(at + name, dir_fd=handle, follow_symlinks=False)
+        return found
+
+    def read(self, name: str) -> bytes:
+        """The content of a file; raises ``OSError`` where there is none."""
+        with (
+            self._opened() as (at, handle),
+            open(os.open(at + name, _READ, dir_fd=handle), "rb") as stream,
+        ):
+            return stream.read()
+
+    def write(
+        self, name: str, content: bytes, *, replace: bool = True, durable: bool = False
+    ) -> None:
+        """A file, readable by this user alone; ``FileExistsError`` unless it may ``replace`` one.
+
+        Parameters
+        ----------
+        durable
+            As of :func:`replacing`.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileExistsError):
+                self.path.mkdir(0o700)
+        except OSError as error:
+            raise _unwritable(self.path, error) from None
+        with self._opened() as (at, handle):
+            part = f"{at}{secrets.token_hex(8)}{_PART}"
+            move = os.replace if replace else os.link
+            try:
+                with open(os.open(part, _NEW, 0o600, dir_fd=handle), "wb") as stream:
+                    stream.write(content)
+                    if durable:
+                        stream.flush()
+                        os.fsync(stream.fileno())
+                move(part, at + name, src_dir_fd=handle, dst_dir_fd=handle)
+            except OSError as error:
+                error.filename = str(self.path / name)
+                raise
+            finally:
+                with suppress(OSError):
+                    os.unlink(part, dir_fd=handle)
+            if durable and handle is not None:
+                os.fsync(handle)
+
+    def delete(self, name: str) -> None:
+        """A file, or a folder with all that is in it; what is gone already is no error."""
+        with suppress(FileNotFoundError), self._opened() as (at, handle):
+            if stat.S_ISDIR(os.stat(at + name, dir_fd=handle, follow_symlinks=False).st_mode):
+                shutil.rmtree(at + name, ignore_errors=True, dir_fd=handle)
+            else:
+                os.unlink(at + name, dir_fd=handle)
+
+    def tidy(self) -> None:
+        """Delete what writers that were killed have left: nobody writes for so long."""
+        with suppress(FileNotFoundError), self._opened() as (at, handle):
+            for name in os.listdir(self.path if handle is None else handle):
+                if name.endswith(_PART):
+                    with suppress(OSError):
+                        status = os.stat(at + name, dir_fd=handle, follow_symlinks=False)
+                        if time.time() - status.st_mtime > _DEAD_AFTER_S:
+                            os.unlink(at + name, dir_fd=handle)
+
+    def clear(self, *, last: str = "") -> None:
+        """Delete everything, what a killed writer left too, and one file after all others."""
+        with suppress(FileNotFoundError), self._opened() as (_, handle):
+            names = os.listdir(self.path if handle is None else handle)
+            for name in sorted(names, key=lambda name: name == last):
+                self.delete(name)
+
+    @contextmanager
+    def _opened(self) -> Iterator[tuple[str, int | None]]:
+        """What names in it begin with, and the handle that they are relative to."""
+        with _own(self.path) as handle:
+            yield ("" if handle is not None else f"{self.path}{os.sep}"), handle
+
+
+@contextmanager
+def _own(folder: Path) -> Iterator[int | None]:
+    """An open handle on a folder of this user alone; ``None`` where folders have none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If nothing is there.
+    ResultError
+        If it is no folder, or one that others own or can write.
+    """
+    handle = _open_own(folder)
+    try:
+        yield handle
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _open_own(folder: Path) -> int | None:
+    if sys.platform == "win32":
+        if folder.is_symlink() or folder.is_file():
+            raise _not_own(folder)
+        if not folder.exists():
+            raise FileNotFoundError(folder)
+        return None
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        raise _not_own(folder) from None
+    status = os.fstat(handle)
+    private = status.st_uid == os.geteuid() and not status.st_mode & _OTHERS_WRITE
+    if not private and not _is_as_made_here(folder, status):
+        os.close(handle)
+        raise _not_own(folder)
+    return handle
+
+
+def _is_as_made_here(folder: Path, status: os.stat_result) -> bool:
+    """Whether a folder that is made beside this one looks the same: some file systems have no
+    owners and no permissions."""
+    try:
+        probe = tempfile.mkdtemp(prefix=".bayesbl-", dir=folder.parent)
+        made = os.lstat(probe)
+        os.rmdir(probe)
+    except OSError:
+        return False
+    return status.st_uid == made.st_uid and not status.st_mode & ~made.st_mode & _OTHERS_WRITE
+
+
+def _not_own(folder: Path) -> ResultError:
+    return ResultError(
+        "This folder may be of somebody else, and is not used.",
+        file=folder,
+        found="a link, another user's, or one that others can write",
+        expected=f"nothing, or a folder of yours alone: move it away, or chmod 700 {folder}",
+    )
+
+
 def _locked(folder: Path, output: Path) -> int | None:
     """A handle that holds the lock of a folder, which is made; ``None`` where there are none."""
     while True:
-        folder.mkdir(parents=True, exist_ok=True)
-        if sys.platform == "win32":
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            folder.mkdir(0o700)
+        try:
+            handle = _open_own(folder)
+        except FileNotFoundError:
+            continue  # the run that held the lock has removed the folder
+        if handle is None:
             return None
-        handle = _lock(folder)
-        if handle is None and folder.exists() and _cannot_lock(folder):
-            return None
-        if handle is None and folder.exists():
+        locked = _lock(handle)
+        if _is_still(folder, handle):
+            if locked is not False:
+                return handle
+            os.close(handle)
             raise ResultError(
                 "Another run into this output folder is under way.",
                 file=output,
                 expected="one at a time",
             )
-        if handle is not None and _is_still(folder, handle):
-            return handle
-        if handle is not None:
-            os.close(handle)  # the run that held the lock has removed the folder
-
-
-def _new_staging(path: Path) -> tuple[Path, int | None]:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _clear_leftovers(path)
-        folder, handle = _locked_new(path)
-        # mkdtemp keeps its folders private; a result is as readable as any folder made here.
-        folder.chmod(0o777 & ~_umask())
-    except OSError as error:
-        raise _unwritable(path, error) from None
-    return folder, handle
+        os.close(handle)
 
 
 def _locked_new(path: Path) -> tuple[Path, int | None]:
     """A new folder, locked before another writer of this path takes it for a leftover."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
-        handle = _lock(folder)
-        if handle is None and (sys.platform == "win32" or _cannot_lock(folder)):
-            return folder, None
-        if handle is not None and _is_still(folder, handle):
+        try:
+            handle = _open_own(folder)
+        except FileNotFoundError:
+            continue
+        if handle is None or (_lock(handle) is not False and _is_still(folder, handle)):
             return folder, handle
-        if handle is not None:
-            os.close(handle)
+        os.close(handle)
 
 
-def _clear_leftovers(path: Path) -> None:
-    """Delete what killed writers of this path left, and nothing of living ones."""
-    for entry in path.parent.iterdir():
-        if entry.name.startswith(f".{path.name}.") and entry.name.endswith(_STAGING):
-            handle = _lock(entry)
-            if handle is not None:
-                shutil.rmtree(entry, ignore_errors=True)
-                os.close(handle)
-
-
-def _lock(folder: Path) -> int | None:
-    """An open, locked handle on a folder; ``None`` if another process holds it, or cannot tell."""
+def _lock(handle: int) -> bool | None:
+    """Whether a folder is locked now, not by another process; ``None`` where there are no locks."""
     if sys.platform == "win32":
         return None  # folders cannot be locked there: leftovers stay, and do no harm
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
-
-
-def _cannot_lock(folder: Path) -> bool:
-    """Whether the file system has no locks, as some network ones; not whether one is held."""
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except FileNotFoundError:  # removed just now by whoever held the lock
-        return False
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:
-        return True
-    finally:
-        os.close(handle)
-    return False
+    except OSError:  # some network file systems
+        return None
+    return True
 
 
 def _is_still(folder: Path, handle: int) -> bool:
     try:
-        return os.path.samestat(os.fstat(handle), os.stat(folder))
+        return os.path.samestat(os.fstat(handle), os.lstat(folder))
     except FileNotFoundError:
         return False
 
@@ -223,12 +419,6 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _unwritable(path: Path, error: OSError) -> ResultError:

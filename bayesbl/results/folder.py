@@ -1,30 +1,38 @@
-"""An output folder appears whole or not at all, and what a user put there is never deleted."""
+"""An output folder appears whole or not at all, and what a user put there is never deleted.
+
+Its ``manifest.json`` lists what a run wrote. Another run replaces that, and nothing else.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-import shutil
+import re
+import sys
+import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from bayesbl.config.fields import RESULT_FILE
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import sibling, staging
+from bayesbl.results.atomic import held, left_behind, make_readable, staging
 
 SUMMARY_FILE = "summary.json"
 CONFIG_FILE = "config.toml"
+MANIFEST_FILE = "manifest.json"
 FIGURES = "figures"
 AUGMENTED_BENCH = "augmented_bench.toml"
 IDENTIFIED_BENCH = "bench.toml"
 
-OWN_NAMES = frozenset(
-    {RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, FIGURES, AUGMENTED_BENCH, "report.html"}
-)
-"""What a result consists of; anything else in its folder is the user's."""
+_WITHOUT_MANIFEST = frozenset({RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, AUGMENTED_BENCH})
+"""What a result consists of that has none."""
+
+_MADE_LATER = frozenset({MANIFEST_FILE, "report.html", FIGURES})
 
 _REPLACED = ".replaced"
+_BY_PATH = sys.platform == "win32"
 
 
 def is_finished(path: str | Path) -> bool:
@@ -32,40 +40,62 @@ def is_finished(path: str | Path) -> bool:
     return any(os.path.isfile(Path(path) / name) for name in (SUMMARY_FILE, RESULT_FILE))
 
 
-def require_free(path: str | Path, *, force: bool = False, also: Collection[str] = ()) -> None:
+def require_free(path: str | Path, *, force: bool = False) -> None:
     """The folder may be written: it is absent, empty, or a result that ``force`` gives up.
 
-    ``also`` names what this kind of result holds beside :data:`OWN_NAMES`. Asking before a long run
-    starts spares the user the disappointment after it.
+    Asking before a long run starts spares the user the disappointment after it.
 
     Raises
     ------
     ResultError
         If it holds a finished result and ``force`` is not given, if it holds anything that is not
-        part of a result (which is never deleted), or if there is a file at this path or above it.
+        part of a result (which is never deleted), if it is a link or a mount point, or if there is
+        a file at this path or above it.
     """
     path = _absolute(path)
-    _undo_half_replacement(path)
+    _tidy(path)
     require_no_file(path)
+    require_no_link(path)
     if not os.path.exists(path):  # Path.exists raises for a name that is too long
         return
-    names = {entry.name for entry in path.iterdir()}
+    if os.path.ismount(path) or os.path.realpath(path) in _mount_points():
+        raise ResultError(
+            "A file system is mounted here, so no folder can take this name.",
+            file=path,
+            expected=f"a folder below it: --out {path / 'result'}",
+        )
+    present = _entries(path)
     if is_finished(path) and not force:
         raise ResultError(
             "This folder holds a finished result, which is not written over.",
             file=path,
-            found=_listed(names),
+            found=_listed({name for name in present if "/" not in name}),
             expected="another folder (--out), or --force to replace the result",
         )
-    foreign = names
-    if is_finished(path):
-        foreign = names - OWN_NAMES - set(also) | _foreign_figures(path / FIGURES)
+    foreign = present - _own(path) if is_finished(path) else present
     if foreign:
         raise ResultError(
             "This folder holds files that are not part of a result, and is left as it is.",
             file=path,
             found=_listed(foreign),
             expected="a new or empty folder",
+        )
+
+
+def require_no_link(folder: Path) -> None:
+    """There is no link at the place of a folder: its target might be anybody's.
+
+    Raises
+    ------
+    ResultError
+        Naming the link and where it leads.
+    """
+    if os.path.islink(folder):
+        raise ResultError(
+            "There is a link where the output folder should be.",
+            file=folder,
+            found=f"a link to {os.readlink(folder)}",
+            expected="the folder itself",
         )
 
 
@@ -87,9 +117,7 @@ def require_no_file(folder: Path) -> None:
 
 
 @contextmanager
-def new_result(
-    path: str | Path, *, force: bool = False, also: Collection[str] = ()
-) -> Iterator[Path]:
+def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     """A folder to write a result into; it takes its name when the block ends without exception.
 
     ``path`` is untouched until then, and for good if the block raises or the process is killed.
@@ -106,19 +134,14 @@ def new_result(
         quicker.
     """
     path = _absolute(path)
-    require_free(path, force=force, also=also)
-    if path.exists():
-        shutil.rmtree(_aside(path), ignore_errors=True)
+    require_free(path, force=force)
     with staging(path) as folder:
         yield folder
-        require_free(path, force=force, also=also)
+        require_free(path, force=force)
+        text = json.dumps({"files": sorted(_entries(folder))}, indent=1, ensure_ascii=False)
+        (folder / MANIFEST_FILE).write_text(text + "\n", encoding="utf-8")
+        make_readable(folder)
         _put_in_place(folder, path)
-
-
-def _foreign_figures(folder: Path) -> set[str]:
-    """What a user put among the figures: each of ours holds its own name as its title."""
-    files = list(folder.iterdir()) if folder.is_dir() else []
-    return {f"{FIGURES}/{file.name}" for file in files if not _holds_its_name(file)}
 
 
 def figure_title(name: str) -> str:
@@ -126,8 +149,47 @@ def figure_title(name: str) -> str:
     return quote(name)
 
 
+def _own(folder: Path) -> set[str]:
+    """What is in a folder that a run has written: its manifest's, and what is drawn later."""
+    files: Collection[str] = _WITHOUT_MANIFEST
+    with suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
+        stored = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))["files"]
+        files = [name for name in stored if isinstance(name, str)]
+    figures = (folder / FIGURES).iterdir() if (folder / FIGURES).is_dir() else ()
+    drawn = {f"{FIGURES}/{file.name}" for file in figures if _holds_its_name(file)}
+    files = {name for name in files if not name.startswith(f"{FIGURES}/")} | drawn | _MADE_LATER
+    return files | {str(above) for name in files for above in PurePosixPath(name).parents}
+
+
 def _holds_its_name(file: Path) -> bool:
     return file.is_file() and figure_title(file.stem).encode() in file.read_bytes()
+
+
+def _entries(folder: Path) -> set[str]:
+    """All that is in a folder and in those below it; what links lead to is not."""
+    return {
+        Path(root, name).relative_to(folder).as_posix()
+        for root, folders, files in os.walk(folder)
+        for name in (*folders, *files)
+    }
+
+
+def _delete(folder: Path) -> None:
+    """The result in a folder, and the folder unless a user has put something into it."""
+    own = _own(folder)
+    for name in (SUMMARY_FILE, RESULT_FILE):  # half a result must not pass for one
+        with suppress(OSError):
+            os.unlink(folder / name)
+    for root, folders, files, *handle in (os.walk if _BY_PATH else os.fwalk)(folder, topdown=False):
+        at, where = (f"{root}{os.sep}", {}) if _BY_PATH else ("", {"dir_fd": handle[0]})
+        for remove, names in ((os.unlink, files), (os.rmdir, folders)):
+            for name in names:
+                if Path(root, name).relative_to(folder).as_posix() in own - {MANIFEST_FILE}:
+                    with suppress(OSError):
+                        remove(at + name, **where)
+    for remove, place in ((os.unlink, folder / MANIFEST_FILE), (os.rmdir, folder)):
+        with suppress(OSError):
+            remove(place)
 
 
 def _listed(names: Collection[str]) -> str:
@@ -143,23 +205,34 @@ def _put_in_place(folder: Path, path: Path) -> None:
     if not path.exists():
         folder.rename(path)
         return
-    aside = _aside(path)
-    shutil.rmtree(aside, ignore_errors=True)
-    path.rename(aside)
+    with held(path):
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_REPLACED, dir=path.parent))
+        if _BY_PATH:
+            aside.rmdir()
+        path.rename(aside)
+        try:
+            folder.rename(path)
+        except BaseException:
+            aside.rename(path)
+            raise
+        _delete(aside)
+
+
+def _tidy(path: Path) -> None:
+    """What a run that was killed between or after the two renames has left of an earlier result."""
+    for aside in left_behind(path, _REPLACED):
+        if os.path.lexists(path) or not is_finished(aside):
+            _delete(aside)
+        else:
+            with suppress(OSError):
+                aside.rename(path)
+
+
+def _mount_points() -> set[str]:
+    """Those that differ from what they are mounted on by nothing else, where the system says."""
     try:
-        folder.rename(path)
-    except BaseException:
-        aside.rename(path)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
-
-
-def _aside(path: Path) -> Path:
-    return sibling(path, _REPLACED)
-
-
-def _undo_half_replacement(path: Path) -> None:
-    """Put the earlier result back if a run was killed between the two renames."""
-    if not os.path.lexists(path) and os.path.isdir(_aside(path)):
-        with suppress(OSError):
-            _aside(path).rename(path)
+        text = os.fsdecode(Path("/proc/self/mountinfo").read_bytes())
+    except OSError:
+        return set()
+    places = (line.split(" ")[4] for line in text.splitlines())
+    return {re.sub(r"\\(\d{3})", lambda code: chr(int(code[1], 8)), place) for place in places}

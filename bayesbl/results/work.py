@@ -3,24 +3,32 @@
 The address is the SHA-256 of all that decides the numbers: the inputs, and the code that makes
 them. An entry is one file that appears whole or not at all, so a run that is killed loses the work
 in flight and nothing else, and the same command goes on to the same numbers. What is damaged, is of
-another address or cannot be read counts as not finished.
+another address, was not made by this user or cannot be read counts as not finished.
+
+Whoever writes an entry decides numbers. So each holds the address of what it was made from and a
+code that only the owner of a key can make, which lies with this user's own state: an entry that
+came with a folder from elsewhere is made again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
+import math
+import os
 import platform
-import shutil
+import secrets
+import stat
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import accumulate
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import locked_sibling, replacing
+from bayesbl.results.atomic import PrivateFolder, locked_sibling
 from bayesbl.results.codec import address, decoder, encoded
 from bayesbl.results.provenance import (
     code_sha256,
@@ -35,6 +43,9 @@ PROBLEM_FILE = "problem.json"
 
 _UNFINISHED = ".unfinished"
 
+_KEY_FILE = "key"
+_KEY_BYTES = 32
+
 Problem = Mapping[str, str]
 """What decides the numbers of a run, as text by what it is called."""
 
@@ -46,7 +57,7 @@ def code_identity() -> str:
 
 @dataclass(frozen=True, slots=True)
 class WorkStore:
-    """Finished work in one folder.
+    """Finished work in one folder, which is this user's alone.
 
     Attributes
     ----------
@@ -97,16 +108,23 @@ class WorkStore:
                 if not store.holds_work:
                     store.clear()
 
+    @classmethod
+    def shared(cls, folder: Path, *, fresh: bool = False) -> WorkStore:
+        """What may be made again at any time; nothing is kept where it is not this user's alone."""
+        return cls(folder if PrivateFolder(folder).is_usable else None, fresh)
+
     @property
     def holds_work(self) -> bool:
         """Whether there is anything that a later run could go on from."""
-        files = [] if self.folder is None else self.folder.iterdir()
-        return not all(map(_is_problem, files))
+        return bool(self._entries().keys() - {PROBLEM_FILE})
 
     @property
     def resumes(self) -> bool:
         """Whether an earlier run left finished work."""
-        return self.folder is not None and (self.folder / PROBLEM_FILE).is_file()
+        try:
+            return self.folder is not None and bool(PrivateFolder(self.folder).read(PROBLEM_FILE))
+        except OSError:
+            return False
 
     def get(self, what: str, inputs: object, make: Callable[[], T], kind: type[T]) -> T:
         """Finished work: recalled, or made and kept.
@@ -133,48 +151,61 @@ class WorkStore:
             return None
         key, decoded = self.address_of(what, inputs), decoder(kind)  # type: ignore[arg-type]
         try:
-            head, _, content = (self.folder / key).read_bytes().partition(b"\n")
-            return decoded(content) if head == _head(key, content) else None
+            head, _, content = PrivateFolder(self.folder).read(key).partition(b"\n")
+            return decoded(content) if hmac.compare_digest(head, _head(key, content)) else None
         except Exception:
-            # A file that anyone may have written fails in any way; then the work is made again.
+            # What is damaged fails in any way; then the work is made again.
             return None
 
     def keep(self, what: str, inputs: object, value: object) -> None:
-        """Keep finished work, whole or not at all."""
+        """Keep finished work, whole or not at all.
+
+        Raises
+        ------
+        ResultError
+            If the folder is not this user's alone, or cannot be made.
+        OSError
+            If the disk is full, say.
+        """
         if self.folder is None:
             return
+        folder = PrivateFolder(self.folder)
         if self.problem and not self.resumes:
             text = json.dumps(self.problem, indent=1, ensure_ascii=False)
-            _write(self.folder / PROBLEM_FILE, text.encode())
+            folder.write(PROBLEM_FILE, text.encode())
         key, content = self.address_of(what, inputs), encoded(value)
-        _write(self.folder / key, _head(key, content) + b"\n" + content)
+        folder.write(key, _head(key, content) + b"\n" + content)
 
     def clear(self) -> None:
         """Forget all, the problem last: without it, no work counts."""
-        files = [] if self.folder is None else sorted(self.folder.iterdir(), key=_is_problem)
-        for file in files:
-            if file.is_dir():
-                shutil.rmtree(file, ignore_errors=True)
-            else:
-                file.unlink(missing_ok=True)
+        if self.folder is not None:
+            PrivateFolder(self.folder).clear(last=PROBLEM_FILE)
 
-    def keep_latest(self, size_bytes: int) -> None:
-        """Delete the oldest entries until the others take at most this much."""
-        files = [] if self.folder is None or not self.folder.is_dir() else self.folder.iterdir()
-        # Another run may be writing or deleting here: what is gone takes nothing.
-        with suppress(FileNotFoundError):
-            found = [(file.stat(), file) for file in files if file.is_file()]
-            found.sort(key=lambda entry: -entry[0].st_mtime_ns)
-            taken = accumulate(status.st_size for status, _ in found)
-            for (_, file), total in zip(found, taken, strict=True):
-                if total > size_bytes:
-                    file.unlink()
+    def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
+        """Delete the oldest entries until the others are no more, and take no more, than this."""
+        self._tidy()
+        latest = sorted(self._entries().items(), key=lambda entry: -entry[1].st_mtime_ns)
+        taken = 0
+        for number, (name, status) in enumerate(latest, start=1):
+            taken += status.st_size
+            if self.folder is not None and (taken > size_bytes or number > count):
+                PrivateFolder(self.folder).delete(name)
 
     def keep_only(self, addresses: Collection[str]) -> None:
         """Forget all but what is under these addresses."""
-        for file in [] if self.folder is None else self.folder.iterdir():
-            if file.is_file() and file.name not in addresses:
-                file.unlink(missing_ok=True)
+        self._tidy()
+        for name in self._entries().keys() - set(addresses):
+            if self.folder is not None:
+                PrivateFolder(self.folder).delete(name)
+
+    def _tidy(self) -> None:
+        if self.folder is not None:
+            PrivateFolder(self.folder).tidy()
+
+    def _entries(self) -> dict[str, os.stat_result]:
+        """Files in the folder, by name."""
+        found = {} if self.folder is None else PrivateFolder(self.folder).entries()
+        return {name: status for name, status in found.items() if stat.S_ISREG(status.st_mode)}
 
     def address_of(self, what: str, inputs: object) -> str:
         """Where finished work of these inputs is kept."""
@@ -196,17 +227,28 @@ def problem_of(config: Mapping[str, Any]) -> Problem:
 
 
 def _head(key: str, content: bytes) -> bytes:
-    """First line of an entry: damage shows, and that it belongs under another address."""
-    return hashlib.sha256(key.encode() + content).hexdigest().encode()
+    """First line of an entry: damage shows, that it is of another address, and who made it."""
+    return hmac.new(_own_key(), key.encode() + content, hashlib.sha256).hexdigest().encode()
 
 
-def _write(file: Path, content: bytes) -> None:
-    with replacing(file) as temporary:
-        temporary.write_bytes(content)
-
-
-def _is_problem(file: Path) -> bool:
-    return file.name == PROBLEM_FILE
+@cache
+def _own_key() -> bytes:
+    """Of this user at this machine; empty where none can be kept, as without a home folder."""
+    state = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", "")
+    try:
+        folder = PrivateFolder(
+            Path(state if os.path.isabs(state) else Path.home() / ".local/state") / "bayesbl"
+        )
+        with suppress(FileNotFoundError):
+            key = folder.read(_KEY_FILE)
+            if len(key) == _KEY_BYTES:
+                return key
+            folder.delete(_KEY_FILE)
+        with suppress(FileExistsError):  # another process has just made it
+            folder.write(_KEY_FILE, secrets.token_bytes(_KEY_BYTES), replace=False)
+        return folder.read(_KEY_FILE)
+    except (OSError, RuntimeError, ResultError):
+        return b""
 
 
 def _flat(value: Any, name: str) -> dict[str, str]:
@@ -226,7 +268,7 @@ def _flat(value: Any, name: str) -> dict[str, str]:
 def _stored_problem(store: WorkStore) -> Problem | None:
     assert store.folder is not None
     try:
-        stored = json.loads((store.folder / PROBLEM_FILE).read_text(encoding="utf-8"))
+        stored = json.loads(PrivateFolder(store.folder).read(PROBLEM_FILE).decode())
     except FileNotFoundError:
         store.clear()  # work without its problem belongs to nothing
         return None

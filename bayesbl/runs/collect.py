@@ -1,12 +1,14 @@
 """``bayesbl collect``: what ``watch`` publishes, as rows of one table, each answer once.
 
-A message is acknowledged when its row is on the disk, and the broker keeps what was not: a cut at
-any moment loses nothing, and what then comes twice is one row.
+When its row is on the disk, a message is acknowledged, and its device is told: a cut at any moment
+loses nothing, and what then comes twice is one row. A message that cannot be used is set aside, as
+a row with its reason in a table of its own.
 """
 
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,8 +34,16 @@ from bayesbl.fleet.mean_rotation import (
     decoded_rotation,
     store_rotation,
 )
-from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded
-from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.message import (
+    LARGEST_MESSAGE_BYTES,
+    REFUSED,
+    REPLIES,
+    STORED,
+    decoded,
+    encoded,
+    name_of,
+)
+from bayesbl.fleet.recording_table import REFUSED_FILE, RecordingTable, RefusedTable
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -75,7 +85,10 @@ def collect(
     with RecordingTable.opened(output) as table:
         name = stays_known_by(table.beside)
         client = make_client(address, credentials, name, acknowledge_by_hand=True)
-        collecting = _Collecting(client, address, table, OnlyOnce(say), say, tell, once)
+        refused_table = RefusedTable.read(output / REFUSED_FILE)
+        collecting = _Collecting(
+            client, name, address, table, refused_table, OnlyOnce(say), say, tell, once
+        )
         client.on_connect = collecting.on_connect
         client.on_subscribe = collecting.on_subscribe
         client.on_message = collecting.on_message
@@ -90,8 +103,10 @@ class _Collecting:
     """One thread: no acknowledgement can meet another connection than its message came by."""
 
     client: Client
+    name: str
     address: Address
     table: RecordingTable
+    refused: RefusedTable
     say: OnlyOnce
     say_always: Callable[[str], None]
     tell: Callable[[Mapping[str, Any]], None]
@@ -149,18 +164,32 @@ class _Collecting:
     def _store(self) -> None:
         """First on the disk, then acknowledged."""
         rows = []
+        answers: dict[str, dict[str, list[str]]] = defaultdict(lambda: {STORED: [], REFUSED: []})
         for message in self.arrived:
+            payload = bytes(message.payload)
             try:
-                found = _content(bytes(message.payload))
-            except ValueError as error:
-                # It is acknowledged too, or it would come again for ever.
-                self.say_always(f"A message of {len(message.payload)} bytes is left out: {error}.")
-                continue
-            if isinstance(found, MeanRotation):
-                store_rotation(found, self.table.path.parent)
-            else:
-                rows += self.table.put(found)
+                found = _content(payload)
+                if isinstance(found, MeanRotation):
+                    store_rotation(found, self.table.path.parent)
+                else:
+                    rows += self.table.put(found)
+                kind = STORED
+            except OSError:
+                raise  # the disk's, not the message's
+            except Exception as error:
+                # Whatever a message does, it is acknowledged, or it would come again for ever.
+                told = str(error) if isinstance(error, ValueError) else type(error).__name__
+                self.say_always(f"A message of {len(payload)} bytes is set aside: {told}.")
+                self.refused.put(message.topic, payload, told)
+                kind = REFUSED
+            answers[message.topic][kind].append(name_of(payload))
         self.table.save()
+        self.refused.save()
+        for topic, kinds in answers.items():
+            for kind, names in kinds.items():
+                if names:
+                    reply = encoded(kind, names, self.name)
+                    self.client.publish(f"{topic}/{REPLIES}", reply, qos=1)
         for message in self.arrived:
             self.client.ack(message.mid, message.qos)
         self.arrived.clear()
@@ -171,10 +200,14 @@ class _Collecting:
         self, client: Client, data: object, flags: object, reason: Any, more: object
     ) -> None:
         """Ask for the topic and those below it, as the session may have done before."""
+        from paho.mqtt.subscribeoptions import SubscribeOptions
+
         if reason.is_failure:
             self._refused(str(reason))
         else:
-            client.subscribe(f"{self.address.topic}/#", qos=1)
+            client.subscribe(
+                f"{self.address.topic}/#", options=SubscribeOptions(qos=1, noLocal=True)
+            )
 
     def on_subscribe(
         self, client: Client, data: object, mid: int, reasons: list[Any], more: object
@@ -187,8 +220,11 @@ class _Collecting:
             self.say(f"Waiting for answers from {self.address.in_words}.")
 
     def on_message(self, client: Client, data: object, message: MQTTMessage) -> None:
-        """Keep a message until it is stored."""
-        self.arrived.append(message)
+        """Keep a message until it is stored; what collectors say is none."""
+        if message.topic.endswith(f"/{REPLIES}"):
+            client.ack(message.mid, message.qos)
+        else:
+            self.arrived.append(message)
 
     def _refused(self, reason: str) -> None:
         self.refusal = reason
@@ -203,9 +239,9 @@ def _content(message: bytes) -> dict[str, Any] | MeanRotation:
     ValueError
         If it is neither.
     """
-    kind, given = decoded(message)
+    kind, given, device = decoded(message)
     if kind == ROTATION_MESSAGE:
-        return decoded_rotation(given)
+        return decoded_rotation(given, device)
     if kind == ANSWER:
-        return decoded_answer(given)
+        return decoded_answer(given, device)
     raise ValueError(f"there is no message of the kind {shortened(kind)!r}")

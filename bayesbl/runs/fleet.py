@@ -8,7 +8,6 @@ file costs its own measurement and its joint's wear, and a run that was killed g
 from __future__ import annotations
 
 import json
-import shutil
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
@@ -54,7 +53,7 @@ from bayesbl.fleet.plant_tables import (
 )
 from bayesbl.fleet.pooled_rates import TypeRates
 from bayesbl.processes import processes
-from bayesbl.results.atomic import locked_sibling, sibling
+from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import file_sha256, git_commit
@@ -64,19 +63,16 @@ from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.workflow import Options, Plan, require_output, settings_of
 
-DRAWS_FOLDER, PAGE_FILE, PAGES = "draws.zarr", "index.html", "joints"
-
-OWN = {RECORDINGS_FILE, JOINTS_FILE, DRAWS_FOLDER, PAGE_FILE, PAGES}
-"""What the output folder of a fleet holds beside summary and configuration."""
+DRAWS_FOLDER = "draws.zarr"
 
 LARGEST_FITS_BYTES = 2_000_000_000
 """Of finished fits, some 300 kB each, that a joint's change is computed from; the oldest go."""
 
-COPIES = ".copies"
-"""Of the hidden folder beside the output folder for recordings of an object store."""
-
 KEPT = ".kept"
 """Of the hidden folder beside the output folder that answers are kept in."""
+
+COPIES = "copies"
+"""Folder in there of recordings of an object store."""
 
 MOST_URGENT = 20
 """Joints in the summary; all are in the tables."""
@@ -104,7 +100,10 @@ class FleetSummary(Head):
 
 @dataclass(frozen=True, slots=True)
 class KeptJoint:
-    """A joint's answer with the rows of its recordings, and where their own answers are kept."""
+    """A joint's answer with the rows of its recordings, and where their own answers are kept.
+
+    One that is not ``lasting`` serves the run that made it alone.
+    """
 
     answer: JointAnswer
     rows: tuple[dict[str, Any], ...]
@@ -113,7 +112,7 @@ class KeptJoint:
 
 def describe(config: FleetConfig, plan: Plan) -> None:
     """What would be measured."""
-    plan.add("output", lambda: require_output(config.run.output, OWN))
+    plan.add("output", lambda: require_output(config.run.output))
     plan.add("tables", lambda: require_tables())
     plan.add("joints", lambda: _told(config))
 
@@ -139,19 +138,20 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     _require_own(output, options.force)
     joints = read_joints(config.fleet)
     found = find_recordings(config.fleet, joints)
+    fits = WorkStore.shared(fits_beside(output))
     if options.force:
-        shutil.rmtree(fits_beside(output), ignore_errors=True)
+        fits.clear()
     with locked_sibling(output, KEPT) as folder:
-        jobs, refused = _jobs(config, joints, fetched(found, sibling(output, COPIES)))
+        jobs, refused = _jobs(config, joints, fetched(found, folder / COPIES))
         store = WorkStore(folder, fresh=options.force)
         _finish(config, jobs, store, options)
         store = replace(store, fresh=False)
-        with new_result(output, force=True, also=OWN) as new:
+        with new_result(output, force=True) as new:
             summary = _write(config, jobs, refused, store, new)
             # The pages are made of the tables alone.
             options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new, options.formats)
         _forget_others(jobs, store)
-    WorkStore(fits_beside(output)).keep_latest(LARGEST_FITS_BYTES)
+    fits.keep_latest(size_bytes=LARGEST_FITS_BYTES)
     return summary
 
 
@@ -163,17 +163,7 @@ def _require_own(output: Path, force: bool) -> None:
     kind = None
     with suppress(OSError, ValueError):
         kind = json.loads((output / SUMMARY_FILE).read_text(encoding="utf-8")).get("kind")
-    require_free(output, force=force or kind == "fleet", also=OWN)
-    pages = output / PAGES
-    inside = pages.iterdir() if pages.is_dir() else []
-    foreign = sorted(entry.name for entry in inside if entry.suffix != ".html")
-    if foreign:
-        raise ResultError(
-            "This folder holds files that are not part of a result, and is left as it is.",
-            file=pages,
-            found=", ".join(foreign[:5]),
-            expected="pages of joints only",
-        )
+    require_free(output, force=force or kind == "fleet")
 
 
 def _jobs(
@@ -250,7 +240,7 @@ def _finish(
     lacking = [
         _with_known(job, store)
         for job in jobs
-        if store.fresh or store.recall("joint", job.problem(), KeptJoint) is None
+        if store.fresh or not _lasts(store.recall("joint", job.problem(), KeptJoint))
     ]
     if not lacking:
         return
@@ -263,7 +253,7 @@ def _finish(
         for number, answer in enumerate(answers):
             problem = job.problem_of(number, answers[number - 1] if number else None)
             addresses.append(store.address_of("recording", problem))
-            if number not in job.known:
+            if number not in job.known and answer.lasting:
                 store.keep("recording", problem, answer)
         rows = tuple(
             recording_row(answer, job.joint, number in wear.used, level)
@@ -273,6 +263,10 @@ def _finish(
         done += 1
         if options.progress is not None:
             options.progress("Joints", done, len(jobs))
+
+
+def _lasts(kept: KeptJoint | None) -> bool:
+    return kept is not None and kept.answer.lasting
 
 
 def _with_known(job: JointJob, store: WorkStore) -> JointJob:
@@ -423,5 +417,7 @@ def _forget_others(jobs: Sequence[JointJob], store: WorkStore) -> None:
     used = set()
     for job in jobs:
         kept = store.recall("joint", job.problem(), KeptJoint)
-        used |= {store.address_of("joint", job.problem()), *(kept.addresses if kept else ())}
+        used |= set(kept.addresses if kept else ())
+        if _lasts(kept):
+            used.add(store.address_of("joint", job.problem()))
     store.keep_only(used)

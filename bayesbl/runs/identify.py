@@ -22,7 +22,6 @@ from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.moving import moves
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
-from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.runs.asked_speed import asked_speed
@@ -39,7 +38,6 @@ def run(config: IdentifyConfig, options: Options) -> Summary:
         config,
         options,
         lambda work: run_identify(config, options.progress, work),
-        also=(IDENTIFIED_BENCH,),
     )
 
 
@@ -69,7 +67,7 @@ def run_identify(
 
 def describe(config: IdentifyConfig, plan: Plan) -> None:
     """What would be identified, and from what."""
-    plan.add("output", partial(require_output, config.run.output, (IDENTIFIED_BENCH,)))
+    plan.add("output", partial(require_output, config.run.output))
 
     def problem() -> str:
         found, notes = problem_of(config)

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 def run(config: SnapshotConfig, options: Options) -> Summary:
     """Measure, and write the output folder."""
+    swept = swept_benches(config)
+    if config.estimator.bench is not None and swept.folder is None:
+        options.say(
+            f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
+        )
     return run_into_folder(
         config,
         options,
@@ -27,7 +32,7 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
             options.progress,
             work,
             options.say,
-            swept_benches(config),
+            swept,
             recordings=options.recordings,
         ),
     )
@@ -35,7 +40,7 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
 
 def swept_benches(config: SnapshotConfig) -> WorkStore:
     """Where swept benches are kept, for all runs with results beside this one's."""
-    return WorkStore(config.run.output.parent / STORE)
+    return WorkStore.shared(config.run.output.parent / STORE)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:

@@ -34,6 +34,7 @@ from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
 from bayesbl.runs.workflow import Options, Plan, require_output, write_result
 
 TABLE_FILE = "table.csv"
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 _OWN_COLUMNS = {
     "failed": ("1", "1 where the case failed, and has no values"),
@@ -85,7 +86,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
     add = not options.force and is_finished(output)
     if add:
         _take_from_result(study, rows, output)
-    require_free(output, force=options.force or add, also={TABLE_FILE})
+    require_free(output, force=options.force or add)
     with WorkStore.beside(output, fresh=options.force) as work:
         # A case keeps the commit that made it, as in a finished result that is added to.
         kept = replace(work, code="")
@@ -102,7 +103,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
 
 def describe(config: StudyConfig, plan: Plan) -> None:
     """What would run, in words."""
-    plan.add("output", partial(require_output, config.run.output, {TABLE_FILE}))
+    plan.add("output", partial(require_output, config.run.output))
     plan.add("study", partial(_in_words, config))
 
 
@@ -163,14 +164,21 @@ def summarise_study(tree: xr.DataTree) -> StudySummary:
 
 
 def table_csv(lines: Sequence[Mapping[str, Any]]) -> str:
-    """Lines of the table as CSV, six digits, the commit last; times are left to the summary."""
+    """Lines of the table as CSV, six digits, the commit last; times are left to the summary.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe.
+    """
     columns = table_columns(lines)
     text = io.StringIO()
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    for line in lines:
-        writer.writerow({column: cell(line.get(column)) for column in columns})
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(map(_harmless, columns))
+    writer.writerows([_harmless(line.get(column)) for column in columns] for line in lines)
     return text.getvalue()
+
+
+def _harmless(value: object) -> str:
+    formula = isinstance(value, str) and value.startswith(_FORMULA)
+    return f"'{value}" if formula else cell(value)
 
 
 def table_columns(lines: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -213,7 +221,7 @@ def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
             "--force to start over",
         )
     if len(stored) == len(rows) and tree.attrs["study_sha256"] == study.sha256:
-        require_free(output, also={TABLE_FILE})  # nothing is left to do
+        require_free(output)  # nothing is left to do
     for row in rows:
         if row.name in stored:
             row.cases = _cases_of(stored[row.name])

@@ -102,12 +102,12 @@ def run_sweep(
     """
     bench = bench_from(config.bench)
     require_drawable(config, bench)
-    work = WorkStore(config.run.output.parent / CACHE, fresh)
+    work = WorkStore.shared(config.run.output.parent / CACHE, fresh=fresh)
     problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, work)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
-    work.keep_latest(CACHE_BYTES)
+    work.keep_latest(size_bytes=CACHE_BYTES)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
     swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, progress)

@@ -9,10 +9,12 @@ again from whichever of these is there, and the same answer sent twice is one ro
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,16 +24,24 @@ from bayesbl.config.fleet import FleetConfig
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.answer_message import encoded_answer
 from bayesbl.fleet.broker import Address, Credentials, stays_known_by
-from bayesbl.fleet.inventory import Found, Joint, digest_of_file, find_recordings, read_joints
+from bayesbl.fleet.inventory import (
+    FileState,
+    Found,
+    Joint,
+    digest_of_file,
+    file_state,
+    find_recordings,
+    read_joints,
+    state_of,
+)
 from bayesbl.fleet.joint_job import REFUSED, JointJob, RecordingAnswer
 from bayesbl.fleet.mean_rotation import encoded_rotation
 from bayesbl.fleet.measured_joint import fits_beside, measure_recording
-from bayesbl.fleet.outbox import Outbox
 from bayesbl.fleet.plant_tables import Level, recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.fleet.reduced_recording import mean_rotation
-from bayesbl.fleet.sender import Sender
-from bayesbl.results.atomic import sibling
+from bayesbl.fleet.sender import Outbox, Sender
+from bayesbl.results.atomic import PrivateFolder, sibling
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.fleet import KEPT, identity, job_maker
 
@@ -48,9 +58,6 @@ LAST_SENT_WAIT_S = 30.0
 
 _OUTBOX = "outbox"
 
-Signature = tuple[int, int, int]
-"""A file's number, size and time: another one is another content."""
-
 
 @dataclass(frozen=True, slots=True)
 class Watched:
@@ -61,7 +68,8 @@ class Watched:
     once
         End when everything that is there is measured, and sent.
     keep_latest
-        Of each joint as many measured recordings stay, the others are deleted; ``None``: all stay.
+        Of each joint that many of the recordings stay that were measured, and whose rows are
+        stored; older ones are deleted, nothing else ever is. ``None``: all stay.
     mean_rotation
         Send, beside each answer, the mean rotation of its recording with its noise.
     """
@@ -101,11 +109,11 @@ def watch(
     with RecordingTable.opened(asked.output) as table:
         outbox = None
         if asked.publish is not None:
-            outbox = Outbox(table.beside / _OUTBOX)
-            outbox.folder.mkdir(exist_ok=True)
+            outbox = Outbox(PrivateFolder(table.beside / _OUTBOX), stays_known_by(table.beside))
+            outbox.folder.tidy()
         store = WorkStore(sibling(config.run.output, KEPT))
         measuring = _Measuring(config, joints, table, outbox, store, tell, asked.mean_rotation)
-        with _sending(asked, table.beside, outbox, say):
+        with _sending(asked, outbox, say):
             _watch(asked, config, list(joints.values()), measuring)
 
 
@@ -130,13 +138,11 @@ def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
 
 
 @contextmanager
-def _sending(
-    asked: Watched, beside: Path, outbox: Outbox | None, say: Callable[[str], None]
-) -> Iterator[None]:
+def _sending(asked: Watched, outbox: Outbox | None, say: Callable[[str], None]) -> Iterator[None]:
     if asked.publish is None or outbox is None:
         yield
         return
-    sender = Sender(outbox, asked.publish, asked.credentials, stays_known_by(beside), say)
+    sender = Sender(outbox, asked.publish, asked.credentials, say)
     sender.start()
     wait_s = 0.0
     try:
@@ -145,7 +151,7 @@ def _sending(
     finally:
         left = sender.stop(wait_s)
         if left:
-            say(f"Answers that wait to be sent: {left}. They go the next time.")
+            say(f"Answers that `bayesbl collect` has not stored yet: {left}. They are sent again.")
 
 
 def _watch(
@@ -154,11 +160,11 @@ def _watch(
     joints: list[Joint],
     measuring: _Measuring,
 ) -> None:
-    resting: dict[str, tuple[Signature, float]] = {}
-    done: dict[str, Signature] = {}
+    resting: dict[str, tuple[FileState, float]] = {}
+    done: dict[str, FileState] = {}
     while True:
         found = find_recordings(config.fleet, joints)
-        signatures = {one.file: signature for one in found if (signature := _signature(one.file))}
+        signatures = {one.file: state for one in found if (state := file_state(one.file))}
         done = {file: seen for file, seen in done.items() if signatures.get(file) == seen}
         now = time.monotonic()
         resting = {
@@ -172,34 +178,14 @@ def _watch(
             if one.file in resting and now - resting[one.file][1] >= asked.settled_s
         ]
         for one in ready:
-            before = _signature(one.file)
+            before = file_state(one.file)
             if before == signatures[one.file] and measuring.took(one):
                 done[one.file] = before
         if asked.keep_latest is not None:
-            _delete(found, done, asked.keep_latest)
+            measuring.delete_all_but_the_latest(found, done, asked.keep_latest)
         if asked.once and not resting.keys() - done.keys():
             return
         time.sleep(min(POLL_S, asked.settled_s) if asked.once else POLL_S)
-
-
-def _signature(file: str) -> Signature | None:
-    """``None`` where there is no file any more."""
-    try:
-        status = os.stat(file)
-    except OSError:
-        return None
-    return status.st_ino, status.st_size, status.st_mtime_ns
-
-
-def _delete(found: list[Found], done: Mapping[str, Signature], keep: int) -> None:
-    """All but the latest of each joint that have a row, and are as they were when they got it."""
-    for joint in {one.joint for one in found if one.file in done}:
-        mine = sorted((one.date, one.file) for one in found if one.joint == joint)
-        measured = [file for _, file in mine if file in done]
-        for file in measured[: max(0, len(measured) - keep)]:
-            if _signature(file) == done[file]:
-                with suppress(OSError):
-                    os.unlink(file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +203,11 @@ class _Measuring:
     def took(self, one: Found) -> bool:
         """Whether a recording has a row now; one that changes meanwhile is left for later."""
         sha256, problem = (None, None) if one.reason else digest_of_file(one.file)
-        if problem is not None and _signature(one.file) is None:
+        if problem is not None and file_state(one.file) is None:
             return False  # it has been taken away
         if sha256 is None:
             answer = RecordingAnswer(REFUSED, one.reason or problem)
-        elif self.table.has(one.joint, sha256):
+        elif self.table.holds_measured(joint=one.joint, sha256=sha256):
             return True
         else:
             answer = self._answer(one, sha256)
@@ -237,17 +223,58 @@ class _Measuring:
     def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
         job = self._job(one, sha256)
         before = self._before(job)
-        answer = self.store.get(
-            "recording",
-            job.problem_of(0, before),
-            lambda: measure_recording(job, 0, before),
-            RecordingAnswer,
-        )
-        optimum = replace(answer, gap_rad=None, bench=None)
-        self.store.keep("optimum", (one.joint, sha256), optimum)
-        for kept in (self.store, WorkStore(fits_beside(self.config.run.output))):
-            kept.keep_latest(LARGEST_KEPT_BYTES)
+        problem = job.problem_of(0, before)
+        answer = self.store.recall("recording", problem, RecordingAnswer)
+        if answer is None:
+            answer = measure_recording(job, 0, before)
+            if answer.lasting:
+                self.store.keep("recording", problem, answer)
+        if answer.lasting:
+            optimum = replace(answer, gap_rad=None, bench=None)
+            self.store.keep("optimum", (one.joint, sha256), optimum)
+        for kept in (self.store, WorkStore.shared(fits_beside(self.config.run.output))):
+            kept.keep_latest(size_bytes=LARGEST_KEPT_BYTES)
         return answer
+
+    def delete_all_but_the_latest(
+        self, found: Iterable[Found], done: Mapping[str, FileState], keep: int
+    ) -> None:
+        """Delete older recordings of joints of the inventory that this watcher has measured.
+
+        Their rows say so, by joint, date, file and content; latest are those of the latest date,
+        then those that were written last.
+        """
+        measured: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
+        for one in found:
+            if one.reason is None and one.joint in self.joints and one.file in done:
+                measured[one.joint].append((one.date, done[one.file][2], one.file))
+        for joint, files in measured.items():
+            if len(files) > keep:
+                stored = [
+                    (date, file)
+                    for date, _, file in sorted(files)
+                    if self.table.holds_measured(joint=joint, date=date, file=file)
+                ]
+                for date, file in stored[: max(0, len(stored) - keep)]:
+                    with suppress(OSError):
+                        self._delete(file, done[file], joint, date)
+
+    def _delete(self, file: str, state: FileState, joint: str, date: str) -> None:
+        """A file, if what is open under its name is to the last byte what was measured."""
+        place, name = os.path.split(file)
+        folder = os.open(place, os.O_RDONLY) if os.unlink in os.supports_dir_fd else None
+        try:
+            at = file if folder is None else name
+            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+            with open(os.open(at, flags, dir_fd=folder), "rb") as stream:
+                sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+                now = state_of(os.fstat(stream.fileno()))
+            of = {"joint": joint, "date": date, "file": file, "sha256": sha256}
+            if now == state and self.table.holds_measured(**of):
+                os.unlink(at, dir_fd=folder)
+        finally:
+            if folder is not None:
+                os.close(folder)
 
     def _before(self, job: JointJob) -> RecordingAnswer | None:
         """What the joint's recording before this one gave, where its search starts."""
@@ -265,7 +292,8 @@ class _Measuring:
         if self.table.knows(row):
             return
         if self.outbox is not None:
-            self.outbox.put(encoded_answer(row))
+            of = f"{row['joint']}\n{row['file']}"
+            self.outbox.put(encoded_answer(row, self.outbox.device), of)
             if self.mean_rotation and sha256 is not None and answer.outcome != REFUSED:
                 self._send_rotation(one, sha256, answer)
         changed = self.table.put(row)
@@ -275,6 +303,7 @@ class _Measuring:
 
     def _send_rotation(self, one: Found, sha256: str, answer: RecordingAnswer) -> None:
         rotation = mean_rotation(self._job(one, sha256), 0, answer)
-        message = None if rotation is None else encoded_rotation(rotation)
-        if message is not None and self.outbox is not None:
-            self.outbox.put(message)
+        if rotation is not None and self.outbox is not None:
+            message = encoded_rotation(rotation, self.outbox.device)
+            if message is not None:
+                self.outbox.put(message, f"mean rotation of {sha256}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -117,7 +117,6 @@ def run_into_folder(
     config: RunConfig,
     options: Options,
     make: Callable[[WorkStore], xr.DataTree],
-    also: Collection[str] = (),
 ) -> Summary:
     """Make a result, going on where an unfinished run of the same problem was left, and write it.
 
@@ -125,8 +124,6 @@ def run_into_folder(
     ----------
     make
         Makes the result; what takes long goes through the store that it is given.
-    also
-        Files that this kind of result has beside those that every result has.
 
     Raises
     ------
@@ -138,7 +135,7 @@ def run_into_folder(
     if is_finished(output):
         with suppress(ResultError), WorkStore.beside(output, fresh=True):
             pass  # forgets the work of a run that was killed after its result was there
-    require_free(output, force=options.force, also=also)
+    require_free(output, force=options.force)
     problem = problem_of(settings_of(config))
     with WorkStore.beside(output, problem, fresh=options.force) as work:
         if work.resumes:
@@ -161,7 +158,7 @@ def run_into_folder(
     return summary
 
 
-def require_output(folder: Path, also: Collection[str] = ()) -> str:
+def require_output(folder: Path) -> str:
     """A result can be written into this folder; one that is there already is no fault of it.
 
     Raises
@@ -169,7 +166,7 @@ def require_output(folder: Path, also: Collection[str] = ()) -> str:
     ResultError
         If something else is there, or no folder can be made where it would be.
     """
-    require_free(folder, force=True, also=also)
+    require_free(folder, force=True)
     require_writable(folder.absolute().parent)
     return f"{folder} (holds a finished result)" if is_finished(folder) else str(folder)
 
@@ -251,7 +248,7 @@ def write_result(
     from bayesbl.results.store import write_json, write_text, write_tree
 
     failure: Exception | None = None
-    with new_result(config.run.output, force=options.force, also=texts) as folder:
+    with new_result(config.run.output, force=options.force) as folder:
         write_tree(tree, folder / RESULT_FILE)
         write_json(summary, folder / SUMMARY_FILE)
         for name, text in {CONFIG_FILE: dump_config(config), **texts}.items():

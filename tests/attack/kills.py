@@ -2,7 +2,8 @@
 
 ``python tests/attack/kills.py --count 50 --seed 16``; each turn starts a run of some kind, kills it
 with SIGKILL at a random moment, gives the same command again and compares what it ends with. Too
-slow for every push: a turn takes as long as two runs.
+slow for every push: a turn takes as long as two runs. ``--plant`` kills devices, collectors, fleets
+and a broker that has another subscriber instead: each answer is then there once.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np  # noqa: E402
 
+from attack import plant  # noqa: E402
 from attack.engine import DONE, WITHHELD, WRONG, snapshot  # noqa: E402
 from attack.unfinished import forgotten, numbers  # noqa: E402
 from attack.workshop import REPOSITORY, put_configuration  # noqa: E402
@@ -110,18 +113,45 @@ def living(session: int) -> bool:
     return True
 
 
+def kill_plants(folder: Path, count: int, only: str | None, rng: np.random.Generator) -> int:
+    """How many of so many turns went wrong."""
+    failed, plants = Counter[str](), plant.Plants(folder)
+    kinds = [only] if only else plant.KINDS
+    try:
+        for turn in range(count):
+            kind = kinds[turn % len(kinds)]
+            after_s, problems = plants.killed(f"turn{turn}", kind, rng)
+            failed[kind] += bool(problems)
+            told = "; ".join(problems) or "well"
+            print(f"{turn}: {kind}, killed after {after_s:.2f} s: {told}", flush=True)
+            if not problems:
+                shutil.rmtree(folder / f"turn{turn}", ignore_errors=True)
+    finally:
+        plants.close()
+    print(
+        ", ".join(
+            f"{kind}: {failed[kind]} of {len(range(n, count, len(kinds)))} badly"
+            for n, kind in enumerate(kinds)
+        )
+    )
+    return failed.total()
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status: 1 if any turn failed."""
     parser = argparse.ArgumentParser(description="Kill runs at random moments, and run them again.")
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=16)
-    parser.add_argument("--only", choices=KINDS)
+    parser.add_argument("--only", choices=(*KINDS, *plant.KINDS))
+    parser.add_argument("--plant", action="store_true", help="kill the parts of a plant")
     options = parser.parse_args(arguments)
     rng = np.random.default_rng(options.seed)
     failed = 0
     with tempfile.TemporaryDirectory(prefix="kills-") as temporary:
         folder, known = Path(temporary), dict[str, Undisturbed]()
-        for turn in range(options.count):
+        if options.plant:
+            failed = kill_plants(folder, options.count, options.only, rng)
+        for turn in range(0 if options.plant else options.count):
             kind = options.only or KINDS[turn % len(KINDS)]
             if kind not in known:
                 known[kind] = undisturbed(folder, kind)

@@ -40,12 +40,15 @@ MEASURED = row_of(RecordingAnswer("usable", None, ("ä note",), "direct", True, 
     ],
 )
 def test_a_row_comes_as_it_went(row):
-    assert decoded(encoded_answer(row)) == (ANSWER, given_of(row))
-    assert decoded_answer(given_of(row)) == row
+    assert decoded(encoded_answer(row, "d1")) == (ANSWER, given_of(row), "d1")
+    assert decoded_answer(given_of(row), "d1") == row | {"device": "d1"}
+
+
+LARGE = b'{"schema": 2, "device": "d1", "recording": {"delta_rad_sd": %s}}'
 
 
 def changed(**values):
-    return encoded_answer(MEASURED | values)
+    return encoded_answer(MEASURED | values, "d1")
 
 
 @pytest.mark.parametrize(
@@ -53,14 +56,20 @@ def changed(**values):
     [
         (b"\xff", "no JSON"),
         (b"[" * 50_000, "no JSON"),
-        (b"[]", "schema 1"),
-        (b'{"schema": 1}', "other parts"),
-        (b'{"schema": 1, "recording": []}', "no row"),
-        (b'{"schema": 1, "schema": 1, "recording": {}}', "twice"),
-        (b'{"schema": 1, "recording": {"delta_rad_median": NaN}}', "NaN is no number"),
-        (b'{"schema": 1, "recording": {"delta_rad_sd": 1e999}}', "not within 0"),
-        (b'{"schema": 1, "recording": {"delta_rad_sd": 1' + b"0" * 4000 + b"}}", "not within 0"),
-        (b'{"schema": 1, "recording": {"joint": "\\ud800"}}', "no text"),
+        (b"[]", "schema 2"),
+        (b'{"schema": 1, "recording": {}}', "schema 2"),
+        (b'{"schema": 2}', "which device"),
+        (b'{"schema": 2, "device": "../x", "recording": {}}', "which device"),
+        (b'{"schema": 2, "device": "d1"}', "other parts"),
+        (b'{"schema": 2, "device": "d1", "recording": []}', "no row"),
+        (b'{"schema": 2, "schema": 2, "recording": {}}', "twice"),
+        (b'{"schema": 2, "recording": {"delta_rad_median": NaN}}', "NaN is no number"),
+        (b'{"schema": 2, "device": "d1", "recording": {"delta_rad_sd": 1e999}}', "not within 0"),
+        (LARGE % (b"1" + b"0" * 400), "not within 0"),
+        (LARGE % (b"1" + b"0" * 4000), "not within 0"),
+        (b'{"schema": 2, "device": "d1", "recording": {"joint": "\\ud800"}}', "no text"),
+        (b'{"schema": 2, "device": "d1", "x": 1' + b"0" * 5000 + b"}", "digits"),
+        (changed(device="d2"), "no column 'device'"),
         (b" " * (LARGEST_MESSAGE_BYTES + 1), "bytes, more than"),
         (changed(joint="../../etc"), "no name of a joint"),
         (changed(joint=""), "joint is missing"),
@@ -84,14 +93,14 @@ def changed(**values):
 )
 def test_anything_else_is_refused_with_a_reason(message, told):
     with pytest.raises(ValueError, match=told):
-        decoded_answer(decoded(message)[1])
+        decoded_answer(*decoded(message)[1:])
 
 
 def test_what_is_not_finite_is_left_out():
     row = row_of(RecordingAnswer("withheld", "Odd.", amplitude_rpm=(np.nan, 1.0, np.inf)))
-    assert "amplitude_rpm_median" not in json.loads(encoded_answer(row))["recording"]
+    assert "amplitude_rpm_median" not in json.loads(encoded_answer(row, "d1"))["recording"]
 
 
 def test_a_message_is_small():
-    assert len(encoded_answer(MEASURED)) < 1500
-    assert json.loads(encoded_answer(MEASURED))["schema"] == 1
+    assert len(encoded_answer(MEASURED, "d" * 40)) < 1500
+    assert json.loads(encoded_answer(MEASURED, "d1"))["schema"] == 2

@@ -107,7 +107,7 @@ def test_a_channel_that_stands_still_is_left_out(tmp_path):
     found = mean_rotation(job, 0, replace(UNKNOWN, optimum={"rotation_period_s": ROTATION_S}))
     assert found is not None
     assert list(found.channels) == ["motor_speed_rpm"]
-    assert encoded_rotation(found) is not None
+    assert encoded_rotation(found, "d1") is not None
 
 
 @pytest.mark.parametrize(
@@ -126,13 +126,13 @@ def test_without_rotations_to_compare_there_is_none(tmp_path, duration_s, rotati
 
 
 def test_it_comes_as_it_went_but_for_single_precision(reduced):
-    message = encoded_rotation(reduced)
+    message = encoded_rotation(reduced, "d1")
     assert message is not None
     assert len(message) < 25_000
-    kind, given = decoded(message)
+    kind, given, device = decoded(message)
     assert kind == ROTATION_MESSAGE
-    found = decoded_rotation(given)
-    assert replace(found, channels={}) == replace(reduced, channels={})
+    found = decoded_rotation(given, device)
+    assert replace(found, channels={}) == replace(reduced, channels={}, device="d1")
     for name, own in reduced.channels.items():
         assert found.channels[name].mean == pytest.approx(own.mean, rel=1e-6)
         assert found.channels[name].noise_sd == own.noise_sd
@@ -142,7 +142,7 @@ def test_it_comes_as_it_went_but_for_single_precision(reduced):
 def test_one_that_is_too_large_is_not_sent(reduced):
     speed = reduced.channels["motor_speed_rpm"]
     long = replace(speed, mean=np.ones(200_000))
-    assert encoded_rotation(replace(reduced, channels={"motor_speed_rpm": long})) is None
+    assert encoded_rotation(replace(reduced, channels={"motor_speed_rpm": long}), "d1") is None
 
 
 @pytest.mark.parametrize(
@@ -170,22 +170,23 @@ def test_one_that_is_too_large_is_not_sent(reduced):
     ],
 )
 def test_anything_else_is_refused_with_a_reason(reduced, change, told):
-    message = encoded_rotation(reduced)
+    message = encoded_rotation(reduced, "d1")
     assert message is not None
     given = json.loads(message)[ROTATION_MESSAGE]
     speed = given["channels"]["motor_speed_rpm"]
     for key, value in change.items():
         (speed if key in speed else given)[key] = value
     with pytest.raises(ValueError, match=told):
-        decoded_rotation(decoded(encoded(ROTATION_MESSAGE, given))[1])
+        decoded_rotation(*decoded(encoded(ROTATION_MESSAGE, given, "d1"))[1:])
 
 
 def test_it_is_stored_as_a_file_that_tells_its_noise(reduced, tmp_path):
     read_table = pytest.importorskip("pyarrow.parquet").read_table
+    reduced = replace(reduced, device="d1")
     store_rotation(reduced, tmp_path)
     store_rotation(reduced, tmp_path)
     (file,) = tmp_path.rglob("*.parquet")
-    assert file == tmp_path / "rotations/J1" / f"2026-03-01_{reduced.sha256[:12]}.parquet"
+    assert file == tmp_path / "rotations/d1/J1" / f"2026-03-01_{reduced.sha256[:12]}.parquet"
     found = read_table(file)
     assert found.column_names == ["time_s", "motor_speed_rpm", "motor_current_a"]
     step = np.diff(found["time_s"].to_numpy())

@@ -7,6 +7,7 @@ fitted.
 from __future__ import annotations
 
 from dataclasses import replace
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.fleet.inventory import Found, Joint
 from bayesbl.fleet.joint_job import JointJob, RecordingAnswer
 from bayesbl.fleet.measured_joint import measure_joint
+from bayesbl.results.provenance import file_sha256
 from bayesbl.runs.workflow import settings_of
 
 DATES = ("2025-01-01", "2025-07-01", "2026-01-01", "2026-07-01")
@@ -45,8 +47,8 @@ def job(tmp_path):
     return JointJob(
         Joint("J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
         tuple(found),
-        tuple(f"{n:064x}" for n in range(len(DATES))),
-        "bench",
+        tuple(sha256(day.encode()).hexdigest() for day in DATES),
+        file_sha256(CONFIGS / "bench_tolerances.toml"),
         None,
         shared,
         1,

@@ -17,7 +17,7 @@ from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.measurement.amplitude_route import prepare
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.curves import BenchCurves, _forget_oldest
+from bayesbl.measurement.curves import BenchCurves
 from bayesbl.measurement.task import Seeds, Task
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
@@ -95,7 +95,7 @@ def test_what_was_swept_is_read_the_next_time_and_the_store_is_bounded(
     read, _ = BenchCurves(bench, task.config).curves(task)
     assert np.array_equal(read.coefficients, first.coefficients)
     monkeypatch.setattr("bayesbl.measurement.curves.MOST_KEPT", 0)
-    _forget_oldest(store)
+    BenchCurves(bench, task.config).curves(task)
     assert store.folder is not None
     assert [*store.folder.iterdir()] == []
 

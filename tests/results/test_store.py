@@ -60,7 +60,7 @@ def test_a_result_appears_only_when_it_is_complete(tmp_path: Path) -> None:
     with new_result(path) as staging:
         write_json({}, staging / "summary.json")
         assert not path.exists()
-    assert names(path) == ["summary.json"]
+    assert names(path) == ["manifest.json", "summary.json"]
     assert names(path.parent) == ["wear"]
 
 
@@ -102,6 +102,7 @@ def test_an_empty_folder_is_taken_and_one_with_other_files_never(tmp_path: Path)
     (tmp_path / "empty").mkdir()
     finish(tmp_path / "empty", "here")
     assert is_finished(tmp_path / "empty")
+    assert names(tmp_path) == ["empty"]
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").touch()
     for force in (False, True):
@@ -116,8 +117,7 @@ def test_force_deletes_nothing_that_a_user_put_beside_a_result(tmp_path: Path) -
     (path / "notes.txt").write_text("grease changed")
     with pytest.raises(ResultError, match=r"notes\.txt"):
         require_free(path, force=True)
-    require_free(path, force=True, also=("notes.txt",))
-    assert names(path) == ["notes.txt", "summary.json"]
+    assert names(path) == ["manifest.json", "notes.txt", "summary.json"]
 
 
 def test_force_deletes_nothing_that_a_user_put_among_the_figures(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_leftovers_of_dead_runs_are_cleared_and_those_of_living_runs_kept(tmp_pa
 def test_a_run_killed_between_the_two_renames_gives_the_old_result_back(tmp_path: Path) -> None:
     path = tmp_path / "wear"
     finish(path, "old")
-    path.rename(tmp_path / ".wear.replaced")
+    path.rename(tmp_path / ".wear.abc.replaced")
     with pytest.raises(ResultError, match="finished result"):
         require_free(path)
     assert mark_of(path) == "old"
@@ -199,8 +199,9 @@ def test_a_run_killed_between_the_two_renames_gives_the_old_result_back(tmp_path
 def test_a_run_killed_while_it_deletes_the_old_result_is_tidied_up(tmp_path: Path) -> None:
     path = tmp_path / "wear"
     finish(path, "new")
-    (tmp_path / ".wear.replaced").mkdir()
-    (tmp_path / ".wear.replaced" / "result.nc").touch()
+    aside = tmp_path / ".wear.abc.replaced"
+    finish(aside, "old")
+    (aside / "summary.json").unlink()
     finish(path, "newer", force=True)
     assert mark_of(path) == "newer"
     assert names(tmp_path) == ["wear"]
@@ -233,8 +234,9 @@ def test_a_kill_at_any_moment_leaves_one_whole_result(tmp_path: Path) -> None:
         writer.send_signal(signal.SIGKILL)
         writer.communicate()
         require_free(path, force=True)
-        assert names(path) == ["config.toml", "result.nc", "summary.json"]
-        assert len({(path / name).read_text() for name in names(path)}) == 1
+        written = ["config.toml", "result.nc", "summary.json"]
+        assert names(path) == sorted([*written, "manifest.json"])
+        assert len({(path / name).read_text() for name in written}) == 1
 
 
 def test_folders_are_as_readable_as_any_other(tmp_path: Path) -> None:

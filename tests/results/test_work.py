@@ -138,7 +138,7 @@ def test_the_oldest_work_goes_first_where_there_is_too_much(tmp_path):
         for file in tmp_path.iterdir():
             os.utime(file, ns=(t := file.stat().st_mtime_ns - 10**9, t))
     size = next(tmp_path.iterdir()).stat().st_size
-    store.keep_latest(2 * size + 1)
+    store.keep_latest(size_bytes=2 * size + 1)
     kept = [store.recall("work", number, np.ndarray) is not None for number in range(4)]
     assert kept == [False, False, True, True]
 

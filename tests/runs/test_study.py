@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.results.store import read_tree
 from bayesbl.runs.study import run as run_study
+from bayesbl.runs.study import table_csv
 from bayesbl.runs.study_file import load_study, seed_of_case
 from bayesbl.runs.workflow import Options
 
@@ -122,6 +124,7 @@ def test_the_folder_holds_all_cases_a_table_and_the_configuration(folder):
         "summary.json",
         "table.csv",
         "config.toml",
+        "manifest.json",
     }
     assert said == []
     tree = read_tree(output)
@@ -134,6 +137,14 @@ def test_the_folder_holds_all_cases_a_table_and_the_configuration(folder):
     assert float(lines[1]["mean_rpm"]) == pytest.approx(np.mean(means(output)["many"]), rel=1e-5)
     assert load_config(output / "config.toml").rows == load_config(folder / "out.toml").rows
     assert not list(folder.glob(".out.*"))
+
+
+@pytest.mark.parametrize("text", ["=cmd|'/c calc'!A0", "+1", "-1+2", "@SUM(1)", "\t=1", "\r=1"])
+def test_no_cell_of_the_table_is_a_formula(text):
+    line = {"name": text, text: text, "number": -1.0, "count": -2}
+    head, cells = csv.reader(io.StringIO(table_csv([line]), newline=""))
+    assert head[1] == cells[0] == cells[1] == f"'{text}"
+    assert cells[2:4] == ["-1", "-2"]
 
 
 def test_a_case_that_is_refused_is_counted_and_its_reason_kept(folder):

@@ -6,20 +6,16 @@ fleet's too stands in ``test_fleet.py``.
 
 from __future__ import annotations
 
-import getpass
 import json
-import os
-import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from mosquitto import Broker, free_port, mosquitto_is_installed
 from places import BEFORE
 from test_fleet import configure, start, table
 
@@ -27,6 +23,9 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import BrokerError, ConfigError, ResultError
 from bayesbl.fleet.broker import Credentials, read_address
+from bayesbl.fleet.message import name_of
+from bayesbl.fleet.sender import Outbox
+from bayesbl.results.atomic import PrivateFolder
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
@@ -64,6 +63,11 @@ def watched(plant: Path, **more: object) -> list[str]:
 
 def without_use(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     return [{**row, "used": None} for row in rows]
+
+
+def without_device(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    assert len({row["device"] for row in rows}) == 1
+    return [{**row, "device": None} for row in rows]
 
 
 def test_rows_are_those_of_a_fleet_and_are_made_once(plant):
@@ -106,20 +110,6 @@ def test_a_file_that_still_grows_waits(plant):
     assert len(rows) == 5
 
 
-def test_only_the_latest_that_are_measured_stay_where_that_is_asked(plant):
-    put(plant, "J1", "2025-03-01")
-    note = plant / "data/J1/note.txt"
-    note.write_text("mine")
-    watched(plant, keep_latest=2)
-    assert [f.name for f in sorted(note.parent.iterdir())] == [
-        "2025-02-01.csv",
-        "2025-03-01.csv",
-        "note.txt",
-    ]
-    assert len(table(plant / "watched", "recordings")) == 6
-    assert watched(plant, keep_latest=2) == []
-
-
 def test_what_cannot_be_watched_is_told(plant):
     with pytest.raises(ConfigError, match="no such folder"):
         watch(load_config(plant / "plant.toml"), Watched(plant / "no", plant / "w"), print, print)
@@ -138,7 +128,7 @@ def test_what_cannot_be_watched_is_told(plant):
 KILLED = """
 import os, signal, sys
 from bayesbl.fleet.recording_table import RecordingTable
-from bayesbl.fleet.outbox import Outbox
+from bayesbl.fleet.sender import Outbox
 from bayesbl import cli
 kind, name = sys.argv[1].split(".")
 of = {"RecordingTable": RecordingTable, "Outbox": Outbox}[kind]
@@ -185,6 +175,17 @@ def test_a_device_that_is_killed_loses_nothing_and_measures_nothing_twice(plant,
     assert sent == {(row["joint"], row["file"]) for row in rows}
 
 
+def test_an_older_answer_of_a_file_is_not_sent_after_a_newer(tmp_path):
+    outbox = Outbox(PrivateFolder(tmp_path / "outbox"), "d1")
+    for message, subject in ((b"a", "1"), (b"b", "2"), (b"c", "1"), (b"b", "2"), (b"c", "1")):
+        outbox.put(message, subject)
+    assert [outbox.folder.read(file) for file in outbox.waiting()] == [b"b", b"c"]
+    outbox.settle({name_of(b"b"), name_of(b"a")}, {name_of(b"c")})
+    assert outbox.waiting() == []
+    (aside,) = outbox.folder.entries()
+    assert outbox.folder.read(aside) == b"c"
+
+
 @pytest.mark.long
 def test_a_service_that_is_stopped_ends_well(plant, capfd):
     code = "import sys; from bayesbl import cli; sys.exit(cli.status(sys.argv[1:]))"
@@ -198,50 +199,10 @@ def test_a_service_that_is_stopped_ends_well(plant, capfd):
         assert "Stopped; what has a row is safe." in process.stderr.read()
 
 
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
-
-
-class Broker:
-    """A mosquitto that keeps its sessions, and asks for a password."""
-
-    def __init__(self, folder: Path) -> None:
-        self.port, self.folder, self.process = free_port(), folder, None
-        folder.mkdir()
-        (folder / "users").touch(0o600)
-        subprocess.run(
-            [shutil.which("mosquitto_passwd"), "-b", folder / "users", "ann", "secret"],
-            check=True,
-        )
-        (folder / "mosquitto.conf").write_text(
-            f"listener {self.port} 127.0.0.1\npassword_file {folder}/users\n"
-            f"persistence true\npersistence_location {folder}/\nmax_queued_messages 0\n"
-            f"user {getpass.getuser()}\n"
-        )
-
-    def start(self) -> None:
-        program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
-        self.process = subprocess.Popen([program, "-c", self.folder / "mosquitto.conf"])
-        for _ in range(100):
-            try:
-                socket.create_connection(("127.0.0.1", self.port), 1.0).close()
-                return
-            except OSError:
-                time.sleep(0.05)
-
-    def stop(self) -> None:
-        if self.process is not None:
-            self.process.terminate()
-            self.process.wait()
-            self.process = None
-
-
 @pytest.fixture
 def broker(tmp_path):
     pytest.importorskip("paho.mqtt")
-    if shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin") is None:
+    if not mosquitto_is_installed():
         pytest.skip("needs mosquitto: apt-get install mosquitto")
     made = Broker(tmp_path / "broker")
     made.start()
@@ -254,6 +215,9 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
     below = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
     ann = Credentials("ann", "secret")
     said: list[str] = []
+
+    def waiting() -> int:
+        return len(list((plant / ".watched.growing/outbox").glob("*.json")))
 
     def collected(credentials: Credentials = ann) -> int:
         before = len(said)
@@ -268,9 +232,9 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
 
     with patch.object(collecting, "IDLE_S", 0.3):
         # Nobody has asked yet, so the broker would drop what it takes.
-        told = sent(1.0)
+        told = sent(3.0)
         assert "Nobody has asked" in told
-        assert "wait to be sent: 5" in told
+        assert "has not stored yet: 5" in told
         with pytest.raises(BrokerError, match="Not authorized"):
             collected(Credentials("ann", "wrong"))
         assert collected() == 0
@@ -281,13 +245,16 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
         broker.start()
         put(plant, "J2", "2025-05-01")
         assert "Answers go to plant/r1" in sent(10.0)
-        # The collector is away, the broker is stopped with what it took, and starts again.
-        broker.stop()
+        # The collector is away, the broker is killed with what it took, and starts again.
+        broker.stop(kill=True)
         broker.start()
+        assert waiting() == 6
         assert collected() == 6
         assert collected() == 6
+        sent(10.0)
+        assert waiting() == 0
     rows = [table(plant / name, "recordings") for name in ("watched", "all")]
-    assert rows[0] == rows[1]
+    assert rows[0] == without_device(rows[1])
     assert not any("secret" in text for text in said)
 
 
@@ -304,7 +271,7 @@ def test_a_mean_rotation_goes_with_its_answer_where_it_is_asked_for(plant, broke
     watched(plant, publish=address, credentials=ann, mean_rotation=True)
     collected()
     rows = [table(plant / name, "recordings") for name in ("watched", "all")]
-    assert rows[0] == rows[1]
+    assert rows[0] == without_device(rows[1])
     (file,) = (plant / "all/rotations").rglob("*.parquet")
     digest = {row["date"]: row["sha256"] for row in rows[0] if row["joint"] == "J1"}["2025-03-01"]
     assert file.stem == f"2025-03-01_{digest[:12]}"
@@ -332,18 +299,32 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
 
     watched(plant)
     row, *_ = table(plant / "watched", "recordings")
+    odd = (
+        b"\x1b[2J",
+        b"x" * 200_000,
+        b'{"schema": NaN}',
+        b'{"schema": 2, "device": "d", "mean_rotation": {"joint": "J1", "date": "2025-01-01", '
+        b'"sha256": "%s", "rotations": 3, "channels": {"motor_speed_rpm": {"mean": "AACAPwAAgD8=",'
+        b' "noise_sd": 1, "noise_coefficients": []}}, "rotation_s": 1%s}}'
+        % (b"a" * 64, b"0" * 400),
+        b'{"schema": 2, "device": "d", "recording": {"delta_rad_sd": 1%s}}' % (b"0" * 5000),
+    )
     with patch.object(collecting, "IDLE_S", 0.3):
         collected()
-        answer = encoded_answer(row)
+        answer = encoded_answer(row, "d1")
         multiple(
-            [
-                ("plant/r1", payload, 1, False)
-                for payload in (answer, b"\x1b[2J", answer, b"x" * 200_000, b'{"schema": NaN}')
-            ],
+            [("plant/r1", payload, 1, False) for payload in (answer, *odd, answer, odd[0])],
             port=broker.port,
             auth={"username": "ann", "password": "secret"},
         )
         collected()
-    assert table(plant / "all", "recordings") == [row]
-    assert "A message of 4 bytes is left out: it is no JSON." in said
-    assert "A message of 15 bytes is left out: NaN is no number." in said
+    assert table(plant / "all", "recordings") == [row | {"device": "d1"}]
+    assert "A message of 4 bytes is set aside: it is no JSON." in said
+    refused = table(plant / "all", "refused")
+    assert [one["bytes"] for one in refused] == [len(one) for one in (*odd[1:], odd[0])]
+    assert [one["times"] for one in refused] == [1, 1, 1, 1, 2]
+    assert refused[-1]["start"] == "\x1b[2J"
+    with patch.object(collecting, "IDLE_S", 0.3):
+        said.clear()
+        collected()
+    assert said == [f"Waiting for answers from plant at localhost:{broker.port}."]

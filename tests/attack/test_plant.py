@@ -1,0 +1,338 @@
+"""What a watcher, a fleet and a broker must never do to a plant: lose, delete, leak, mix up.
+
+What a recording says is made of its content here, where it is not about what it says.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from mosquitto import Broker, mosquitto_is_installed
+from places import CONFIGS
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from attack.plant import FLEET
+from bayesbl.config.loading import load_config
+from bayesbl.errors import RecordingError, UnavailableError
+from bayesbl.fleet import measured_joint
+from bayesbl.fleet.broker import Credentials, read_address
+from bayesbl.fleet.joint_job import REFUSED, JointJob, RecordingAnswer
+from bayesbl.library import draw
+from bayesbl.runs import collect as collecting
+from bayesbl.runs import watch as watching
+from bayesbl.runs.collect import collect
+from bayesbl.runs.fleet import identity
+from bayesbl.runs.run import run
+from bayesbl.runs.watch import Watched, watch
+
+pytest.importorskip("pyarrow")
+
+
+def answer(job: JointJob, number: int, before: object) -> RecordingAnswer:
+    """Refused where the content says so."""
+    if "broken" in Path(job.recordings[number].file).read_text():
+        return RecordingAnswer(REFUSED, "It is broken.")
+    gap = np.random.default_rng(int(job.sha256[number][:8], 16)).normal(1e-3, 1e-5, 100)
+    return RecordingAnswer("usable", None, route="direct", gap_rad=gap)
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Path:
+    (tmp_path / "joints.csv").write_text("joint\nJ1\nJ2\n")
+    (tmp_path / "plant.toml").write_text(FLEET)
+    return tmp_path
+
+
+def put(plant: Path, joint: str, day: str, text: str = "") -> Path:
+    file = plant / "data" / joint / f"{day}.csv"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text or f"{joint} of {day}")
+    return file
+
+
+def watched(plant: Path, measure: Callable[..., RecordingAnswer] = answer, **more: object) -> None:
+    asked = Watched(plant / "data", plant / "watched", once=True, settled_s=0.01, **more)
+    with patch.object(watching, "measure_recording", measure):
+        watch(load_config(plant / "plant.toml"), asked, lambda _: None, lambda _: None)
+
+
+def fleet(plant: Path, measure: Callable[..., RecordingAnswer] = answer) -> list[str]:
+    said: list[str] = []
+    with patch.object(measured_joint, "measure_recording", measure):
+        run(load_config(plant / "plant.toml"), draw, say=said.append)
+    return said
+
+
+def table(folder: Path, name: str = "recordings") -> list[dict[str, object]]:
+    from pyarrow.parquet import read_table
+
+    return read_table(folder / f"{name}.parquet").to_pylist()
+
+
+def files(plant: Path) -> set[str]:
+    return {str(path.relative_to(plant / "data")) for path in (plant / "data").rglob("*.*")}
+
+
+# Deleting.
+
+
+def test_only_older_measured_recordings_are_deleted(plant):
+    for day in ("2025-01-01", "2025-02-01", "20250315", "2025-04-01", "2025-05-01"):
+        put(plant, "J1", day)
+    for name in ("notes", "calibration", "2025-06-01"):
+        put(plant, "J1", name, f"broken {name}")
+    for day in ("2025-01-01", "2025-02-01"):
+        put(plant, "J2", day)
+        put(plant, "J3", day)
+    put(plant, "J2", "2024-01-01", "broken")
+    (plant / "data/J1/readme.md").write_text("mine")
+    before = files(plant)
+    watched(plant, keep_latest=2)
+    gone = {"J1/2025-01-01.csv", "J1/2025-02-01.csv", "J1/20250315.csv"}
+    assert before - files(plant) == gone
+    watched(plant, keep_latest=2)
+    assert before - files(plant) == gone
+
+
+def test_where_nothing_can_be_used_nothing_is_deleted(plant):
+    """A wrong entry under [columns], say."""
+    for day in range(1, 7):
+        put(plant, "J1", f"2025-01-0{day}", f"broken {day}")
+    before = files(plant)
+    watched(plant, keep_latest=1)
+    assert files(plant) == before
+
+
+def test_a_recording_that_came_later_or_elsewhere_than_its_row_is_not_deleted(plant):
+    old = put(plant, "J1", "2025-01-01")
+    for day in ("2025-02-01", "2025-03-01"):
+        put(plant, "J1", day)
+    watched(plant)
+    put(plant, "J1", "2024-01-01", old.read_text())  # a copy, which has no row of its own
+    changing = threading.Event()
+    real = watching._Measuring._delete
+
+    def changed_before(self: object, file: str, *more: object) -> None:
+        if not changing.is_set():
+            changing.set()
+            Path(file).write_text("something else by now")
+        real(self, file, *more)
+
+    with patch.object(watching._Measuring, "_delete", changed_before):
+        asked = Watched(plant / "data", plant / "watched", once=True, settled_s=0.01, keep_latest=2)
+        with patch.object(watching, "measure_recording", answer):
+            watch(load_config(plant / "plant.toml"), asked, lambda _: None, lambda _: None)
+    assert changing.is_set()
+    assert old.read_text() == "something else by now"
+    assert "J1/2024-01-01.csv" in files(plant)
+
+
+def test_the_service_that_is_shipped_deletes_nothing():
+    unit = (CONFIGS / "device/bayesbl-watch.service").read_text()
+    run_line = unit[unit.index("ExecStart=") :].replace("\\\n", " ").splitlines()[0]
+    assert "bayesbl watch" in run_line
+    assert "keep-latest" not in run_line
+
+
+# Links.
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_links_that_leave_the_folder_are_not_read(plant, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "2025-01-01.csv").write_text("root:secret:0:0")
+    put(plant, "J1", "2025-02-01")
+    (plant / "data/J1/2025-01-01.csv").symlink_to(outside / "2025-01-01.csv")
+    (plant / "data/J2").symlink_to(outside, target_is_directory=True)
+    (plant / "data/J1/2025-03-01.csv").symlink_to("2025-02-01.csv")  # stays inside
+
+    def opened(job: JointJob, number: int, before: object) -> RecordingAnswer:
+        assert "secret" not in Path(job.recordings[number].file).read_text()
+        return answer(job, number, before)
+
+    watched(plant, opened, keep_latest=1)
+    fleet(plant, opened)
+    (plant / "list.csv").write_text(
+        "joint,date,file\nJ1,2025-01-01,data/J1/2025-01-01.csv\nJ2,2025-01-01,data/J2/2025-01-01.csv\n"
+    )
+    for folder in ("watched", "plant"):
+        refused = [row for row in table(plant / folder) if "leads out" in str(row["reason"])]
+        assert {(row["joint"], row["sha256"]) for row in refused} == {("J1", None), ("J2", None)}
+    text = FLEET.replace("data/{joint}/{date}.csv", "list.csv")
+    (plant / "plant.toml").write_text(text.replace('"plant"', '"by_table"'))
+    fleet(plant, opened)
+    assert all("leads out" in str(row["reason"]) for row in table(plant / "by_table"))
+    assert (outside / "2025-01-01.csv").read_text() == "root:secret:0:0"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize("name", [".plant.kept", ".watched.growing"])
+def test_a_planted_link_costs_no_foreign_file(plant, tmp_path_factory, name):
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "thesis.tex").write_text("mine")
+    put(plant, "J1", "2025-01-01")
+    (plant / name).symlink_to(outside, target_is_directory=True)
+    with pytest.raises(Exception, match="somebody else"):
+        (watched if name == ".watched.growing" else fleet)(plant)
+    assert [path.name for path in outside.iterdir()] == ["thesis.tex"]
+
+
+# Answers that do not last.
+
+
+def test_what_could_not_be_read_here_and_now_is_tried_again(plant):
+    put(plant, "J1", "2025-01-01")
+    put(plant, "J1", "2025-02-01", "broken")
+
+    def without_library(job: JointJob, number: int, before: object) -> RecordingAnswer:
+        return RecordingAnswer(REFUSED, "not installed", lasting=False)
+
+    for act, folder in ((fleet, "plant"), (watched, "watched")):
+        act(plant, without_library)
+        assert {row["outcome"] for row in table(plant / folder)} == {"refused"}
+        act(plant)
+        assert [row["outcome"] for row in table(plant / folder)] == ["usable", "refused"]
+        shutil.rmtree(plant / ".plant.kept")
+    fleet(plant)
+    assert fleet(plant) == []
+
+
+def test_a_refusal_lasts_only_if_content_alone_decides_it(plant):
+    from bayesbl.fleet.inventory import find_recordings, read_joints
+    from bayesbl.runs.fleet import _jobs
+
+    file = put(plant, "J1", "2025-01-01", "time_s,motor_speed_rpm\n0.0,1.0\n")
+    config = load_config(plant / "plant.toml")
+    joints = read_joints(config.fleet)
+    (job, _), _ = _jobs(config, joints, find_recordings(config.fleet, joints))
+    assert measured_joint.measure_recording(job, 0, None).lasting
+
+    def failing(error: Exception, text: str | None = None) -> RecordingAnswer:
+        def measure(*_: object, **__: object) -> None:
+            if text is not None:
+                file.write_text(text)
+                file.write_text("time_s,motor_speed_rpm\n0.0,1.0\n")  # back again: the same bytes
+            raise error
+
+        with patch.object(measured_joint, "measure", measure):
+            return measured_joint.measure_recording(job, 0, None)
+
+    assert failing(RecordingError("too short")).lasting
+    assert not failing(UnavailableError("no library")).lasting
+    assert not failing(RecordingError("too short"), "half").lasting
+    file.write_text("other")
+    assert not measured_joint.measure_recording(job, 0, None).lasting
+
+
+# Messages.
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    pytest.importorskip("paho.mqtt")
+    if not mosquitto_is_installed():
+        pytest.skip("needs mosquitto: apt-get install mosquitto")
+    made = Broker(tmp_path / "broker")
+    made.start()
+    yield made
+    made.stop()
+
+
+ONE_IMAGE = {"file": "data/J1.csv"}
+ANN = Credentials("ann", "secret")
+
+
+def collected(plant: Path, broker: Broker) -> list[dict[str, object]]:
+    address = read_address(f"mqtt://localhost:{broker.port}/plant")
+    with patch.object(collecting, "IDLE_S", 0.5):
+        collect(address, ANN, plant / "all", lambda _: None, lambda _: None, once=True)
+    return table(plant / "all") if (plant / "all/recordings.parquet").exists() else []
+
+
+def outbox(plant: Path) -> list[Path]:
+    return list((plant / ".watched.growing/outbox").glob("*.json"))
+
+
+def test_another_subscriber_empties_no_outbox(plant, broker):
+    """The broker takes what another client has asked for, and ``collect`` gets nothing of it."""
+    from paho.mqtt.client import Client
+    from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+
+    got: list[bytes] = []
+    other = Client(CallbackAPIVersion.VERSION2, "other", protocol=MQTTProtocolVersion.MQTTv5)
+    other.username_pw_set("ann", "secret")
+    other.on_connect = lambda client, *_: client.subscribe("#", qos=1)
+    other.on_message = lambda client, data, message: got.append(bytes(message.payload))
+    other.connect("localhost", broker.port)
+    other.loop_start()
+    try:
+        time.sleep(0.5)
+        for day in ("2025-01-01", "2025-02-01"):
+            put(plant, "J1", day)
+        address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
+        with patch("bayesbl.fleet.sender.REPLY_S", 0.5):
+            watched(plant, publish=address, credentials=ANN)
+            assert len(got) >= 2
+            assert len(outbox(plant)) == 2
+            assert collected(plant, broker) == []
+            (outbox(plant)[0].parent / "sent").unlink()  # some minutes later
+            watched(plant, publish=address, credentials=ANN)
+            assert len(collected(plant, broker)) == 2
+            watched(plant, publish=address, credentials=ANN)
+        assert outbox(plant) == []
+    finally:
+        other.loop_stop()
+        other.disconnect()
+
+
+def test_two_devices_with_one_joint_name_keep_their_rows(plant, broker, tmp_path):
+    collected(plant, broker)
+    for robot in ("r1", "r2"):
+        place = tmp_path / robot
+        place.mkdir()
+        for name in ("joints.csv", "plant.toml"):
+            shutil.copy(plant / name, place / name)
+        put(place, "J1", "2025-01-01", f"J1 of {robot}")
+        # The same path in the row of both, as on two devices of one image.
+        with patch.object(watching, "identity", lambda one, sha: identity(one, sha) | ONE_IMAGE):
+            address = read_address(f"mqtt://localhost:{broker.port}/plant/{robot}")
+            watched(place, publish=address, credentials=ANN)
+    rows = collected(plant, broker)
+    assert len({row["sha256"] for row in rows}) == len({row["device"] for row in rows}) == 2
+    assert {row["outcome"] for row in rows} == {"usable"}
+
+
+def test_what_collect_refuses_waits_on_the_device(plant, broker):
+    put(plant, "J1", "2025-01-01")
+    collected(plant, broker)
+    address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
+    with patch.object(watching, "encoded_answer", lambda row, device: b"of another version"):
+        watched(plant, publish=address, credentials=ANN)
+    assert collected(plant, broker) == []
+    (refused,) = table(plant / "all", "refused")
+    assert refused["start"] == "of another version"
+    watched(plant, publish=address, credentials=ANN)
+    assert outbox(plant) == []
+    (aside,) = (plant / ".watched.growing/outbox").glob("*.refused")
+    assert aside.read_bytes() == b"of another version"
+
+
+def test_an_outbox_is_readable_by_its_owner_alone(plant, broker):
+    put(plant, "J1", "2025-01-01")
+    address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
+    with patch.object(watching, "LAST_SENT_WAIT_S", 0.0):
+        watched(plant, publish=address, credentials=ANN)
+    (file,) = outbox(plant)
+    if os.name != "nt":
+        assert file.stat().st_mode & 0o77 == 0
+        assert file.parent.stat().st_mode & 0o77 == 0

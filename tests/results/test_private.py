@@ -1,0 +1,235 @@
+"""Folders that others may have put there: never followed, never emptied, never believed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesbl.errors import ResultError
+from bayesbl.results import folder as folder_module
+from bayesbl.results import work
+from bayesbl.results.atomic import PrivateFolder, replacing
+from bayesbl.results.folder import new_result, require_free
+from bayesbl.results.work import WorkStore
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no owners of folders there")
+
+AS_NOBODY = pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root makes another's folder"
+)
+NOBODY = 65534
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """A folder with a file that nobody here may touch."""
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign/thesis.tex").write_text("mine")
+    return tmp_path / "foreign"
+
+
+def make(path: Path) -> None:
+    with new_result(path, force=True) as folder:
+        (folder / "summary.json").write_text("{}")
+
+
+@pytest.mark.parametrize("suffix", [".unfinished", ".kept", ".growing"])
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_link_planted_where_a_run_keeps_its_work_is_refused(tmp_path, foreign, suffix, fresh):
+    (tmp_path / f".out{suffix}").symlink_to(foreign, target_is_directory=True)
+    with (
+        pytest.raises(ResultError, match="somebody else"),
+        work.locked_sibling(tmp_path / "out", suffix),
+    ):
+        pass
+    if suffix == ".unfinished":
+        with (
+            pytest.raises(ResultError, match="somebody else"),
+            WorkStore.beside(tmp_path / "out", {"a": "1"}, fresh=fresh),
+        ):
+            pass
+    assert (foreign / "thesis.tex").read_text() == "mine"
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707])
+def test_a_folder_that_others_can_write_is_not_taken_for_our_own(tmp_path, mode):
+    planted = tmp_path / ".out.unfinished"
+    planted.mkdir()
+    planted.chmod(mode)
+    with pytest.raises(ResultError, match="chmod 700"), WorkStore.beside(tmp_path / "out", {}):
+        pass
+
+
+@AS_NOBODY
+def test_a_folder_of_another_user_is_not_taken_for_our_own(tmp_path):
+    planted = tmp_path / ".out.unfinished"
+    planted.mkdir(0o700)
+    os.chown(planted, NOBODY, NOBODY)
+    with pytest.raises(ResultError, match="somebody else"), WorkStore.beside(tmp_path / "out", {}):
+        pass
+    assert WorkStore.shared(planted).folder is None
+
+
+@pytest.mark.parametrize("suffix", [".staging", ".replaced"])
+def test_planted_leftovers_are_not_followed(tmp_path, foreign, suffix):
+    planted = tmp_path / f".out.abc{suffix}"
+    planted.symlink_to(foreign, target_is_directory=True)
+    make(tmp_path / "out")
+    make(tmp_path / "out")
+    with replacing(tmp_path / "out2") as file:
+        file.write_text("text")
+    assert (foreign / "thesis.tex").read_text() == "mine"
+
+
+def test_a_store_that_becomes_a_link_is_neither_read_nor_written_nor_emptied(tmp_path, foreign):
+    store = WorkStore(tmp_path / "kept")
+    store.keep("work", 1, np.arange(3))
+    (tmp_path / "kept").rename(tmp_path / "moved")
+    (tmp_path / "kept").symlink_to(tmp_path / "moved", target_is_directory=True)
+    assert store.recall("work", 1, np.ndarray) is None
+    before = sorted((tmp_path / "moved").iterdir())
+    for act in (
+        lambda: store.keep("work", 2, np.arange(3)),
+        store.clear,
+        lambda: store.keep_only(()),
+        lambda: store.keep_latest(count=0),
+    ):
+        with pytest.raises(ResultError, match="somebody else"):
+            act()
+    assert sorted((tmp_path / "moved").iterdir()) == before
+    assert WorkStore.shared(tmp_path / "kept").folder is None
+
+
+def test_what_is_kept_is_readable_by_its_owner_alone(tmp_path):
+    store = WorkStore(tmp_path / "deep/kept")
+    store.keep("work", 1, np.arange(3))
+    assert (tmp_path / "deep/kept").stat().st_mode & 0o777 == 0o700
+    (entry,) = (tmp_path / "deep/kept").iterdir()
+    assert entry.stat().st_mode & 0o777 == 0o600
+
+
+def test_an_entry_with_a_right_checksum_that_another_user_made_is_made_again(tmp_path, monkeypatch):
+    """As in a folder of results that came by mail."""
+    store = WorkStore(tmp_path / "kept")
+    store.keep("work", 1, np.arange(3))
+    (entry,) = (tmp_path / "kept").iterdir()
+    _, _, content = entry.read_bytes().partition(b"\n")
+    for key in (b"", b"another user's", entry.name.encode()):
+        monkeypatch.setattr(work, "_own_key", lambda key=key: key)
+        forged = work._head(entry.name, content)
+        monkeypatch.undo()
+        entry.write_bytes(forged + b"\n" + content)
+        assert store.recall("work", 1, np.ndarray) is None
+    plain = hashlib.sha256(entry.name.encode() + content).hexdigest().encode()
+    entry.write_bytes(plain + b"\n" + content)
+    assert store.recall("work", 1, np.ndarray) is None
+    assert store.get("work", 1, lambda: np.zeros(3), np.ndarray).tolist() == [0.0, 0.0, 0.0]
+
+
+KEYS = "from bayesbl.results.work import _own_key; print(_own_key().hex())"
+
+
+def test_processes_of_one_user_have_one_key_and_those_without_a_home_none(tmp_path):
+    def key(state: Path) -> str:
+        environment = {**os.environ, "XDG_STATE_HOME": str(state)}
+        command = [sys.executable, "-c", KEYS]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    first = key(tmp_path / "state")
+    assert len(first) == 64
+    assert key(tmp_path / "state") == first
+    assert (tmp_path / "state/bayesbl/key").stat().st_mode & 0o777 == 0o600
+    (tmp_path / "file").touch()
+    assert key(tmp_path / "file") == ""
+
+
+def test_a_link_in_the_place_of_the_output_folder_is_refused(tmp_path, foreign):
+    (tmp_path / "out").symlink_to(foreign, target_is_directory=True)
+    for force in (False, True):
+        with pytest.raises(ResultError, match="There is a link where"):
+            require_free(tmp_path / "out", force=force)
+    assert (tmp_path / "out").is_symlink()
+
+
+def test_a_mount_point_is_refused_before_the_run(tmp_path, monkeypatch):
+    (tmp_path / "a b").mkdir()
+    monkeypatch.setattr(folder_module, "_mount_points", lambda: {str(tmp_path / "a b")})
+    with pytest.raises(ResultError, match=r"mounted here.*--out"):
+        require_free(tmp_path / "a b")
+    with pytest.raises(ResultError, match="mounted here"):
+        require_free("/proc")
+
+
+@AS_NOBODY
+def test_a_folder_bound_to_another_is_a_mount_point(tmp_path):
+    for name in ("from", "on to"):
+        (tmp_path / name).mkdir()
+    command = ["mount", "--bind", str(tmp_path / "from"), str(tmp_path / "on to")]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("nothing can be mounted here")
+    try:
+        with pytest.raises(ResultError, match="mounted here"):
+            require_free(tmp_path / "on to")
+    finally:
+        subprocess.run(["umount", str(tmp_path / "on to")], check=True)
+
+
+def test_only_what_the_manifest_lists_is_replaced(tmp_path):
+    out = tmp_path / "out"
+    with new_result(out) as folder:
+        (folder / "summary.json").write_text("{}")
+        (folder / "joints").mkdir()
+        (folder / "joints/J1.html").write_text("page")
+    for name in ("joints/my_notes.html", "joints/more/deep.txt", "link"):
+        note = out / name
+        note.parent.mkdir(exist_ok=True)
+        note.symlink_to(tmp_path) if name == "link" else note.write_text("mine")
+        with pytest.raises(ResultError, match="not part of a result"):
+            require_free(out, force=True)
+        note.unlink()
+        if note.parent.name == "more":
+            note.parent.rmdir()
+    make(out)
+    assert sorted(entry.name for entry in out.iterdir()) == ["manifest.json", "summary.json"]
+
+
+def test_what_a_user_puts_there_while_a_result_is_replaced_is_kept(tmp_path):
+    make(tmp_path / "out")
+    make(tmp_path / ".out.abc.replaced")
+    (tmp_path / ".out.abc.replaced/notes.txt").write_text("mine")
+    make(tmp_path / "out")
+    assert (tmp_path / ".out.abc.replaced/notes.txt").read_text() == "mine"
+
+
+def test_files_are_whole_or_absent_and_a_full_disk_leaves_none(tmp_path, monkeypatch):
+    folder = PrivateFolder(tmp_path / "kept")
+    folder.write("a", b"first")
+    with pytest.raises(FileExistsError):
+        folder.write("a", b"second", replace=False)
+    monkeypatch.setattr(os, "replace", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
+    with pytest.raises(OSError, match="full") as caught:
+        folder.write("a", b"second")
+    assert caught.value.filename == str(tmp_path / "kept/a")
+    assert folder.read("a") == b"first"
+    assert os.listdir(tmp_path / "kept") == ["a"]
+
+
+def test_what_killed_writers_left_goes_and_what_is_being_written_stays(tmp_path):
+    store = WorkStore(tmp_path / "kept")
+    store.keep("work", 1, np.arange(3))
+    for name, age_s in (("new.part", 0.0), ("old.part", 7200.0)):
+        (tmp_path / "kept" / name).touch()
+        os.utime(tmp_path / "kept" / name, (time.time() - age_s,) * 2)
+    store.keep_latest(count=1)
+    assert (tmp_path / "kept/new.part").exists()
+    assert not (tmp_path / "kept/old.part").exists()
+    assert store.recall("work", 1, np.ndarray) is not None
