@@ -168,7 +168,8 @@ def contact_rates(matrix: FloatArray) -> ComplexArray:
     rates = np.full((matrix.shape[0], 11 + waiting), complex(_ABSENT))
     rates[:, :7] = np.linalg.eigvals(contact_matrices(matrix))
     for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
-        factors = np.linalg.eigvals(sampled_period(matrix[row])[0])
+        # Real where all of them are, and some below zero.
+        factors = np.linalg.eigvals(sampled_period(matrix[row])[0]).astype(complex)
         factors = np.where(np.abs(factors) < _GONE, _GONE, factors)
         rates[row, : factors.size] = np.log(factors) / matrix[row, Slot.sampled_control__period_s]
     return rates
