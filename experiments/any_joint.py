@@ -148,9 +148,7 @@ def drawn_machine(rng: np.random.Generator) -> Machine:
         torque,
         *rng.choice(["load_position_rad"], rng.integers(2)),
     ]
-    return Machine(
-        bench, float(rng.choice([100.0, 250.0, 500.0])), rng.uniform(3.0, 8.0), tuple(channels)
-    )
+    return Machine(bench, float(rng.choice([150.0, 250.0])), rng.uniform(4.0, 6.0), tuple(channels))
 
 
 def sines(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.arguments import File, checked
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec, did_you_mean_file
 from bayesbl.recording.columns import Column, Table, choose_columns
@@ -33,8 +34,9 @@ NO_MEASUREMENT = 1e15
 """In whatever unit: what diverged, or marks a missing value."""
 
 
+@checked
 def read_recording(
-    path: str | Path,
+    path: File,
     *,
     name: str | None = None,
     columns: Mapping[str, ColumnSpec] | None = None,
