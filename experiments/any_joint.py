@@ -23,10 +23,10 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
-from bayesbl.bench.bench import Bench, BenchParameter
+from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.cli import FAILED, WITHHELD, WRONG, status
-from bayesbl.config.bench import dump_bench
+from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -45,7 +45,7 @@ class Row(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     cases: PositiveInt
-    joint: Literal["rigid"]
+    joint: Literal["rigid", "turning"]
 
 
 def count(row: Row) -> int:
@@ -270,4 +270,81 @@ def drawn_configuration(rng: np.random.Generator, names: Sequence[str]) -> str:
     return "\n".join(lines).replace("'", '"') + "\n"
 
 
-JOINTS: Mapping[str, Callable[[np.random.Generator], list[list[str]]]] = {"rigid": rigid}
+# A joint with a gap that turns at one speed
+
+
+def turning_joint(rng: np.random.Generator) -> list[list[str]]:
+    """Two recordings of a joint that gravity may load to any side or not at all."""
+    bench = reference_bench()
+    ratio = float(rng.choice([60.0, 120.0]))
+    torques = {
+        "load_torque_offset": float(rng.choice([0.0, rng.uniform(-900.0, 900.0)])),
+        "load_coulomb_friction": float(rng.choice([0.0, rng.uniform(0.0, 100.0)])),
+    }
+    lag = {"current_loop_lag": {"time_s": 5e-4}, "sampled_control": {"period_s": 1e-3}}
+    effects = [
+        BenchEffect(name, {"torque_nm": EffectParameterValue(torque)})
+        for name, torque in torques.items()
+        if torque
+    ]
+    effects += [
+        BenchEffect(name, {k: EffectParameterValue(v) for k, v in parameters.items()})
+        for name, parameters in lag.items()
+        if rng.random() < 0.2
+    ]
+    gravity = float(rng.choice([0.0, 0.0, 5.0, rng.uniform(20.0, 600.0)]))
+    speed = float(rng.choice([-1.0, 1.0]) * rng.uniform(600.0, 2500.0)) * ratio / 120.0
+    bench = bench.with_effects(*effects).with_parameters(
+        gravity_torque_nm=gravity, gear_ratio=ratio, reference_speed_rpm=speed
+    )
+    known = bench.with_effects() if rng.random() < 0.3 else bench
+    Path("bench.toml").write_text(dump_bench(known))
+    Path("sweep.toml").write_text(
+        'schema = 1\nkind = "sweep"\nbench = "bench.toml"\n[sweep]\nbench_draws = 0\n'
+        "gap_rad = {low = 2e-4, high = 2e-3, count = 5}\nstart_angles = 2\nrotations = 2.3\n"
+        "sampling_hz = 250\ndegree = 2\n"
+    )
+    Path("short.toml").write_text(
+        'schema = 1\nkind = "compare"\n[posterior]\nensembles = 2\nmax_steps = 300\n'
+    )
+    for name in ("a.csv", "b.csv"):
+        write_turning(name, rng, bench)
+    by_bench = ["--bench", "bench.toml", "--no-figures"]
+    commands = [["check", "sweep.toml"], ["sweep", "sweep.toml", "--no-figures"]]
+    short = ["--config", "short.toml", "--no-figures"]
+    route = str(rng.choice(["auto", "direct", "amplitude"]))
+    measured = [
+        ["fit", "a.csv", *by_bench, "--route", route],
+        ["fit", "a.csv", *short],
+        ["compare", "a.csv", "b.csv", *short],
+        ["compare", "a.csv", "b.csv", *by_bench, "--route", route],
+        ["plan", *by_bench],
+    ]
+    return [*commands, *(measured[i] for i in rng.choice(5, 2, replace=False))]
+
+
+def write_turning(name: str, rng: np.random.Generator, bench: Bench) -> None:
+    """A recording with noise, and maybe without a current."""
+    seen = bench.simulate(
+        math.exp(rng.uniform(math.log(2e-4), math.log(2e-3))),
+        rotations=float(rng.uniform(2.2, 4.0)),
+        sampling_hz=float(rng.choice([200.0, 500.0])),
+        start_angle_rad=float(rng.uniform(0.0, 2.0 * math.pi)),
+    )
+    speed, current = seen.channels["motor_speed_rpm"], seen.channels["motor_current_a"]
+    noise = math.exp(rng.uniform(math.log(1e-3), math.log(5.0)))
+    shaken = float(rng.choice([0.0, 5.0])) * np.sin(2.0 * math.pi * 9.7 * seen.time_s)
+    columns = {
+        "time_s": seen.time_s,
+        "motor_speed_rpm": speed + shaken + noise * rng.standard_normal(speed.size),
+    }
+    if rng.random() < 0.8:
+        columns["motor_current_a"] = current + 0.02 * noise * rng.standard_normal(speed.size)
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(name, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+
+
+JOINTS: Mapping[str, Callable[[np.random.Generator], list[list[str]]]] = {
+    "rigid": rigid,
+    "turning": turning_joint,
+}
