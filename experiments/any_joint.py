@@ -295,7 +295,10 @@ def turning_joint(rng: np.random.Generator) -> list[list[str]]:
     gravity = float(rng.choice([0.0, 0.0, 5.0, rng.uniform(20.0, 600.0)]))
     speed = float(rng.choice([-1.0, 1.0]) * rng.uniform(600.0, 2500.0)) * ratio / 120.0
     bench = bench.with_effects(*effects).with_parameters(
-        gravity_torque_nm=gravity, gear_ratio=ratio, reference_speed_rpm=speed
+        gravity_torque_nm=gravity,
+        gear_ratio=ratio,
+        reference_speed_rpm=speed,
+        current_limit_a=200.0,
     )
     known = bench.with_effects() if rng.random() < 0.3 else bench
     Path("bench.toml").write_text(dump_bench(known))
