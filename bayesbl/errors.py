@@ -92,6 +92,19 @@ class UnavailableError(RecordingError):
     """
 
 
+class NoFlankChange(RecordingError):
+    """The load stays on one tooth flank, or nothing tells otherwise: no gap shows.
+
+    ``code`` is what programs use; ``MOTION`` says what would show the gap.
+    """
+
+    code = "no_flank_change"
+    MOTION = (
+        "a recording of strokes to and fro, which brake and accelerate the load both ways "
+        "(`bayesbl plan --bench FILE` ranks motions)"
+    )
+
+
 class BenchError(UserError):
     """A virtual bench whose parameters make no physical sense, or whose simulation fails."""
 

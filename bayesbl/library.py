@@ -5,12 +5,24 @@ Options that are not given are those of ``config``, or the defaults of the comma
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+from bayesbl.arguments import (
+    Dates,
+    File,
+    Formats,
+    Names,
+    RecordingLike,
+    Takes,
+    Tree,
+    as_path,
+    checked,
+)
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ResultError
 
@@ -28,16 +40,32 @@ if TYPE_CHECKING:
     from bayesbl.progress import StageProgress
     from bayesbl.runs.summary import Summary
 
-File = str | Path
 Route = Literal["auto", "direct", "amplitude", "torque_ramp"]
 C = TypeVar("C", bound=RunConfig)
 
 
+def _as_bench(value: Any) -> Any:
+    from bayesbl.bench.bench import Bench
+
+    return value if isinstance(value, Bench) else as_path(value)
+
+
+BenchLike = Annotated[Any, Takes("the path of a bench file or result, or a Bench", _as_bench)]
+Configuration = Annotated[
+    str | Path | RunConfig,
+    Takes(
+        "a path: str or pathlib.Path, or a configuration that load_config() has read",
+        lambda value: value if isinstance(value, RunConfig) else as_path(value),
+    ),
+]
+
+
+@checked
 def fit(
-    recording: File,
+    recording: RecordingLike,
     *,
     config: File | None = None,
-    bench: File | None = None,
+    bench: BenchLike | None = None,
     curve: File | None = None,
     route: Route | None = None,
     limit_rad: float | None = None,
@@ -54,12 +82,14 @@ def fit(
     Parameters
     ----------
     recording
-        A file; other column names and units are mapped by ``config``.
+        A file, or what holds one in memory: a pandas ``DataFrame``, an xarray ``Dataset``, a
+        ``Recording``, a mapping of names to arrays, or a pair of arrays (time in s, motor speed in
+        rpm). Other column names and units are mapped by ``config``.
     config
         A configuration file that the other arguments override.
     bench, curve
-        What the gap is read from: a bench file, or a stored sweep, ``"published"`` for the
-        paper's.
+        What the gap is read from: a bench file or a ``Bench``; or a stored sweep, ``"published"``
+        for the paper's.
     limit_rad
         Repair limit of the gap, in rad at the load.
     level
@@ -86,14 +116,15 @@ def fit(
     return found
 
 
+@checked
 def compare(
-    first: File,
-    *later: File,
+    first: RecordingLike,
+    *later: RecordingLike,
     config: File | None = None,
-    bench: File | None = None,
+    bench: BenchLike | None = None,
     curve: File | None = None,
     route: Route | None = None,
-    dates: Sequence[date] = (),
+    dates: Dates = (),
     limit_rad: float | None = None,
     before: date | None = None,
     gear_ratio: float | None = None,
@@ -111,7 +142,7 @@ def compare(
     Parameters
     ----------
     first, later
-        Files in the order they were taken, at least two.
+        Recordings in the order they were taken, at least two.
     dates
         When each was taken; with them the result has a group ``wear``.
     before
@@ -136,12 +167,13 @@ def compare(
     return found
 
 
+@checked
 def identify(
-    *recordings: File,
+    *recordings: RecordingLike,
     config: File | None = None,
-    bench: File | None = None,
-    effects: Literal["catalogue"] | Sequence[str] | None = None,
-    dates: Sequence[date] = (),
+    bench: BenchLike | None = None,
+    effects: Names | None = None,
+    dates: Dates = (),
     level: float | None = None,
     seed: int | None = None,
     workers: int | None = None,
@@ -169,19 +201,20 @@ def identify(
     from bayesbl.runs.identify import run_identify
 
     named = effects if effects is None or effects == "catalogue" else list(effects)
-    given: dict[str, Any] = {"bench": bench, "effects": named, "level": level}
+    given: dict[str, Any] = {"effects": named, "level": level}
     given |= {"seed": seed, "workers": workers}
-    made = config_from_options("identify", recordings, config, dates, **given)
-    loaded = _checked(made, IdentifyConfig)
-    with _shown(progress) as tell:
+    with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
+        made = config_from_options("identify", files, config, dates, bench=of_bench, **given)
+        loaded = _checked(made, IdentifyConfig)
         found: IdentificationResult = _as_object(run_identify(loaded, tell))
     return found
 
 
+@checked
 def diagnose(
-    *recordings: File,
+    *recordings: RecordingLike,
     config: File | None = None,
-    bench: File | None = None,
+    bench: BenchLike | None = None,
     level: float | None = None,
     seed: int | None = None,
     workers: int | None = None,
@@ -202,16 +235,18 @@ def diagnose(
     from bayesbl.runs.diagnose import run_diagnose
     from bayesbl.runs.diagnosis_file import diagnosis_of
 
-    given: dict[str, Any] = {"bench": bench, "level": level, "seed": seed, "workers": workers}
-    if recordings:
-        loaded, _ = diagnosis_of(recordings, config, **given)
-    else:
-        loaded = _checked(config_from_options("diagnose", (), config, **given), DiagnoseConfig)
-    with _shown(progress) as tell:
+    given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
+    with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
+        given["bench"] = of_bench
+        if files:
+            loaded, _ = diagnosis_of(files, config, **given)
+        else:
+            loaded = _checked(config_from_options("diagnose", (), config, **given), DiagnoseConfig)
         found: DiagnosisResult = _as_object(run_diagnose(loaded, tell))
     return found
 
 
+@checked
 def sweep(
     config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
 ) -> SweepResult:
@@ -233,6 +268,7 @@ def sweep(
     return found
 
 
+@checked
 def read_result(path: File) -> Result:
     """A stored result of any kind, of the kind of object that made it.
 
@@ -247,9 +283,8 @@ def read_result(path: File) -> Result:
     return result_of(read(path))
 
 
-def run(
-    config: str | Path | RunConfig, *, force: bool = False, figures: Sequence[str] = ("png",)
-) -> Summary:
+@checked
+def run(config: Configuration, *, force: bool = False, figures: Formats = ("png",)) -> Summary:
     """Run a configuration of any kind but ``simulate`` and write its output folder with figures.
 
     Parameters
@@ -275,7 +310,8 @@ def run(
     return run_config(loaded, draw, force=force, file=file, formats=figures)
 
 
-def write_page(result: str | Path) -> Path:
+@checked
+def write_page(result: File) -> Path:
     """Write ``report.html`` beside a stored result; its path.
 
     Raises
@@ -288,10 +324,11 @@ def write_page(result: str | Path) -> Path:
     return write(result, draw)
 
 
+@checked
 def draw(
-    tree: xr.DataTree,
+    tree: Tree,
     folder: Path,
-    formats: Sequence[str] = ("png",),
+    formats: Formats = ("png",),
     study: Path | None = None,
 ) -> list[Path]:
     """Write every figure of a result of any kind into a folder; the files written.
@@ -352,10 +389,40 @@ def _measure(
     from bayesbl.config.measurement import SnapshotConfig
     from bayesbl.measurement.routes import measure
 
-    made = config_from_options(kind, recordings, config, dates, **given)
-    loaded = _checked(made, SnapshotConfig)
-    with _shown(progress) as tell:
-        return _as_object(measure(loaded, tell))
+    with _files(recordings, given.pop("bench")) as (files, bench), _shown(progress) as tell:
+        made = config_from_options(kind, files, config, dates, bench=bench, **given)
+        return _as_object(measure(_checked(made, SnapshotConfig), tell))
+
+
+@contextmanager
+def _files(recordings: Sequence[Any], bench: Any) -> Iterator[tuple[list[Path], Path | None]]:
+    """Files of recordings and of a bench: those that are in memory are written for the time being.
+
+    Recordings in memory are named ``recording_1``, ``recording_2`` by their place.
+    """
+    with tempfile.TemporaryDirectory(prefix="bayesbl-") as folder:
+        files = [
+            _written(Path(folder, f"recording_{place}.nc"), given)
+            if isinstance(given, Mapping)
+            else given
+            for place, given in enumerate(recordings, 1)
+        ]
+        if bench is None or isinstance(bench, Path):
+            yield files, bench
+            return
+        from bayesbl.config.bench import dump_bench
+
+        file = Path(folder, "bench.toml")
+        file.write_text(dump_bench(bench), encoding="utf-8")
+        yield files, file
+
+
+def _written(file: Path, columns: Mapping[str, Any]) -> Path:
+    import xarray as xr
+
+    table = {name: ("sample", column) for name, column in columns.items()}
+    xr.Dataset(table).to_netcdf(file, engine="netcdf4")
+    return file
 
 
 def _checked(config: RunConfig, model: type[C]) -> C:

@@ -1,4 +1,4 @@
-"""How the package is built: rooms import downwards, no circles, files of a readable length."""
+"""How the package is built: rooms import downwards, no circles."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ PACKAGE = ROOT / "bayesbl"
 ROOMS = (
     "bayesbl",  # the package itself: its version; public names are looked up when asked for
     "errors",
+    "arguments",
     "units",
     "declared",
     "libraries",

@@ -376,6 +376,13 @@ class Bench:
             reference_speed_rpm=reference_speed_rpm,
             motor_start_angle_rad=motor_start_angle_rad,
         )
+        if len(parameters) != 1:
+            raise BenchError(
+                "One recording has one value of each setting.",
+                where="simulate()",
+                found=f"{len(parameters)} values",
+                expected="one number each; call simulate() once for each gap",
+            )
         reference = float(parameters[0, Slot.reference_speed_rpm])
         samples = self.samples(rotations, sampling_hz, reference)
         position, speed, current = simulate_channels(

@@ -229,7 +229,8 @@ def contact_rates(matrix: FloatArray) -> ComplexArray:
     systems = contact_matrices(matrix)
     rates[:, : systems.shape[1]] = np.linalg.eigvals(systems)
     for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
-        factors = np.linalg.eigvals(sampled_period(matrix[row])[0])
+        # Real where all of them are, and some below zero.
+        factors = np.linalg.eigvals(sampled_period(matrix[row])[0]).astype(complex)
         factors = np.where(np.abs(factors) < _GONE, _GONE, factors)
         rates[row, : factors.size] = np.log(factors) / matrix[row, Slot.sampled_control__period_s]
     return rates

@@ -20,6 +20,7 @@ from pydantic import (
     model_validator,
 )
 
+from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import (
     Bench,
     BenchEffect,
@@ -576,7 +577,8 @@ class BenchFile(Section):
         )
 
 
-def load_bench(path: str | Path) -> Bench:
+@checked
+def load_bench(path: File) -> Bench:
     """The bench of a bench file.
 
     Raises

@@ -21,6 +21,9 @@ from bayesbl.recording.input_bytes import read_input, suffix_of
 
 _Model = TypeVar("_Model", bound=Section)
 
+DEEPEST = 30
+"""Levels of tables and lists in a file; what the package writes has seven at most."""
+
 
 def load_file(path: Path, model: type[_Model]) -> _Model:
     """The file, validated; its paths start from its own folder.
@@ -127,10 +130,16 @@ def _told(kind: str) -> str:
 
 def _parse(text: str, file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
+        if _is_deep(tables):
+            raise RecursionError
+        return tables
     except RecursionError:
         raise ConfigError(
-            "The file is nested too deeply.", file=file, expected="sections, keys and values"
+            "The file is nested too deeply.",
+            file=file,
+            found=f"tables or lists in one another, more than {DEEPEST}",
+            expected="sections, keys and values",
         ) from None
     except ValueError as error:
         place = re.search(r" \(at (line \d+, column \d+|end of document)\)$", str(error))
@@ -142,3 +151,16 @@ def _parse(text: str, file: Path) -> dict[str, Any]:
             expected='key = value; text is in quotes, e.g. file = "before.csv"; numbers have a '
             "decimal point, not a comma; dates are written 2026-07-01",
         ) from None
+
+
+def _is_deep(tables: Mapping[str, Any]) -> bool:
+    """Whether anything lies deeper than :data:`DEEPEST`; by levels, as a descent may fail."""
+    level: list[Any] = [tables]
+    for _ in range(DEEPEST):
+        level = [
+            item
+            for holder in level
+            for item in (holder.values() if isinstance(holder, Mapping) else holder)
+            if isinstance(item, Mapping | list)
+        ]
+    return bool(level)

@@ -17,6 +17,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
+from bayesbl.arguments import File, checked
 from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED, name_of, names_of
 from bayesbl.config.files import read_toml, require_kind
 from bayesbl.config.kinds import KINDS, RUNNABLE
@@ -93,7 +94,8 @@ class _Document:
     origins: Mapping[Location, str] = field(default_factory=dict)
 
 
-def load_config(path: str | Path, *, kind: str | None = None) -> RunConfig:
+@checked
+def load_config(path: File, *, kind: str | None = None) -> RunConfig:
     """Read and validate a configuration; relative paths start from its folder.
 
     Parameters

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
@@ -146,8 +147,9 @@ def sweep_nominal(
     Raises
     ------
     BenchError
-        If a simulation fails.
+        If the load stays on one tooth flank, or a simulation fails.
     """
+    require_flank_change(bench)
     angles = settings.start_angle_rad
     objectives = _objectives(bench, model, settings, settings.gap_rad, angles, workers)
     row = _Row(model, settings.gap_rad, angles)

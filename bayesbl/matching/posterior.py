@@ -115,7 +115,8 @@ class DirectPosterior:
         low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
         for i, side, _ in _at_edges(model, self.draws):
             unknown, own = model.unknowns[i], self.draws[..., i].ravel()
-            slope = float(np.cov(own, gap)[0, 1]) / float(own.var(ddof=1))
+            variance = float(own.var(ddof=1))
+            slope = float(np.cov(own, gap)[0, 1]) / variance if variance > 0.0 else 0.0
             shift = abs(slope) * 0.5 * (unknown.high - unknown.low)
             if shift > 0.5 * (high - low):
                 effect, dot, parameter = unknown.name.partition("__")

@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve, published_curve
@@ -209,8 +210,16 @@ class BenchCurves(CurveSource):
         return f"swept from {self.config.estimator.bench} on demand"
 
     def require_usable(self, recording: Recording) -> None:
-        """The recording is of the speed that is given for it, or of the bench's."""
-        self._need(recording)
+        """The recording is of a speed at which the gap shows: the one given for it, or the bench's.
+
+        Raises
+        ------
+        UserError
+            If it is of another speed, or the load stays on one flank.
+        """
+        need = self._need(recording)
+        bench = bench_with(self.bench, dict(need.known))
+        require_flank_change(bench, [need.reference_speed_rpm], self.config.estimator.bench)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Recordings may be of any speeds and rates: each has its own curve."""

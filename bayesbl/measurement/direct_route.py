@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.impacts import IMPACTS_DIFFER
@@ -30,7 +31,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.standstill import believed
-from bayesbl.measurement.bench_of import bench_of, drifts_of
+from bayesbl.measurement.bench_of import bench_of, bench_with, drifts_of
 from bayesbl.measurement.direct_groups import GROUPS, direct_groups
 from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
@@ -131,8 +132,11 @@ class DirectMeasurer(Measurer):
         yield "bench", lambda: f"{file}, gap form {form}"
 
     def require_usable(self, recording: Recording) -> None:
-        """The bench can be compared with it."""
-        observed_of(self.config, self.bench, recording)
+        """The bench can be compared with it, and its gap shows."""
+        seen = observed_of(self.config, self.bench, recording)
+        if seen.motion is None:
+            bench = bench_with(self.bench, self.config.entry_of(recording.name).bench)
+            require_flank_change(bench, [seen.reference_speed_rpm], self.config.estimator.bench)
 
     def measure(self, task: Task) -> Measurement:
         """Match the bench with all recordings at once."""

@@ -295,22 +295,24 @@ def _lines(first: _Seen, other: _Seen) -> Iterator[tuple[CheckItem, int]]:
 def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[BlindSpot]:
     """How much of each quantity could change unseen, by the pair that shows it worst."""
     for name in SHOWN_BEST:
-        shares = [
+        least = [
             (
                 bound * _sd(name, first, other)
                 + _explained(name, first, other)
-                + abs(_by_lateness(name, first, other))
+                + abs(_by_lateness(name, first, other)),
+                first.features[name].value,
             )
-            / first.features[name].value
             for first, other in pairs
             if name in first.features and name in other.features
         ]
-        if shares:
-            yield BlindSpot(
-                f"a change of the {name} by less than {100.0 * max(shares):.2g} % "
-                f"({IN_WORDS[name]})",
-                "too small for these recordings to show",
-            )
+        if not least:
+            continue
+        if all(value > 0.0 for _, value in least):
+            percent = 100.0 * max(size / value for size, value in least)
+            change = f"a change of the {name} by less than {percent:.2g} %"
+        else:  # a harmonic that noise hides
+            change = f"a change of the {name}, which one of them does not show"
+        yield BlindSpot(f"{change} ({IN_WORDS[name]})", "too small for these recordings to show")
 
 
 def _filters_unseen(

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.arguments import File, checked
 from bayesbl.errors import RecordingError, UnavailableError
 from bayesbl.recording.channels import (
     CHANNELS,
@@ -46,8 +47,9 @@ NO_MEASUREMENT = 1e15
 """In whatever unit: what diverged, or marks a missing value."""
 
 
+@checked
 def read_recording(
-    path: str | Path,
+    path: File,
     *,
     name: str | None = None,
     columns: Mapping[str, ColumnSpec] | None = None,

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from bayesbl.compiled import compiled
+from bayesbl.errors import NoFlankChange
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.symbols import (
@@ -84,6 +85,13 @@ def guesses(objective: Objective, count: int) -> FloatArray:
             objective.model.baseline_harmonics,
         )
         folds += [(gain, decay, frequency, *rest) for gain, *rest in found]
+    if not folds:
+        raise NoFlankChange(
+            "Nothing in the motor's speed repeats with a rotation of the load: no impact shows.",
+            found=f"a speed that varies by {np.ptp(speed):.3g} rpm",
+            expected=f"ringing after impacts; where the load stays on one tooth flank (a vertical "
+            f"axis, a balanced arm), {NoFlankChange.MOTION}",
+        )
     folds.sort(reverse=True)
     points = np.concatenate(
         [_neighbours(objective, time_s[0], *fold[1:]) for fold in folds[:FOLDS_KEPT]]

@@ -23,6 +23,9 @@ LAST_RADIUS_RPM = 0.3
 """Cloud sizes as the noise whose scatter they equal: sd of white noise at 1 kHz, rpm."""
 SHRINK, GROW = 0.4, 1.6
 
+LEAST_SEEN = 1e-12
+"""Smallest eigenvalue of unit columns' products that is not rounding."""
+
 
 def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
     """Local optimum of the searched symbols near ``start``, both of shape (d,).
@@ -117,6 +120,10 @@ def scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
     names = jacobian_columns(objective.model)
     columns = jacobian(objective.model, objective.time_s, symbols, solution.coefficients[0, 1:-1])
     norms = np.linalg.norm(columns, axis=0)
-    inverse = np.linalg.inv((columns / norms).T @ (columns / norms)) / np.outer(norms, norms)
+    norms = np.where(norms > 0.0, norms, 1.0)
+    sizes, turned = np.linalg.eigh((columns / norms).T @ (columns / norms))
+    # Of what the ringing hardly shows, a scatter that rounding does not decide.
+    roots = turned / np.sqrt(np.maximum(sizes, LEAST_SEEN)) / norms[:, None]
     order = [names.index(n) for n in SYMBOLS if n in objective.searched]
-    return np.asarray(np.linalg.cholesky(inverse[np.ix_(order, order)]))
+    triangle = np.linalg.qr(roots[order].T).R
+    return np.asarray((triangle * np.where(np.diag(triangle) < 0.0, -1.0, 1.0)[:, None]).T)

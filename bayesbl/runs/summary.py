@@ -5,9 +5,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeAlias
 
-if TYPE_CHECKING:
-    import xarray as xr
+from bayesbl.arguments import Tree, checked
 
+if TYPE_CHECKING:
     from bayesbl.diagnosis.summary import DiagnosisSummary
     from bayesbl.identification.summary import IdentificationSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
@@ -39,7 +39,8 @@ _SUMMARISE = {
 """Kind to module and function, imported only where it is used."""
 
 
-def summarise(tree: xr.DataTree) -> Summary:
+@checked
+def summarise(tree: Tree) -> Summary:
     """The summary of a stored result.
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.sweep import SweepConfig
 from bayesbl.curve.sweep import SweepRow, SweepSettings
@@ -101,6 +102,7 @@ def run_sweep(
         If the bench file cannot be used, a simulation fails, or the curve is not monotone.
     """
     bench = bench_from(config.bench)
+    require_flank_change(bench)
     require_drawable(config, bench)
     work = WorkStore.shared(config.run.output.parent / CACHE, fresh=fresh)
     problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, work)
@@ -175,6 +177,7 @@ def _require_possible(config: SweepConfig, bench: Bench) -> None:
         BYTES_PER_SAMPLE * samples,
         SECONDS_PER_SAMPLE * samples * (1 + section.bench_draws) / config.run.workers,
     )
+    require_flank_change(bench)
     bench.simulate(section.gap_rad.high, rotations=0.1, sampling_hz=section.sampling_hz)
 
 

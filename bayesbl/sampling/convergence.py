@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from scipy import fft
 
+from bayesbl.errors import NoFlankChange
 from bayesbl.recording.types import FloatArray
 
 Outcome = Literal["converged", "usable", "withheld"]
@@ -154,7 +155,9 @@ def judge(
         failures.append(
             f"The impact ringing is too weak: its amplitude is {signal_to_noise:.1f} standard "
             f"deviations above zero ({WEAKEST_SIGNAL_TO_NOISE:.0f} are needed). Record more "
-            "rotations, or with less noise."
+            "rotations, or with less noise. Where the load stays on one tooth flank (a vertical "
+            f"axis, a balanced arm, a load to one side) no impact will show: take "
+            f"{NoFlankChange.MOTION}."
         )
     worst = max(r_hat, key=lambda n: r_hat[n])
     if not r_hat[worst] < R_HAT_BAD:

@@ -88,6 +88,12 @@ COMMANDS: Mapping[str, Callable[[str], Sequence[str]]] = {
     "simulate": lambda name: ("simulate", name),
     "sweep": lambda name: ("sweep", name),
     "diagnose": lambda name: ("diagnose", name),
+    "identify": lambda name: ("identify", name, "--bench", "bench.toml"),
+    "identify --bench": lambda name: ("identify", "before.csv", "--bench", name),
+    "plan": lambda name: ("plan", "--bench", name),
+    "fleet": lambda name: ("fleet", name),
+    "collect": lambda name: ("collect", name, "--out", "results", "--once"),
+    "watch --config": lambda name: ("watch", "data", "--config", name, "--once"),
     "effects": lambda name: ("effects", name),
     "figures": lambda name: ("figures", name),
     "report": lambda name: ("report", name),
@@ -128,6 +134,8 @@ WRITERS: Mapping[str, Callable[[str], Sequence[str]]] = {
     "simulate": lambda out: ("simulate", "simulate.toml", "--out", out),
     "simulate --force": lambda out: ("simulate", "simulate.toml", "--out", out, "--force"),
     "study": lambda out: ("run", "study.toml", "--out", out),
+    "plan": lambda out: ("plan", "--bench", "bench.toml", "--out", out),
+    "watch": lambda out: ("watch", "folder", "--config", "fleet.toml", "--once", "--out", out),
 }
 
 OPTIONS: Mapping[str, Sequence[str]] = {
@@ -148,7 +156,7 @@ def put_odd_places(folder: Path) -> None:
     import socket
 
     put_inputs(folder)
-    for kind in ("fit", "simulate", "study"):
+    for kind in ("fit", "simulate", "study", "fleet"):
         (folder / f"{kind}.toml").write_text(CONFIGURATIONS[kind])
     os.mkfifo(folder / "fifo")
     os.mkfifo(folder / "fifo.csv")

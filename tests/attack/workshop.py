@@ -82,6 +82,18 @@ CONFIGURATIONS: Mapping[str, str] = {
     .replace("[run]", 'bench = "bench.toml"\ntruth_file = "truth.json"\n[run]')
     + '[[recordings]]\nname = "made"\nfile = "made.csv"\ngap_rad = 8e-4\nrotations = 2.2\n'
     "sampling_hz = 100\nstart_angle_rad = 0.5\n",
+    "identify": HEAD.format(kind="identify").replace("[run]", 'bench = "datasheet.toml"\n[run]')
+    + '[identify]\nparameters = ["gravity_torque_nm"]\n'
+    + TWO.replace("date", "reference_speed_rpm = 2000.0\ndate"),
+    "plan": HEAD.format(kind="plan").replace("[run]", 'bench = "bench.toml"\n[run]')
+    + "[limits]\nrange_rad = [-0.5, 0.5]\nspeed_rpm = 600.0\nduration_s = 5.0\n",
+    "ramps": HEAD.format(kind="compare")
+    + '[joint]\ngear_ratio = 1.0\n[estimator]\nroute = "torque_ramp"\n'
+    + TWO.replace("before", "ramp").replace("after", "ramp_later"),
+    "fleet": HEAD.format(kind="fleet")
+    + SHORT
+    + '[fleet]\njoints = "joints.csv"\nrecordings = "data/{joint}/{date}.csv"\n'
+    'pool_by = "gearbox"\ndecide_before = 2027-06-01\n',
     "bench": BENCH,
 }
 RESULTS = ("fit", "compare", "direct", "sweep", "diagnose", "study")
@@ -123,6 +135,20 @@ def put_inputs(folder: Path) -> None:
     (folder / "bench.toml").write_text(BENCH)
     (folder / "rigid.toml").write_text(RIGID)
     (folder / "study.py").write_text(STUDY)
+    gravity = "gravity_torque_nm = {value = 425.0"
+    assert gravity in BENCH
+    tolerant = BENCH.replace(gravity, f"{gravity}, relative_tolerance = 0.1")
+    (folder / "datasheet.toml").write_text(tolerant)
+    for name, play in (("ramp", 2e-3), ("ramp_later", 3e-3)):
+        (folder / f"{name}.csv").write_text(_ramp(play))
+    (folder / "joints.csv").write_text(
+        "joint,gearbox,bench,limit_rad,gear_ratio\n"
+        "one,RV,bench.toml,1.2e-3,120\ntwo,RV,bench.toml,1.2e-3,120\n"
+    )
+    for joint in ("one", "two"):
+        (folder / "data" / joint).mkdir(parents=True, exist_ok=True)
+        for name, day in (("before", "2025-03-01"), ("after", "2026-03-01")):
+            shutil.copy(folder / f"{name}.csv", folder / "data" / joint / f"{day}.csv")
 
 
 def put_configuration(folder: Path, kind: str, text: str | None = None) -> Path:
@@ -145,6 +171,21 @@ def _axis() -> str:
     rpm = speed * 30.0 / np.pi
     columns = {TIME: time, POSITION: angle, SPEED: rpm, "motor_torque_nm": torque}
     return plain_csv({name: np.round(values, 8) for name, values in columns.items()})
+
+
+@cache
+def _ramp(play_rad: float) -> str:
+    """Torque to and fro over a gear with play and a stiffness, its output held."""
+    time = np.arange(4000) / 100.0
+    torque = 40.0 * np.sin(2.0 * np.pi * time / 10.0)
+    rng = np.random.default_rng(3)
+    angle = torque / 1e4 + 0.5 * play_rad * np.tanh(torque / 0.5)
+    columns = {
+        TIME: time,
+        POSITION: angle + 1e-6 * rng.standard_normal(time.size),
+        "motor_torque_nm": torque + 0.05 * rng.standard_normal(time.size),
+    }
+    return plain_csv({name: np.round(values, 9) for name, values in columns.items()})
 
 
 class Originals:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -16,7 +17,12 @@ from bayesbl.bench.effects.backlash import play
 from bayesbl.bench.effects.shaft_hysteresis import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import Piece, residuals, residuals_of_pieces
+from bayesbl.diagnosis.comparison import (
+    Piece,
+    residuals,
+    residuals_of_pieces,
+    sum_of_squares,
+)
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, disagreement_table, piece_residuals
 from bayesbl.diagnosis.free_motion.trajectory import FreeMotionComparison, free_motion_candidates
@@ -535,18 +541,33 @@ def test_a_ripple_is_as_sharp_as_told_whatever_the_noise_of_the_position(
 def test_a_scan_of_an_order_minimises_what_the_fit_leaves() -> None:
     recordings = [recording(name, 40 + k, ripple=(0.3, 7.0, 0.4)) for k, name in enumerate("abc")]
     comparison = inverse(recordings, bench(), unknown=("load_inertia_kg_m2",))
-    key, effects = "motor_torque_ripple.order", ("motor_torque_ripple",)
-    cost = comparison._cost(key, effects, {})
-    for order in (6.9, 7.0, 7.1):
-        shapes = {key: order}
-        linear = comparison._linear(effects, shapes)
-        left = 0.0
-        for i in comparison._used:
-            rest = comparison._rest(i, effects, shapes)
-            for name, column in comparison._kept_columns(i, effects, shapes).items():
-                rest = rest - linear[name] * column
-            left += float(rest @ rest)
-        assert cost(order) == pytest.approx(left, rel=1e-9)
+    best = comparison.fit(("motor_torque_ripple",))
+    order = best.effects["motor_torque_ripple"]["order"]
+    assert order == pytest.approx(7.0, abs=1e-3)
+
+    def left(order: float) -> float:
+        ripple = {"motor_torque_ripple": {"torque_nm": 0.0, "order": order}}
+        held = comparison.fit(("motor_torque_ripple",), replace(best, effects=ripple))
+        return sum_of_squares(residuals(comparison, held, "used"))
+
+    assert left(order) == pytest.approx(sum_of_squares(residuals(comparison, best, "used")))
+    for other in (order - 0.01, order + 0.01, 6.9, 7.1):
+        assert left(other) > left(order)
+
+
+def test_effects_that_must_be_scanned_are_found_together_from_nothing() -> None:
+    """An order, a fading speed and a delay: none has a shape yet when the first is looked for."""
+    recordings = [
+        recording(name, 70 + k, ripple=(0.3, 7.0, 0.4), coulomb=0.5, stribeck=(0.6, 20.0))
+        for k, name in enumerate("abc")
+    ]
+    comparison = inverse(recordings, bench())
+    scanned = ("motor_torque_ripple", "motor_stribeck_friction", "channel_time_skew")
+    for names in permutations(scanned):
+        found = comparison.fit((*names, "motor_coulomb_friction")).effects
+        assert tuple(found) == (*names, "motor_coulomb_friction")
+        assert found["motor_torque_ripple"]["order"] == pytest.approx(7.0, abs=1e-2)
+        assert found["motor_stribeck_friction"]["torque_nm"] == pytest.approx(0.6, rel=0.1)
 
 
 @pytest.mark.parametrize("cutoff_hz", [25.0, 40.0, 63.0])

@@ -272,3 +272,15 @@ def test_the_change_of_a_ringing_that_is_withheld_is_none(tmp_path: Path) -> Non
     assert summary["outcome"] == "withheld"
     assert summary["ringing_change"] is None
     assert summary["probability_ringing_grew"] is None
+
+
+def test_a_harmonic_that_noise_hides_is_a_blind_spot(before: PointEstimate) -> None:
+    """Its size is that of products of different rotations, which may be none at all."""
+    hidden = 0
+    for seed in range(4):
+        noise = np.random.default_rng(seed).standard_normal(before.recording.samples)
+        channels = {**before.recording.channels, MOTOR_CURRENT: noise}
+        silent = replace(before, recording=replace(before.recording, channels=channels))
+        check = same_joint([silent, before], (False, False))
+        hidden += any("does not show" in spot.change for spot in check.blind_spots)
+    assert 0 < hidden < 4

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +15,14 @@ from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.rigid.learned_waves import LearnedWaves
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.staying_columns import least_squares
-from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
+from bayesbl.diagnosis.rigid.terms import (
+    SKEW,
+    TORQUE_TERMS,
+    ShapedEffect,
+    ShapedEffects,
+    Term,
+    required_torque,
+)
 from bayesbl.diagnosis.rigid.view import View, noise_of
 from bayesbl.recording.types import FloatArray
 
@@ -88,14 +95,7 @@ class ComparedColumns:
     def _used(self) -> list[int]:
         return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
 
-    def _scanned(self, name: str) -> list[str]:
-        """Parameters of an effect that the linear solution does not give."""
-        term = self.terms[name]
-        if name == SKEW:
-            return [term.candidate.amplitude]
-        return [term.law.scanned] if term.law.scanned else []
-
-    def _directional(self, effects: tuple[str, ...]) -> bool:
+    def _directional(self, effects: Collection[str]) -> bool:
         """Whether dry friction takes part, named or in the bench."""
         names = (*effects, *(e.name for e in self.bench.effects))
         return not self.load and any("direction" in effect_named(n).depends_on for n in names)
@@ -107,9 +107,9 @@ class ComparedColumns:
             known[key] = self.views[i](make())
         return known[key]
 
-    def _motion(self, i: int, shapes: Mapping[str, float]) -> Motion:
+    def _motion(self, i: int, shaped: ShapedEffects) -> Motion:
         """Motion as the compared channel shows it: a channel that lags shows what was."""
-        skew, known = _skew(shapes), self.moved[i]
+        skew, known = shaped.skew_s, self.moved[i]
         if skew not in known:
             known.clear()
             current_s, position_s = skew
@@ -118,31 +118,29 @@ class ComparedColumns:
                 if late_s:
                     motion = motion.shifted(late_s)
             known[skew] = motion
-        return replace(known[skew], friction_width=shapes.get(WIDTH, 0.0))
+        return replace(known[skew], friction_width=shaped.width)
 
-    def _base(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> FloatArray:
+    def _base(self, i: int, shaped: ShapedEffects) -> FloatArray:
         """The nominal bench, and effects that no coefficient scales, in units of the channel."""
-        skew = _skew(shapes)
+        skew = shaped.skew_s
         if self.load:
             ratio = self.bench.value("gear_ratio")
-            base = self._seen(i, ("base", skew), lambda: self._motion(i, shapes).angle / ratio)
-            for name in effects:
-                term = self.terms[name]
-                if name != SKEW and term.law.scanned == term.candidate.amplitude:
-                    amount = {term.law.scanned: shapes[f"{name}.{term.law.scanned}"]}
-                    base = base + self._signal(i, name, amount, shapes)
+            base = self._seen(i, ("base", skew), lambda: self._motion(i, shaped).angle / ratio)
+            for effect in shaped.effects:
+                if effect.name != SKEW and effect.term.candidate.amplitude in effect.shape:
+                    base = base + self._signal(i, effect.term, effect.shape, shaped)
             return base
         bench = self.bench
         above = self.views[i].above
-        width = shapes.get(WIDTH) if self._directional(()) and not above else None
+        width = shaped.width if self._directional(()) and not above else None
 
         def torque() -> FloatArray:
             known = {} if self.load_angle_known else {"gravity_torque_nm": 0.0}
-            needed = required_torque(self._motion(i, shapes), bench.with_parameters(**known))
+            needed = required_torque(self._motion(i, shaped), bench.with_parameters(**known))
             return np.asarray((needed + self.known[i]) / self.unit)
 
         def waves() -> FloatArray:
-            motion = self._motion(i, shapes)
+            motion = self._motion(i, shaped)
             parts = [
                 TORQUE_TERMS[e.name].law.signal(motion, bench, e.complete())
                 for e in bench.effects
@@ -153,11 +151,9 @@ class ComparedColumns:
         needed = self._seen(i, ("base", skew, width), torque)
         if not above:
             return needed
-        return self._seen(i, ("waves", skew), waves) + self._along(i, effects, shapes, needed)
+        return self._seen(i, ("waves", skew), waves) + self._along(i, shaped, needed)
 
-    def _along(
-        self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float], signal: FloatArray
-    ) -> FloatArray:
+    def _along(self, i: int, shaped: ShapedEffects, signal: FloatArray) -> FloatArray:
         """The part of what is compared above the cut-off that turns with the motor as effects do.
 
         A ripple that the loop is too slow for is in the motion, not in the current. Of the
@@ -165,9 +161,9 @@ class ComparedColumns:
         Where that is no small part of the noise of what is compared, nothing is taken.
         """
         made = [
-            self._waves(i, name, shapes)
-            for name in effects
-            if self._turns(name) and self._is_quiet(i, shapes[f"{name}.{ORDER}"])
+            self._waves(i, effect, shaped)
+            for effect in shaped.effects
+            if ORDER in effect.shape and self._is_quiet(i, effect.shape[ORDER])
         ]
         if not made:
             return np.zeros_like(signal)
@@ -187,71 +183,70 @@ class ComparedColumns:
         made = inertia * math.sqrt(float(np.mean(shown**4))) * view.position_noise_rad
         return made < QUIET * self.unit * noise_of(piece.kept(piece.measured))
 
-    def _turns(self, name: str) -> bool:
-        return self.terms[name].law.scanned == ORDER
-
-    def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> list[FloatArray]:
+    def _waves(self, i: int, effect: ShapedEffect, shaped: ShapedEffects) -> list[FloatArray]:
         """Sine and cosine of an effect that turns with the motor, of unit size."""
-        amplitude, order = self.terms[name].candidate.amplitude, shapes[f"{name}.{ORDER}"]
+        amplitude = effect.term.candidate.amplitude
         return [
-            self._signal(i, name, {amplitude: 1.0, PHASE: phase, ORDER: order}, shapes)
+            self._signal(i, effect.term, {amplitude: 1.0, PHASE: phase, **effect.shape}, shaped)
             for phase in (0.0, 0.5 * math.pi)
         ]
 
     def _signal(
-        self, i: int, name: str, given: Mapping[str, float], shapes: Mapping[str, float]
+        self, i: int, term: Term, parameters: Mapping[str, float], shaped: ShapedEffects
     ) -> FloatArray:
         """An effect's law with these parameters, in units of the channel, as compared."""
-        law = self.terms[name].law
-        width = shapes.get(WIDTH) if "direction" in effect_named(name).depends_on else None
+        width = shaped.width if term.has_direction else None
         unit = 1.0 if self.load else self.unit
         return self._seen(
             i,
-            (name, *given.items(), _skew(shapes), width),
-            lambda: law.signal(self._motion(i, shapes), self.bench, given) / unit,
+            (term.candidate.name, *parameters.items(), shaped.skew_s, width),
+            lambda: term.law.signal(self._motion(i, shaped), self.bench, parameters) / unit,
         )
 
-    def _columns(self, i: int, effects: tuple[str, ...], shapes: Mapping[str, float]) -> Columns:
-        """Linear coefficients by name to what one of each adds."""
-        found = self._allowed_for(i, shapes) | self._nuisances(i, shapes)
+    def _columns(
+        self, i: int, shaped: ShapedEffects, names: Collection[str] | None = None
+    ) -> Columns:
+        """Linear coefficients by name to what one of each adds; of all effects or of some."""
+        found = self._allowed_for(i, shaped) | self._nuisances(i, shaped)
         where = "" if self.phases_shared else f"@{self.pieces[i].name}"
-        for name in effects:
-            term = self.terms[name]
-            amplitude, scanned = term.candidate.amplitude, term.law.scanned
-            if name == SKEW or scanned == amplitude:
+        for effect in shaped.effects:
+            if names is not None and effect.name not in names:
                 continue
-            if self.views[i].above and scanned != ORDER:
+            name, term, shape = effect.name, effect.term, effect.shape
+            amplitude = term.candidate.amplitude
+            if amplitude in shape or (self.views[i].above and ORDER not in shape):
                 continue
-            shape = {scanned: shapes[f"{name}.{scanned}"]} if scanned else {}
             if term.periodic:
-                for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi)):
-                    given = {amplitude: 1.0, PHASE: phase, **shape}
-                    found[f"{name}.{label}{where}"] = self._signal(i, name, given, shapes)
+                waves = self._waves(i, effect, shaped)
+                found |= {
+                    f"{name}.{label}{where}": wave
+                    for label, wave in zip(("sine", "cosine"), waves, strict=True)
+                }
                 continue
             off = dict.fromkeys((amplitude, *term.law.linear), 0.0)
             for parameter in off:
-                given = {**off, parameter: 1.0, **shape}
-                found[f"{name}.{parameter}"] = self._signal(i, name, given, shapes)
+                one = {**off, parameter: 1.0, **shape}
+                found[f"{name}.{parameter}"] = self._signal(i, term, one, shaped)
         return found
 
-    def _allowed_for(self, i: int, shapes: Mapping[str, float]) -> Columns:
+    def _allowed_for(self, i: int, shaped: ShapedEffects) -> Columns:
         """Sine and cosine of the orders in :attr:`waves`."""
         return {
             f"{label} {order}@{self.pieces[i].name}": self._seen(
                 i,
-                (label, order, _skew(shapes)),
+                (label, order, shaped.skew_s),
                 lambda order=order, phase=phase: np.sin(  # type: ignore[misc]
-                    order * self._motion(i, shapes).angle + phase
+                    order * self._motion(i, shaped).angle + phase
                 ),
             )
             for order in self.waves
             for label, phase in (("sine", 0.0), ("cosine", 0.5 * math.pi))
         }
 
-    def _nuisances(self, i: int, shapes: Mapping[str, float]) -> Columns:
+    def _nuisances(self, i: int, shaped: ShapedEffects) -> Columns:
         """What is fitted of the bench itself."""
         ratio, where = self.bench.value("gear_ratio"), self.pieces[i].name
-        skew = _skew(shapes)
+        skew = shaped.skew_s
         if self.load:
             ones = np.ones_like(self.motions[i].angle)
             return {f"offset@{where}": self._seen(i, "offset", lambda: ones)}
@@ -259,7 +254,7 @@ class ComparedColumns:
             return {}
 
         def of(name: str, make: Callable[[Motion], FloatArray]) -> FloatArray:
-            return self._seen(i, (name, skew), lambda: make(self._motion(i, shapes)) / self.unit)
+            return self._seen(i, (name, skew), lambda: make(self._motion(i, shaped)) / self.unit)
 
         found = {}
         for name in self.unknown:
@@ -277,7 +272,3 @@ class ComparedColumns:
             for name, wave in self.learned.by_name(ratio).items():
                 found[name] = of(name, wave)
         return found
-
-
-def _skew(shapes: Mapping[str, float]) -> tuple[float, float]:
-    return shapes.get(f"{SKEW}.current_s", 0.0), shapes.get(f"{SKEW}.position_s", 0.0)

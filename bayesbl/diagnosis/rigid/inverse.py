@@ -13,20 +13,19 @@ coloured noise widens its covariance instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayesbl.bench.effect_declaration import ORDER, PHASE
-from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
 from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
 from bayesbl.diagnosis.rigid.order_rivals import Line, OrderScan, of_angle
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest
 from bayesbl.diagnosis.rigid.staying_columns import Staying, least_squares, stacked
-from bayesbl.diagnosis.rigid.terms import SKEW
+from bayesbl.diagnosis.rigid.terms import SKEW, ShapedEffect, ShapedEffects, Term
 from bayesbl.recording.types import FloatArray
 
 ROUNDING = 1e-12
@@ -90,45 +89,60 @@ class InverseComparison(ComparedColumns):
         )
 
     def fit(self, effects: tuple[str, ...], start: EffectsFit | None = None) -> EffectsFit:
-        """Least squares with these effects; shapes that ``start`` holds are kept."""
-        shapes: Values = dict(start.shared) if start is not None else {}
-        trials: dict[str, float] = {}
-        fresh = [name for name in effects if start is None or name not in start.effects]
-        for name in effects:
-            if start is not None and name in start.effects:
-                shapes |= {
-                    f"{name}.{shape}": start.effects[name][shape] for shape in self._scanned(name)
-                }
-                trials[name] = start.trials.get(name, 1.0)
-        directional = self._directional(effects)
-        if directional and WIDTH not in shapes:
-            plain = tuple(e for e in effects if e not in fresh or not self._scanned(e))
-            self._scan_width(plain, shapes)
-        for name in fresh:
-            trials[name] = self._scan(name, effects, shapes, start)
-        if directional and any(self._scanned(name) for name in fresh):
-            self._scan_width(effects, shapes)
-        linear = self._linear(effects, shapes)
-        found = {name: self._catalogue(name, linear, shapes) for name in effects}
+        """Least squares with these effects; shapes that ``start`` holds are kept.
+
+        What has to be scanned is added one by one, beside all that has its shape already.
+        """
+        known = {} if start is None else start.effects
+        trials = {name: start.trials.get(name, 1.0) for name in effects if name in known and start}
+        shaped, scanned = ShapedEffects(), []
+        for term in (self.terms[name] for name in effects):
+            name = term.candidate.name
+            if term.scanned is None:
+                shaped = shaped.plus(term)
+            elif name in known:
+                shaped = shaped.plus(term, known[name][term.scanned])
+            else:
+                scanned.append(term)
+        width = None if start is None else start.shared.get(WIDTH)
+        if width is not None:
+            shaped = replace(shaped, width=width)
+        elif self._directional(effects):
+            shaped = self._with_width(shaped)
+        before = start
+        for term in scanned:
+            before = before or self._fitted(shaped, trials)
+            shaped, tried = self._with_shape(shaped, term, before)
+            trials, before = {**trials, term.candidate.name: tried}, None
+        if scanned and self._directional(effects):
+            shaped = self._with_width(shaped)
+        in_order = tuple(shaped.only((name,)).effects[0] for name in effects)
+        return self._fitted(replace(shaped, effects=in_order), trials)
+
+    def _fitted(self, shaped: ShapedEffects, trials: Mapping[str, float]) -> EffectsFit:
+        """Least squares with shapes as they are."""
+        effects, directional = shaped.names, self._directional(shaped.names)
+        linear = self._linear(shaped)
+        found = {effect.name: self._catalogue(effect, linear) for effect in shaped.effects}
         self._share_amplitudes(found, linear)
         predictions = tuple(
-            self._prediction(i, effects, shapes, self._own(i, effects, shapes, linear, found))
+            self._prediction(i, shaped, self._own(i, shaped, linear, found))
             for i in range(len(self.pieces))
         )
-        names = self._names(effects, shapes, linear)
+        names = self._names(shaped, linear)
         columns = tuple(
-            self.pieces[i].kept(self._jacobian(i, effects, shapes, linear, names))
-            for i in self._used
+            self.pieces[i].kept(self._jacobian(i, shaped, linear, names)) for i in self._used
         )
         bench = {name: self.bench.value(name) + linear[name] for name in self.unknown}
         edges = frozenset(
-            name
-            for name in effects
-            if self._at_edge(name, shapes) or self._is_rather_a_torque(name, effects, shapes)
+            effect.name
+            for effect in shaped.effects
+            if self._at_edge(effect, shaped) or self._is_rather_a_torque(effect.term, shaped)
         )
-        shared = {WIDTH: shapes[WIDTH]} if directional else {}
+        tried = {name: trials.get(name, 1.0) for name in effects}
+        shared = {WIDTH: shaped.width} if directional else {}
         besides = {name: value for name, value in linear.items() if "." not in name.split("@")[0]}
-        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared, besides)
+        return EffectsFit(found, bench, predictions, columns, names, tried, edges, shared, besides)
 
     def scan_orders(self, fit: EffectsFit) -> OrderScan:
         """Residuals of a fit on the used pieces, order by order of the motor's turning."""
@@ -153,12 +167,12 @@ class InverseComparison(ComparedColumns):
 
     # Shapes
 
-    def _grid(self, name: str) -> tuple[float, ...]:
-        """Values of an effect's shape to try, in its own unit."""
-        if name == SKEW:
+    def _grid(self, term: Term) -> tuple[float, ...]:
+        """Values of a term's shape to try, in its own unit."""
+        if term.candidate.name == SKEW:
             period = 1.0 / self.views[0].low_pass.cutoff_hz
             return tuple(period * share for share in SKEW_GRID)
-        law = self.terms[name].law
+        law = term.law
         unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
         return tuple(unit * share for share in law.grid)
 
@@ -187,106 +201,101 @@ class InverseComparison(ComparedColumns):
         times = self.motions[0].time_s
         return float(times[-1] - times[0]) / (times.size - 1)
 
-    def _at_edge(self, name: str, shapes: Values) -> bool:
+    def _at_edge(self, effect: ShapedEffect, shaped: ShapedEffects) -> bool:
         """Whether the scan of an effect's shape ended where it ends or shows nothing."""
         widest = 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s
-        if "direction" in effect_named(name).depends_on and shapes.get(WIDTH, 0.0) > widest:
+        if effect.term.has_direction and shaped.width > widest:
             return True
-        scanned = self._scanned(name)
-        if not scanned:
+        if effect.value is None:
             return False
-        value = shapes[f"{name}.{scanned[0]}"]
-        if name == SKEW and abs(value) < 0.5 * self._period_s:
+        if effect.name == SKEW and abs(effect.value) < 0.5 * self._period_s:
             return True  # so far apart are samples and what a controller holds between them
-        if scanned[0] == ORDER:
-            return value == NO_ORDER
-        grid = self._grid(name)
+        if ORDER in effect.shape:
+            return effect.value == NO_ORDER
+        grid = self._grid(effect.term)
         near = 1e-2 * (grid[1] - grid[0])
-        return not grid[0] + near < value < grid[-1] - near or self._extrapolates(name, shapes)
+        inside = grid[0] + near < effect.value < grid[-1] - near
+        return not inside or self._extrapolates(effect, shaped)
 
-    def _extrapolates(self, name: str, shapes: Values) -> bool:
+    def _extrapolates(self, effect: ShapedEffect, shaped: ShapedEffects) -> bool:
         """Whether no sample shows half of an effect's size: it would be an extrapolation."""
-        term = self.terms[name]
-        if name == SKEW or self.load or term.periodic or term.law.scanned is None:
+        term = effect.term
+        if effect.name == SKEW or self.load or term.periodic:
             return False
-        given = {
-            term.candidate.amplitude: 1.0,
-            term.law.scanned: shapes[f"{name}.{term.law.scanned}"],
-        }
+        one = {term.candidate.amplitude: 1.0, **effect.shape}
         largest = 0.0
         for i in self._used:
-            signal = term.law.signal(self._motion(i, shapes), self.bench, given)
+            signal = term.law.signal(self._motion(i, shaped), self.bench, one)
             window = self.views[i].window
             largest = max(
                 largest, float(np.abs(signal if window is None else window * signal).max())
             )
         return largest < 0.5
 
-    def _is_rather_a_torque(self, name: str, effects: tuple[str, ...], shapes: Values) -> bool:
+    def _is_rather_a_torque(self, term: Term, shaped: ShapedEffects) -> bool:
         """Whether what an error of the encoder makes is explained better by a torque that turns.
 
         The one grows with the square of the speed, the other is the same at all. A ripple may be
         named already, of another order: then nothing else would speak for the torque.
         """
-        term = self.terms[name]
         if self.load or not term.periodic or term.law.scanned is not None:
             return False
-        others = tuple(e for e in effects if e != name)
+        others = shaped.only({*shaped.names} - {term.candidate.name})
         left = []
-        for held, turning in ((effects, False), (others, True)):
+        for held, turning in ((shaped, False), (others, True)):
             tables = [
                 {
-                    **self._kept_columns(i, held, shapes),
-                    **(self._kept_turning(i, shapes) if turning else {}),
+                    **self._kept_columns(i, held),
+                    **(self._kept_turning(i, shaped) if turning else {}),
                 }
                 for i in self._used
             ]
-            rests = [self._rest(i, held, shapes) for i in self._used]
+            rests = [self._rest(i, held) for i in self._used]
             along = Staying([{} for _ in tables])
             explained = along.explained(tables, rests, along.along(rests))
             left.append(sum(float(rest @ rest) for rest in rests) - explained)
         return left[1] <= left[0]
 
-    def _kept_turning(self, i: int, shapes: Values) -> Columns:
+    def _kept_turning(self, i: int, shaped: ShapedEffects) -> Columns:
         """Sine and cosine of the motor's angle, with one phase for whatever shares it."""
         where = "" if self.phases_shared else f"@{self.pieces[i].name}"
-        waves = replace(self, waves=(1.0,))._allowed_for(i, shapes)
+        waves = replace(self, waves=(1.0,))._allowed_for(i, shaped)
         return {
             f"turning {k}{where}": self.pieces[i].kept(wave)
             for k, wave in enumerate(waves.values())
         }
 
-    def _scan_width(self, effects: tuple[str, ...], shapes: Values) -> None:
+    def _with_width(self, shaped: ShapedEffects) -> ShapedEffects:
+        """With the width of least squares."""
         unit = self.speed_rad_per_s
-        self._search(WIDTH, [unit * share for share in WIDTH_GRID], effects, shapes)
+        moving = [effect.name for effect in shaped.effects if effect.term.has_direction]
+        return self._best(
+            [unit * share for share in WIDTH_GRID], lambda x: replace(shaped, width=x), moving
+        )
 
-    def _scan(
-        self, name: str, effects: tuple[str, ...], shapes: Values, start: EffectsFit | None
-    ) -> float:
-        """Put the best shape of an effect into ``shapes``; the number of independent trials."""
-        scanned = self._scanned(name)
-        if not scanned:
-            return 1.0
-        key, trials = f"{name}.{scanned[0]}", 3.0
-        if scanned[0] == ORDER:
-            without = start or self.fit(tuple(e for e in effects if e != name), None)
-            line = of_angle(self._clearest(without))
+    def _with_shape(
+        self, shaped: ShapedEffects, term: Term, before: EffectsFit
+    ) -> tuple[ShapedEffects, float]:
+        """With an effect in its best shape; the number of independent trials.
+
+        ``before``: a fit without it.
+        """
+        grid: Sequence[float] = self._grid(term)
+        trials, comparison, moving = 3.0, self, [term.candidate.name]
+        if term.scanned == ORDER:
+            line = of_angle(self._clearest(before))
             if line is None:
-                shapes[key] = NO_ORDER
-                return trials
-            step = self.scan_orders(without).step
+                return shaped.plus(term, NO_ORDER), trials
+            step, trials = self.scan_orders(before).step, line.trials
             grid = (line.order - step, line.order, line.order + step)
-            self._search(key, grid, effects, shapes)
-            trials = line.trials
-        elif name == SKEW and not self.load:
-            # A ripple of a motor that yields to it is in the torque and in the motion out of step:
-            # without it a delay would take its place.
-            without = start or self.fit(tuple(e for e in effects if e != name), None)
-            orders = tuple(line.order for line in self._clearest(without))
-            replace(self, waves=orders)._search(key, self._grid(name), effects, shapes)
-        else:
-            self._search(key, self._grid(name), effects, shapes)
-        return trials
+        elif term.candidate.name == SKEW:
+            moving = [*shaped.names, *moving]
+            if not self.load:
+                # A ripple of a motor that yields to it is in the torque and in the motion out of
+                # step: without it a delay would take its place.
+                orders = tuple(line.order for line in self._clearest(before))
+                comparison = replace(self, waves=orders)
+        return comparison._best(grid, lambda x: shaped.plus(term, x), moving), trials
 
     def _clearest(self, fit: EffectsFit) -> list[Line]:
         """Lines that stand out of what a fit leaves; those of the last fit are kept."""
@@ -295,37 +304,48 @@ class InverseComparison(ComparedColumns):
             self.lines[id(fit)] = fit, self.scan_orders(fit).clearest()
         return self.lines[id(fit)][1]
 
-    def _search(
-        self, key: str, grid: Sequence[float], effects: tuple[str, ...], shapes: Values
-    ) -> None:
-        """Put the value of least squares into ``shapes``: a grid, then a search around its best."""
-        cost = self._cost(key, effects, shapes)
+    def _best(
+        self,
+        grid: Sequence[float],
+        shaped: Callable[[float], ShapedEffects],
+        moving: Collection[str],
+    ) -> ShapedEffects:
+        """Of least squares over a value: a grid, then a search around its best.
+
+        ``moving``: effects whose columns change with the value. Where those are all, what else is
+        fitted moves too.
+        """
+        cost = self._cost(shaped, shaped(grid[0]), moving)
         costs = [cost(value) for value in grid]
         best = int(np.argmin(costs))
         low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
         found = minimize_scalar(
             cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
         )
-        shapes[key] = float(found.x) if found.fun <= costs[best] else float(grid[best])
+        return shaped(float(found.x) if found.fun <= costs[best] else float(grid[best]))
 
     # Least squares
 
-    def _cost(self, key: str, effects: tuple[str, ...], shapes: Values) -> Callable[[float], float]:
-        """Sum of squares of the fit over a shape; what does not depend on it is fitted once."""
-        used, all_move = self._used, key.startswith(SKEW)
-        moving = tuple(e for e in effects if all_move or self._depends(e, key))
-        others = tuple(e for e in effects if e not in moving)
+    def _cost(
+        self,
+        shaped: Callable[[float], ShapedEffects],
+        one: ShapedEffects,
+        moving: Collection[str],
+    ) -> Callable[[float], float]:
+        """Sum of squares of the fit over a value; what does not depend on it is fitted once."""
+        used = self._used
         stay: list[Columns] = [{} for _ in used]
-        if not all_move:
-            stay = [self._kept_columns(i, others, shapes) for i in used]
+        if SKEW not in moving:
+            held = {*one.names} - {*moving}
+            stay = [self._kept_columns(i, one, held) for i in used]
         staying = Staying(stay)
 
         def cost(value: float) -> float:
-            tried = {**shapes, key: value}
-            rests = [self._rest(i, effects, tried) for i in used]
+            tried = shaped(value)
+            rests = [self._rest(i, tried) for i in used]
             along = staying.along(rests)
             tables = [
-                {n: c for n, c in self._kept_columns(i, moving, tried).items() if n not in table}
+                {n: c for n, c in self._kept_columns(i, tried, moving).items() if n not in table}
                 for i, table in zip(used, stay, strict=True)
             ]
             left = sum(float(rest @ rest) for rest in rests) - float(along @ along)
@@ -333,62 +353,52 @@ class InverseComparison(ComparedColumns):
 
         return cost
 
-    def _depends(self, name: str, key: str) -> bool:
-        """Whether an effect's columns change with a shape."""
-        if key == WIDTH:
-            return "direction" in effect_named(name).depends_on
-        return key.startswith(f"{name}.")
-
-    def _rest(self, i: int, effects: tuple[str, ...], shapes: Values) -> FloatArray:
+    def _rest(self, i: int, shaped: ShapedEffects) -> FloatArray:
         """What the bench leaves of a piece, at the samples that count, shape (k,)."""
         piece = self.pieces[i]
-        return piece.kept(piece.measured - self._base(i, effects, shapes))
+        return piece.kept(piece.measured - self._base(i, shaped))
 
-    def _kept_columns(self, i: int, effects: tuple[str, ...], shapes: Values) -> Columns:
-        columns = self._columns(i, effects, shapes)
+    def _kept_columns(
+        self, i: int, shaped: ShapedEffects, names: Collection[str] | None = None
+    ) -> Columns:
+        """Columns at the samples that count, of all effects or of some."""
+        columns = self._columns(i, shaped, names)
         return {name: self.pieces[i].kept(column) for name, column in columns.items()}
 
-    def _linear(self, effects: tuple[str, ...], shapes: Values) -> Values:
+    def _linear(self, shaped: ShapedEffects) -> Values:
         """Linear coefficients by name, fitted on all used pieces."""
         used = self._used
-        tables = [self._kept_columns(i, effects, shapes) for i in used]
+        tables = [self._kept_columns(i, shaped) for i in used]
         names = list(dict.fromkeys(name for table in tables for name in table))
         if not names:
             return {}
         # A piece of which nothing is modelled says nothing of the coefficients.
         chosen = [(i, table) for i, table in zip(used, tables, strict=True) if table]
         matrix = np.vstack([stacked(table, names) for _, table in chosen])
-        rest = np.concatenate([self._rest(i, effects, shapes) for i, _ in chosen])
+        rest = np.concatenate([self._rest(i, shaped) for i, _ in chosen])
         return dict(zip(names, least_squares(matrix, rest).tolist(), strict=True))
 
-    def _prediction(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        shapes: Mapping[str, float],
-        linear: Mapping[str, float],
-    ) -> FloatArray:
+    def _prediction(self, i: int, shaped: ShapedEffects, linear: Mapping[str, float]) -> FloatArray:
         """All that is modelled of a piece, in units of its channel."""
-        prediction = self._base(i, effects, shapes).copy()
-        for name, column in self._columns(i, effects, shapes).items():
+        prediction = self._base(i, shaped).copy()
+        for name, column in self._columns(i, shaped).items():
             prediction += linear[name] * column
         return prediction
 
     def _own(
         self,
         i: int,
-        effects: tuple[str, ...],
-        shapes: Values,
+        shaped: ShapedEffects,
         linear: Values,
         found: Mapping[str, Mapping[str, float]],
     ) -> Values:
         """Coefficients of a piece; what belongs to a held-out recording alone is fitted on it."""
-        columns = self._columns(i, effects, shapes)
+        columns = self._columns(i, shaped)
         own = [name for name in columns if name not in linear]
         if not own:
             return linear
         piece = self.pieces[i]
-        rest = piece.measured - self._base(i, effects, shapes)
+        rest = piece.measured - self._base(i, shaped)
         for name, column in columns.items():
             if name in linear:
                 rest = rest - linear[name] * column
@@ -409,21 +419,21 @@ class InverseComparison(ComparedColumns):
                     linear[sine] *= amplitude / size
                     linear[cosine] *= amplitude / size
 
-    def _catalogue(self, name: str, linear: Values, shapes: Values) -> Values:
+    def _catalogue(self, effect: ShapedEffect, linear: Values) -> Values:
         """An effect's parameters as the catalogue has them; phases of all recordings or none."""
-        term, start = self.terms[name], f"{name}."
-        given = {k.removeprefix(start): v for k, v in shapes.items() if k.startswith(start)}
+        name, term, start = effect.name, effect.term, f"{effect.name}."
+        parameters = effect.shape
         if not term.periodic:
-            given |= {k.removeprefix(start): v for k, v in linear.items() if k.startswith(start)}
-            return given
+            own = {k.removeprefix(start): v for k, v in linear.items() if k.startswith(start)}
+            return parameters | own
         amplitude = 0.0
         for sine in [key for key in linear if key.startswith(f"{name}.sine")]:
             cosine = linear[sine.replace(".sine", ".cosine")]
             where = sine.partition(".sine")[2]
             amplitude += math.hypot(linear[sine], cosine) * self._share(where)
             if not where:
-                given[PHASE] = math.atan2(cosine, linear[sine])
-        return {term.candidate.amplitude: amplitude, **given}
+                parameters[PHASE] = math.atan2(cosine, linear[sine])
+        return {term.candidate.amplitude: amplitude, **parameters}
 
     def _share(self, where: str) -> float:
         """Weight of a recording in an amplitude common to all: its share of the samples."""
@@ -437,7 +447,7 @@ class InverseComparison(ComparedColumns):
 
     # Derivatives
 
-    def _names(self, effects: tuple[str, ...], shapes: Values, linear: Values) -> tuple[str, ...]:
+    def _names(self, shaped: ShapedEffects, linear: Values) -> tuple[str, ...]:
         """Everything fitted, sines and cosines as one amplitude and phases."""
         names: list[str] = []
         for name in linear:
@@ -447,28 +457,25 @@ class InverseComparison(ComparedColumns):
                 names += [f"{effect}.{PHASE}{where}"]
             elif ".cosine" not in name:
                 names.append(name)
-        names += [key for key in shapes if key != WIDTH or self._directional(effects)]
+        names += [*shaped.values, *([WIDTH] if self._directional(shaped.names) else [])]
         return tuple(dict.fromkeys(names))
 
     def _jacobian(
         self,
         i: int,
-        effects: tuple[str, ...],
-        shapes: Values,
+        shaped: ShapedEffects,
         linear: Values,
         names: Sequence[str],
     ) -> FloatArray:
         """∂prediction/∂value, shape (n, p): columns, and differences for what is scanned."""
-        columns = self._columns(i, effects, shapes)
+        columns, around = self._columns(i, shaped), _around(shaped)
         nothing = np.zeros(self.pieces[i].measured.size)
         made = []
         for name in names:
-            if name in shapes:
-                step = self._step(name, shapes[name])
-                up, down = (
-                    self._prediction(i, effects, {**shapes, name: shapes[name] + s}, linear)
-                    for s in (step, -step)
-                )
+            if name in around:
+                value, moved = around[name]
+                step = self._step(name, value)
+                up, down = (self._prediction(i, moved(value + s), linear) for s in (step, -step))
                 # What is rounding alone must be no column: scaled, it would blur the others.
                 is_seen = np.abs(up - down).max() > ROUNDING * np.abs(up).max()
                 made.append((up - down) / (2.0 * step) if is_seen else nothing)
@@ -496,3 +503,16 @@ class InverseComparison(ComparedColumns):
         if effect == SKEW:
             return 1e-3 / self.views[0].low_pass.cutoff_hz
         return 1e-5 * value if parameter == ORDER else 1e-2 * value
+
+
+def _around(shaped: ShapedEffects) -> dict[str, tuple[float, Callable[[float], ShapedEffects]]]:
+    """Everything scanned by name: its value, and the effects with another."""
+
+    def moved(effect: ShapedEffect) -> Callable[[float], ShapedEffects]:
+        return lambda value: shaped.plus(effect.term, value)
+
+    scanned = [(e, key, value) for e in shaped.effects for key, value in e.shape.items()]
+    return {
+        WIDTH: (shaped.width, lambda value: replace(shaped, width=value)),
+        **{f"{e.name}.{key}": (value, moved(e)) for e, key, value in scanned},
+    }

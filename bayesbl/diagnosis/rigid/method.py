@@ -117,7 +117,7 @@ def inverse_problem(task: Task) -> Problem:
                 recording, channel, USES_OF[entry.use], cutoff_hz, config.comparison.known_torque
             )
         ]
-        return InverseComparison(
+        made = InverseComparison(
             tuple(item.piece for item in found),
             tuple(item.motion for item in found),
             tuple(item.known for item in found),
@@ -131,6 +131,8 @@ def inverse_problem(task: Task) -> Problem:
             asked.load_angle_known,
             asked.motor_angle_known,
         )
+        _require_motion(made, recordings)
+        return made
 
     cutoff = asked.cutoff_hz or _cutoff_hz(recordings, comparison_below)
     stated = comparison_below(cutoff)
@@ -320,6 +322,24 @@ def compared(
         for use, (piece, part) in zip(uses, shares, strict=True):
             found.append(Compared(replace(piece, use=use), motion, known, part))
     return found
+
+
+def _require_motion(comparison: InverseComparison, recordings: Sequence[Recording]) -> None:
+    """Refuse where nothing moves in a part that is fitted or predicted, of the folds too."""
+    for made in (comparison, *comparison.folds()):
+        for piece in made.pieces:
+            moving = piece.kept(piece.time_s).size
+            if moving < FEWEST_SAMPLES:
+                (place,) = {r.place for r in recordings if r.name == piece.name}
+                raise RecordingError(
+                    "The axis stands or turns round nearly all of the time in a part that is to be "
+                    "fitted or predicted.",
+                    file=place,
+                    where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
+                    found=f"{moving} of {piece.time_s.size} samples of a motion",
+                    expected=f"{FEWEST_SAMPLES} or more: a recording that moves throughout, or one "
+                    "to fit on and another that is held out",
+                )
 
 
 def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], load: bool) -> None:
