@@ -226,7 +226,8 @@ def wear(
         growth.reshape(dims),
         rate.reshape(dims),
         (scatter / np.sqrt(span)).reshape(dims),
-        *(None if x is None else x.reshape(dims) for x in (years_to_limit, changes_ahead)),
+        None if years_to_limit is None else years_to_limit.reshape(dims),
+        None if changes_ahead is None else changes_ahead.reshape(dims),
         width,
     )
 
@@ -341,7 +342,7 @@ def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
             taken = np.log(generator.uniform(size=PARTICLES)) < gain
             normal = np.where(taken, moved, normal)
             likely = np.where(taken, found, likely)
-    return normal
+    return np.asarray(normal)
 
 
 def _step(likely: FloatArray, most: float) -> float:
