@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Snapshot
 from bayesbl.measurement.summary_types import (
     DateInterval,
@@ -118,7 +119,7 @@ def wear_of(
     drift_seed, wear_seed = seed.spawn(2)
     measured = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
-    start, limit = config.wear.in_service_since, config.joint.limit_rad
+    start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)
     fell = fall(drawn)
     if fell.is_fall:
@@ -195,6 +196,7 @@ def summarise_wear(
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": None if limit is None else float(limit),
+        "limit": tree.attrs.get("limit"),
         "years_to_limit": None,
         "date_of_limit": None,
         "not_before": None,

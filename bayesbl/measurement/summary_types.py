@@ -160,6 +160,14 @@ class _FromRamps(TypedDict, total=False):
     ramps: RampsSummary
 
 
+class StatedLimit(TypedDict):
+    """The limit as it was given, and δ in its unit and of its kind (``arcmin of play``)."""
+
+    text: str
+    unit: str
+    measured: Interval | None
+
+
 class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
     """One snapshot; every route gives the keys here, and some of its own.
 
@@ -180,6 +188,7 @@ class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
     reason: str | None
     model_check: JointCheckSummary
     limit_rad: NotRequired[float]
+    limit: NotRequired[StatedLimit]
     probability_above_limit: NotRequired[float | None]
 
 
@@ -262,6 +271,7 @@ class _DatedSummary(TypedDict):
     last_date: str
     level: float
     limit_rad: float | None
+    limit: str | None
     relative_sd_per_date: float
     drift_widens: float | None
     decide_before: str | None

@@ -212,7 +212,7 @@ def wear(
         spans, prior = (x.time_of(1.0 + needed / growth, longest) for x in (laws, believed))
         is_ahead = needed > 0.0
         years_to_limit = np.where(is_ahead, span * (spans - 1.0), 0.0)
-        changes_ahead = 1.0 * (is_ahead & laws.changes_before(spans))
+        changes_ahead = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
         if is_ahead.mean() > LEAST_SHARE_GROWING:
             width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior[is_ahead] - 1.0)
     before = np.full(count, 1.0 - 1e-3)

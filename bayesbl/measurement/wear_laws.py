@@ -122,14 +122,12 @@ class Laws:
 
     def and_ahead(self, generator: np.random.Generator) -> Laws:
         """The same with changes ahead of the last snapshot, as believed beforehand."""
-        start, exponent, factor = self._parts()
-        waits, exponents, factors = generator.standard_normal((3, AHEAD, start.shape[1]))
-        ahead = self._log_age(1.0) + np.cumsum(_waits(waits), axis=0)
-        more = ahead, _log_normal(EXPONENT, exponents), _log_normal(FACTOR, factors)
-        parts = (
-            part for pair in zip((start, exponent, factor), more, strict=True) for part in pair
-        )
-        return Laws(np.concatenate([self.rows[:1], *parts]))
+        count = self.rows.shape[1]
+        waits, exponents, factors = generator.standard_normal((3, AHEAD, count))
+        start = self._log_age(1.0) + np.cumsum(_waits(waits), axis=0)
+        ahead = [start, _log_normal(EXPONENT, exponents), _log_normal(FACTOR, factors)]
+        parts = np.concatenate([self._parts(), np.stack(ahead)], axis=1)
+        return Laws(np.concatenate([self.rows[:1], parts.reshape(-1, count)]))
 
     def _parts(self) -> FloatArray:
         """Starts, exponents and factors, shape (3, regime, particle)."""
@@ -137,7 +135,7 @@ class Laws:
 
     def _log_age(self, elapsed: FloatArray | float) -> FloatArray:
         """ln of the age so many spans after the first snapshot over that at it."""
-        return np.log1p(np.asarray(elapsed) / self.rows[0])
+        return np.asarray(np.log1p(np.asarray(elapsed) / self.rows[0]))
 
     def grown(self, elapsed: FloatArray) -> FloatArray:
         """Growth in multiples of that over the span; ``elapsed`` has shape (…, particle)."""
@@ -164,7 +162,7 @@ class Laws:
     def kind(self) -> NDArray[np.int_]:
         """Number in :data:`KINDS` of the regime at the last snapshot, (particle,)."""
         bounds = [kind.exponents[1] for kind in KINDS[:-1]]
-        return np.searchsorted(bounds, self._parts()[1, CHANGES])
+        return np.asarray(np.searchsorted(bounds, self._parts()[1, CHANGES]))
 
     def time_of(self, growth: FloatArray, longest: float) -> FloatArray:
         """Time in spans, at most ``longest``, at which so much of that over the span is there."""
@@ -175,7 +173,7 @@ class Laws:
             last = np.log1p(np.clip(missing, 0.0, whole) / scale) / exponent
             log_age = np.where(missing > 0.0, start + last, log_age)
             missing = missing - whole
-        return np.minimum(self.rows[0] * np.expm1(_small(log_age)), longest)
+        return np.asarray(np.minimum(self.rows[0] * np.expm1(_small(log_age)), longest))
 
     def changes_before(self, elapsed: FloatArray) -> NDArray[np.bool_]:
         """Whether wear changes between the last snapshot and so many spans, (particle,)."""
@@ -184,11 +182,11 @@ class Laws:
 
 def _waits(normal: FloatArray) -> FloatArray:
     """Exponentially distributed e-foldings of the age from one change to the next."""
-    return -np.log(ndtr(normal)) / HAZARD
+    return np.asarray(-np.log(ndtr(normal)) / HAZARD)
 
 
 def _log_normal(prior: tuple[float, float], normal: FloatArray) -> FloatArray:
-    return prior[0] * np.exp(prior[1] * normal)
+    return np.asarray(prior[0] * np.exp(prior[1] * normal))
 
 
 def _small(exponent: FloatArray) -> FloatArray:

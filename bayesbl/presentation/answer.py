@@ -173,8 +173,23 @@ def above_limit(summary: MeasuredSummary) -> str | None:
     each = ", ".join(
         _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in limited
     )
-    limit = 1e3 * limited[0][1]["limit_rad"]
-    return f"Probability that the gap is above its limit of {limit:g} mrad: {each}."
+    first = limited[0][1]
+    limit = f"{1e3 * first['limit_rad']:.4g} mrad"
+    if (stated := first.get("limit")) is not None:
+        limit = f"{limit} ({words.limit(stated['text'])})"
+    told = f"Probability that the gap is above its limit of {limit}: {each}."
+    measured = [
+        (n, p["limit"]["measured"])
+        for n, p in limited
+        if "limit" in p and p["limit"]["measured"] is not None
+    ]
+    if stated is not None and measured:
+        values = ", ".join(
+            f"{number(one['median'], words.decimals(one))} ({words.bounds(one)}){words.of(name)}"
+            for name, one in measured
+        )
+        told += f" In {stated['unit']}: {values}."
+    return told
 
 
 def budget(summary: MeasuredSummary) -> Iterator[str]:

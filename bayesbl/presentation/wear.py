@@ -118,7 +118,8 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
     years = wear["years_to_limit"]
     if years is None or wear["limit_rad"] is None:
         return
-    limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
+    stated = "" if wear["limit"] is None else f" ({words.limit(wear['limit'])})"
+    limit = f"the limit of {1e3 * wear['limit_rad']:.4g} mrad{stated}"
     if years["high"] == 0.0:
         yield f"The gap passed {limit} before {wear['last_date']}."
     elif not_before(wear) == wear["last_date"]:

@@ -9,7 +9,10 @@ from places import ROOT
 
 from bayesbl.runs.study_file import load_study
 
-LAWS = ("linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps")
+LAWS = (
+    *("linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps"),
+    *("square_root", "power_0.6", "kink", "bathtub", "slowing"),
+)
 
 
 @pytest.fixture(scope="module")

@@ -93,8 +93,8 @@ def test_a_known_rate_and_present_gap_are_covered_as_often_as_said(years):
 def test_irregular_wear_is_covered_and_found(shared):
     # A curve that is 10 % off hides none of it: its factor is common to all snapshots.
     generator = np.random.default_rng(4)
-    # Twenty dates: with few, changes of the law pass for irregular wear as well.
-    years, sigma, scatter, currents = np.linspace(0.0, 4.0, 20), 1e-4, [], []
+    # Many dates and small jumps: a few large ones pass for changes of the law as well.
+    years, sigma, scatter, currents = np.linspace(0.0, 4.0, 20), 4e-5, [], []
     jump = sigma**2 / RATE
     for number in range(24):
         steps = generator.gamma(RATE * np.diff(years) / jump, jump)
