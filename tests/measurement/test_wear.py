@@ -106,7 +106,7 @@ def test_irregular_wear_is_covered_and_found(shared):
     if not shared:
         assert uniform_p(currents) > 1e-3, "false alarm 1 in 1000"
     calm = wear(drawn(1e-3 + RATE * years, 1e-5, generator, shared=shared), years, seed(9))
-    assert np.median(calm.scatter_rad_per_root_year) < 0.2 * sigma
+    assert np.median(calm.scatter_rad_per_root_year) < 0.5 * sigma
 
 
 @pytest.mark.parametrize(
