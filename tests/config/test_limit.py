@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -13,6 +14,7 @@ from places import ROOT
 from bayesbl.config.loading import config_from_options, dump_config, load_config
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.compatibility import limit_rad_of
+from bayesbl.presentation.answer import in_unit_of_limit
 from bayesbl.units import Limit, LimitError
 
 ANGLES = ("rad", "mrad", "deg", "arcmin", "arcsec")
@@ -177,3 +179,14 @@ def test_an_option_goes_before_the_limit_of_a_file_in_either_form(tmp_path: Path
     with pytest.raises(ConfigError, match="says whether") as caught:
         config_from_options("fit", [RECORDING], None, limit="3 arcmin")
     assert caught.value.where == "--limit"
+
+
+def test_an_answer_is_told_as_the_limit_was_given() -> None:
+    limit = Limit.parse("3 arcmin play")
+    low, median, high = (limit.stated(1e-3 * mrad) for mrad in (0.68, 0.7, 0.72))
+    measured = {"low": low, "median": median, "high": high, "level": 0.9, "kind": "equal_tailed"}
+    stated = {"text": str(limit), "unit": limit.name, "measured": measured}
+    summary: Any = {"kind": "fit", "limit": stated}
+    # 2 · 0.7 mrad are 4.81 arcmin.
+    assert in_unit_of_limit(summary) == "The gap in arcmin of play: 4.8 (4.7 to 5.0)."
+    assert in_unit_of_limit({"kind": "fit"}) is None  # type: ignore[arg-type, typeddict-item]
