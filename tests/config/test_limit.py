@@ -188,5 +188,5 @@ def test_an_answer_is_told_as_the_limit_was_given() -> None:
     stated = {"text": str(limit), "unit": limit.name, "measured": measured}
     summary: Any = {"kind": "fit", "limit": stated}
     # 2 · 0.7 mrad are 4.81 arcmin.
-    assert in_unit_of_limit(summary) == "The gap in arcmin of play: 4.8 (4.7 to 5.0)."
+    assert in_unit_of_limit(summary) == "The gap in arcmin of play: 4.81 (4.68 to 4.95)."
     assert in_unit_of_limit({"kind": "fit"}) is None  # type: ignore[arg-type, typeddict-item]
