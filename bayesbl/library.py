@@ -68,6 +68,7 @@ def fit(
     bench: BenchLike | None = None,
     curve: File | None = None,
     route: Route | None = None,
+    limit: str | Mapping[str, object] | None = None,
     limit_rad: float | None = None,
     gear_ratio: float | None = None,
     level: float | None = None,
@@ -90,8 +91,10 @@ def fit(
     bench, curve
         What the gap is read from: a bench file or a ``Bench``; or a stored sweep, ``"published"``
         for the paper's.
+    limit
+        Repair limit as data sheets state it, such as ``"3 arcmin play"``.
     limit_rad
-        Repair limit of the gap, in rad at the load.
+        The same of the gap δ, in rad at the load.
     level
         Probability of intervals.
     start_from
@@ -109,7 +112,8 @@ def fit(
     UserError
         If the recording or the configuration cannot be used.
     """
-    given = {"bench": bench, "curve": curve, "route": route, "limit_rad": limit_rad}
+    given: dict[str, Any] = {"bench": bench, "curve": curve, "route": route}
+    given |= {"limit": limit, "limit_rad": limit_rad}
     given |= {"gear_ratio": gear_ratio, "level": level, "start_from": start_from}
     given |= {"check_sampler": check_sampler, "seed": seed, "workers": workers}
     found: FitResult = _measure("fit", [recording], config, (), given, progress)
@@ -125,6 +129,7 @@ def compare(
     curve: File | None = None,
     route: Route | None = None,
     dates: Dates = (),
+    limit: str | Mapping[str, object] | None = None,
     limit_rad: float | None = None,
     before: date | None = None,
     gear_ratio: float | None = None,
@@ -159,7 +164,7 @@ def compare(
         If a recording or the configuration cannot be used.
     """
     given: dict[str, Any] = {"bench": bench, "curve": curve, "route": route}
-    given |= {"limit_rad": limit_rad}
+    given |= {"limit": limit, "limit_rad": limit_rad}
     given |= {"before": before, "gear_ratio": gear_ratio, "level": level}
     given |= {"start_from": start_from, "check_sampler": check_sampler}
     given |= {"seed": seed, "workers": workers}

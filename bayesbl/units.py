@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
 """Revolutions per minute in one radian per second."""
@@ -231,6 +233,161 @@ def spelled(unit: str) -> str:
 def is_unit(text: str) -> bool:
     """Whether this is a unit, of any dimension, in this package's spelling."""
     return any(text in units for units in _FACTORS.values())
+
+
+LimitUnit = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "mm"]
+LimitKind = Literal["delta", "play", "lost_motion"]
+
+_LIMIT_UNITS: dict[str, float] = {
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "deg": math.pi / 180.0,
+    "arcmin": math.pi / 10_800.0,
+    "arcsec": math.pi / 648_000.0,
+}
+
+_LIMIT_SPELLINGS = {"°": "deg", "′": "arcmin", "'": "arcmin", "″": "arcsec", '"': "arcsec"}
+
+LIMIT_EXAMPLES = (
+    'VALUE UNIT KIND: "3 arcmin play", "0.2 mrad delta", "0.5 mm play at 0.4 m" or '
+    '"1 arcmin lost_motion at 3 %" (of the rated torque)'
+)
+
+_LIMIT_TEXT = re.compile(
+    r"\s*(?P<value>[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(?P<unit>[^\s\d]+)"
+    r"(?:\s+(?P<of>delta|δ|play|lost[ _]motion))?"
+    r"(?:\s+at\s+(?P<at_m>\d+\.?\d*|\.\d+)\s*m)?"
+    r"(?:\s+at\s+(?P<percent>\d+\.?\d*|\.\d+)\s*%)?\s*",
+    re.IGNORECASE,
+)
+
+
+class LimitError(ValueError):
+    """A limit that says too little or too much: what is wrong, what was found, what is expected."""
+
+    def __init__(self, problem: str, found: str, expected: str) -> None:
+        self.problem, self.found, self.expected = problem, found, expected
+        super().__init__(f"{problem} Found: {found}. Expected: {expected}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A limit as a maker states it, and the gap δ that it means.
+
+    Play is the whole angle, 2 δ. Lost motion at a share s of the rated torque T is play and what
+    the stiffness K at the load gives way between +s T and −s T: 2 δ + 2 s T / K.
+
+    Attributes
+    ----------
+    at_m
+        Radius at which a length in mm is meant, m; only with ``unit = "mm"``.
+    at_torque_share
+        s, between 0 and 1; only of lost motion.
+
+    Raises
+    ------
+    LimitError
+        Where unit, kind, radius and share do not go together.
+    """
+
+    value: float
+    unit: LimitUnit
+    of: LimitKind
+    at_m: float | None = None
+    at_torque_share: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.value) and self.value > 0.0):
+            raise LimitError("A limit is positive.", f"{self.value:g}", "a number above 0")
+        if self.unit not in get_args(LimitUnit):
+            units = ", ".join(get_args(LimitUnit))
+            raise LimitError("This unit is not one of a limit.", self.unit, f"one of {units}")
+        if (self.unit == "mm") != (self.at_m is not None):
+            found = "no radius" if self.at_m is None else f"a radius with {self.unit}"
+            raise LimitError("A limit in mm, and no other, has a radius.", found, LIMIT_EXAMPLES)
+        if (self.of == "lost_motion") != (self.at_torque_share is not None):
+            found = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
+            raise LimitError("Lost motion, and nothing else, has a torque.", found, LIMIT_EXAMPLES)
+        if self.at_m is not None and not self.at_m > 0.0:
+            raise LimitError("A radius is positive.", f"{self.at_m:g} m", "a length in m above 0")
+        if self.at_torque_share is not None and not 0.0 < self.at_torque_share < 1.0:
+            found = f"{100.0 * self.at_torque_share:g} %"
+            raise LimitError("A share of the rated torque is below it.", found, "0 to 100 %")
+
+    @classmethod
+    def parse(cls, text: str) -> Limit:
+        """Of text such as ``3 arcmin play``; :data:`LIMIT_EXAMPLES`.
+
+        Raises
+        ------
+        LimitError
+            If it is not of that form.
+        """
+        parts = _LIMIT_TEXT.fullmatch(text)
+        if parts is None:
+            raise LimitError("This is no limit.", f'"{text}"', LIMIT_EXAMPLES)
+        if parts["of"] is None:
+            problem = "A limit says whether it is of δ, of play (2 δ) or of lost motion."
+            raise LimitError(problem, f'"{text}"', LIMIT_EXAMPLES)
+        kind = parts["of"].lower().replace(" ", "_").replace("δ", "delta")
+        unit = _LIMIT_SPELLINGS.get(parts["unit"], parts["unit"])
+        at_m, percent = (None if x is None else float(x) for x in parts.group("at_m", "percent"))
+        share = None if percent is None else percent / 100.0
+        return cls(float(parts["value"]), unit, kind, at_m, share)  # type: ignore[arg-type]
+
+    def __str__(self) -> str:
+        radius = "" if self.at_m is None else f" at {self.at_m!r} m"
+        share = self.at_torque_share
+        torque = "" if share is None else f" at {float(f'{100.0 * share:.12g}')!r} %"
+        return f"{self.value!r} {self.unit} {self.of}{radius}{torque}".replace(".0 ", " ")
+
+    @property
+    def name(self) -> str:
+        """Unit and kind, as a measured value in them is told: ``arcmin of play``."""
+        _, unit, kind = str(self).split(" ", 2)
+        return f"{unit} of {kind.replace('_', ' ').replace('delta', 'δ')}"
+
+    def windup_rad(self, torque_nm: float | None, stiffness_nm_per_rad: float | None) -> float:
+        """What the joint gives way at the torque of a lost motion, both ways; 0 of other limits.
+
+        Raises
+        ------
+        LimitError
+            Where rated torque or stiffness is missing.
+        """
+        if self.at_torque_share is None:
+            return 0.0
+        problem = "Lost motion needs the rated torque and the joint's stiffness."
+        if torque_nm is None:
+            raise LimitError(problem, "no rated torque", "rated_torque_nm = 50.0 under [joint]")
+        if stiffness_nm_per_rad is None:
+            expected = "a bench with shaft_stiffness_nm_per_rad, or a limit of play or delta"
+            raise LimitError(problem, "no stiffness", expected)
+        return 2.0 * self.at_torque_share * torque_nm / stiffness_nm_per_rad
+
+    def delta_rad(self, windup_rad: float = 0.0) -> float:
+        """The gap at this limit, rad.
+
+        Raises
+        ------
+        LimitError
+            Where the joint gives way by more than the limit without any play.
+        """
+        whole = self.value * self._rad
+        delta = whole if self.of == "delta" else 0.5 * (whole - windup_rad)
+        if delta <= 0.0:
+            found = f"{self}, of which {1e3 * windup_rad:.3g} mrad are wind-up"
+            problem = "This limit leaves no room for a gap."
+            raise LimitError(problem, found, f"more than {windup_rad / self._rad:.3g} {self.unit}")
+        return delta
+
+    def stated(self, delta_rad: float, windup_rad: float = 0.0) -> float:
+        """A gap in the unit and of the kind of this limit: the inverse of :meth:`delta_rad`."""
+        return (delta_rad if self.of == "delta" else 2.0 * delta_rad + windup_rad) / self._rad
+
+    @property
+    def _rad(self) -> float:
+        return _LIMIT_UNITS[self.unit] if self.at_m is None else 1e-3 / self.at_m
 
 
 def number(value: float, places: int) -> str:

@@ -55,7 +55,8 @@ class Row(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     law: Literal[
-        "linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps"
+        "linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps",
+        "square_root", "power_0.6", "kink", "bathtub", "slowing",
     ]  # fmt: skip
     dates: Annotated[tuple[int, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
     cases: PositiveInt
@@ -212,4 +213,17 @@ def law_of(law: str, generator: np.random.Generator) -> Growth:
         size = generator.lognormal(-0.125, 0.5, 300) / jumps
         risen_to = np.concatenate([[0.0], np.cumsum(size)])
         return lambda t: np.asarray(risen_to[np.searchsorted(times, t, side="right")])
+    if law in ("square_root", "power_0.6"):
+        exponent = 0.5 if law == "square_root" else 0.6
+        return lambda t: t**exponent
+    if law in ("kink", "slowing"):  # the rate changes once, at 20 to 90 % of the life
+        at = generator.uniform(0.2, 0.9)
+        factor = generator.uniform(2.0, 4.0) if law == "kink" else 0.4
+        whole = at + factor * (1.0 - at)
+        return lambda t: (np.minimum(t, at) + factor * np.maximum(t - at, 0.0)) / whole
+    if law == "bathtub":  # runs in, wears evenly, and wears out with the fourth power of age
+        early, out = generator.uniform(0.1, 0.3), generator.uniform(0.3, 0.6)
+        duration = generator.uniform(0.03, 0.1)
+        even = 1.0 - early - out
+        return lambda t: -early * np.expm1(-t / duration) + even * t + out * t**4
     return lambda t: t

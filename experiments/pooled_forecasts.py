@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from bayesbl.fleet.pooled_rates import Borrowed, Draws, alarms, pooled
 from bayesbl.measurement.wear import wear
-from bayesbl.measurement.wear_laws import SHAPES, kinds
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.provenance import git_commit
 
@@ -89,7 +88,7 @@ def joint(law: str, number: int, generator: np.random.Generator) -> Seen | None:
         (reached(grown, last) - last) * life,
         ((found.current_rad - found.first_rad) / span).ravel(),
         found.years_to_limit.ravel(),
-        kinds(found.law.ravel(), found.law_shape.reshape(SHAPES, -1)),
+        found.law.ravel(),
         (found.scatter_rad_per_root_year**2 * span / found.expected_growth_rad).ravel(),
         float(np.mean(found.current_rad > LIMIT_RAD)),
     )

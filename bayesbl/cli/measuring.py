@@ -29,6 +29,7 @@ def fit_command(
     curve: options.Curve = None,
     route: options.Route = None,
     bench: options.BenchFile = None,
+    limit: options.Limit = None,
     limit_rad: options.LimitRad = None,
     gear_ratio: options.GearRatio = None,
     level: options.Level = None,
@@ -37,7 +38,7 @@ def fit_command(
     check_sampler: options.CheckSampler = False,
 ) -> None:
     """Measure the gap in one recording."""
-    given = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
+    given = {"out": out, "seed": seed, "curve": curve, "limit": limit, "limit_rad": limit_rad}
     given |= {"route": route, "bench": bench}
     given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     given |= {"start_from": start_from, "check_sampler": check_sampler or None}
@@ -61,6 +62,7 @@ def compare_command(
     route: options.Route = None,
     bench: options.BenchFile = None,
     dates: options.Dates = None,
+    limit: options.Limit = None,
     limit_rad: options.LimitRad = None,
     before: options.Before = None,
     gear_ratio: options.GearRatio = None,
@@ -78,8 +80,8 @@ def compare_command(
             found=f"{first} alone",
             expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
         )
-    given: dict[str, Any] = {"out": out, "seed": seed, "curve": curve, "limit_rad": limit_rad}
-    given |= {"route": route, "bench": bench}
+    given: dict[str, Any] = {"out": out, "seed": seed, "curve": curve}
+    given |= {"limit": limit, "limit_rad": limit_rad, "route": route, "bench": bench}
     given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
     given |= {"start_from": start_from, "check_sampler": check_sampler or None}
     given |= {"before": before, "dates": dates or ()}

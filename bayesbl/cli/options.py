@@ -113,6 +113,15 @@ CheckSampler = Annotated[
         "--check-sampler", help="Sample again with a nested sampler, and report differences."
     ),
 ]
+Limit = Annotated[
+    str | None,
+    _option(
+        "--limit",
+        "LIMIT",
+        'Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at 0.4 m", '
+        '"1 arcmin lost_motion at 3 %" (of the rated torque).',
+    ),
+]
 LimitRad = Annotated[
     float | None,
     _option(

@@ -43,6 +43,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "effects": ("identify", "effects"),
         "route": ("estimator", "route"),
         "level": ("interval", "level"),
+        "limit": ("joint", "limit"),
         "limit_rad": ("joint", "limit_rad"),
         "before": ("joint", "decide_before"),
         "gear_ratio": ("joint", "gear_ratio"),
@@ -62,6 +63,8 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
 """Command-line option to the field it sets."""
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
+
+_LIMITS = ("limit", "limit_rad")
 
 _OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
     {kind: {"bench": ("bench",)} for kind in ("identify", "plan", "diagnose")}
@@ -172,6 +175,12 @@ def config_from_options(
             path_like = option in _PATH_OPTIONS and value != PUBLISHED
             plain = str(Path(str(value)).absolute()) if path_like else value
             location = _OF_KIND.get(kind, OPTIONS).get(option, OPTIONS[option])
+            if option in _LIMITS:  # an option goes before a limit of either form in the file
+                tables["joint"] = {
+                    key: one
+                    for key, one in tables.get("joint", {}).items()
+                    if key not in _LIMITS or ("joint", key) in origins
+                }
             _set(tables, location, plain)
             origins[location] = "--" + option.replace("_", "-")
     _set_default(tables, ("run", "output"), _default_output(kind, recordings, config))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from datetime import date as Date
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
+from bayesbl import units
 from bayesbl.config.fields import (
     BenchSource,
     CurveSource,
@@ -26,6 +28,48 @@ from bayesbl.config.sections import (
     SnapshotRecording,
     differently_named,
 )
+
+
+def _limit_of_text(limit: object) -> object:
+    if not isinstance(limit, str):
+        return limit
+    try:
+        return {k: v for k, v in asdict(units.Limit.parse(limit)).items() if v is not None}
+    except units.LimitError as error:
+        refuse(error.problem, found=error.found, expected=error.expected)
+
+
+class Limit(Section):
+    """``[joint] limit``: when to repair, as a maker states it; text such as "3 arcmin play" too.
+
+    ``play`` is 2 δ. ``lost_motion`` is that between the torques ± ``at_torque_share`` of
+    ``rated_torque_nm``, with the stiffness of the bench. mm are meant at the radius ``at_m``.
+    """
+
+    value: Positive
+    unit: units.LimitUnit
+    of: units.LimitKind
+    at_m: Positive | None = None
+    at_torque_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        try:
+            largest = self.stated().delta_rad()
+        except units.LimitError as error:
+            refuse(error.problem, found=error.found, expected=error.expected)
+        if largest > LARGEST_LIMIT_RAD:
+            refuse(
+                "This limit is beyond every gap that is measured here.",
+                found=f"{self.stated()}, {1e3 * largest:.4g} mrad of δ",
+                expected=f"at most {1e3 * LARGEST_LIMIT_RAD:g} mrad",
+            )
+        return self
+
+    def stated(self) -> units.Limit:
+        """The limit with its conversions."""
+        return units.Limit(self.value, self.unit, self.of, self.at_m, self.at_torque_share)
+
 
 LARGEST_LIMIT_RAD = 0.05
 """Nearly 3°: more than any joint whose gap can be measured by its ringing."""
@@ -59,12 +103,14 @@ class Joint(Section):
 
     ``may_drift``: how far a bench parameter or ``"effect.parameter"`` may move between the first
     snapshot and each later one; the interval of the change then includes it. ``rated_torque_nm``,
-    at the output: lost motion is stated at 3 % of it.
+    at the output: lost motion is stated at 3 % of it. ``limit_rad`` is a limit of δ in rad,
+    ``limit`` one of δ, play or lost motion in the unit of a data sheet.
     """
 
     gear_ratio: Positive | None = None
     rated_torque_nm: Positive | None = None
     limit_rad: Positive | None = None
+    limit: Annotated[Limit, BeforeValidator(_limit_of_text)] | None = None
     decide_before: Date | None = None
     may_drift: dict[str, Drift] = Field(default_factory=dict)
 
@@ -85,7 +131,14 @@ class Joint(Section):
 
     @model_validator(mode="after")
     def _date_of_a_limit(self) -> Self:
-        if self.decide_before is not None and self.limit_rad is None:
+        if self.limit is not None and self.limit_rad is not None:
+            refuse(
+                "There are two limits.",
+                found="limit and limit_rad",
+                expected="one of them",
+                at=("limit",),
+            )
+        if self.decide_before is not None and self.limit_rad is None and self.limit is None:
             refuse(
                 "A decision date needs a limit for the gap.",
                 found="decide_before without limit_rad",

@@ -25,6 +25,7 @@ from bayesbl.fleet.object_store import copied, listed
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.atomic import PrivateFolder
+from bayesbl.units import Limit, LimitError
 
 _NAME = re.compile(rf"\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}")
 
@@ -33,6 +34,7 @@ OF_JOINT = (
     "gearbox",
     "bench",
     "curve",
+    "limit",
     "limit_rad",
     "cost_at_limit",
     "gear_ratio",
@@ -318,10 +320,7 @@ def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
             f"at most {LONGEST_NAME} letters, digits, spaces and . , + - _, a letter or digit first"
         )
         _refuse(file, number, "joint", name or "nothing", expected)
-    limit = _number(row.get("limit_rad"), file, number, "limit_rad")
-    if limit is not None and limit > LARGEST_LIMIT_RAD:
-        expected = f"a gap in rad, at most {LARGEST_LIMIT_RAD:g} (1.2e-3 = 1.2 mrad)"
-        _refuse(file, number, "limit_rad", f"{limit:g}", expected)
+    limit = _limit_rad(row, file, number)
     bench, curve = (_file(row.get(column), file, number, column) for column in ("bench", "curve"))
     if bench and curve:
         _refuse(file, number, "curve", f"{curve} beside a bench", "a bench or a curve")
@@ -337,6 +336,27 @@ def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
         _day(row.get("repaired"), file, number, "repaired"),
         {key: _covariate(v) for key, v in row.items() if key not in OF_JOINT and v is not None},
     )
+
+
+def _limit_rad(row: Mapping[str, Any], file: Path, number: int) -> float | None:
+    """Of δ, from ``limit_rad`` or from ``limit`` as data sheets state it."""
+    limit = _number(row.get("limit_rad"), file, number, "limit_rad")
+    column, found = "limit_rad", f"{limit:g}" if limit is not None else ""
+    if stated := str(row.get("limit") or "").strip():
+        column, found = "limit", stated
+        if limit is not None:
+            _refuse(file, number, column, f"{stated} beside limit_rad", "one limit")
+        try:
+            parsed = Limit.parse(stated)
+        except LimitError as error:
+            _refuse(file, number, column, error.found, error.expected)
+        if parsed.of == "lost_motion":
+            _refuse(file, number, column, stated, "a limit of play or delta in a fleet")
+        limit = parsed.delta_rad()
+    if limit is not None and limit > LARGEST_LIMIT_RAD:
+        expected = f"a gap δ of at most {LARGEST_LIMIT_RAD:g} rad (1.2e-3 = 1.2 mrad)"
+        _refuse(file, number, column, found, expected)
+    return limit
 
 
 def _covariate(value: object) -> float | str:

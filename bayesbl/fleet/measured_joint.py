@@ -38,7 +38,6 @@ from bayesbl.measurement.measurement import NO_CURVE, Snapshot
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored_snapshot import stored_snapshots
 from bayesbl.measurement.verdict import Verdict
-from bayesbl.measurement.wear_laws import SHAPES, kinds
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
@@ -264,7 +263,6 @@ def _of_group(
     rows = {str(name): group[name].values for name in group.data_vars}
     dates = [day for day, chosen in zip(rows["date"], rows["used"], strict=True) if chosen]
     first, last = (Date.fromisoformat(str(day)) for day in (dates[0], dates[-1]))
-    law = rows["law"].astype(int).ravel()
     span = years_between(first, last)
     variance_rad2 = rows["scatter_rad_per_root_year"] ** 2 * span
     return replace(
@@ -272,7 +270,7 @@ def _of_group(
         rate_rad_per_year=_flat((rows["current_rad"] - rows["first_rad"]) / span),
         rate_now_rad_per_year=_flat(rows["rate_now_rad_per_year"]),
         years_to_limit=_flat(rows["years_to_limit"]) if "years_to_limit" in rows else None,
-        kind=_flat(kinds(law, rows["law_shape"].reshape(SHAPES, -1)).astype(float)),
+        kind=_flat(rows["law"].astype(float)),
         jump_rad=_flat(variance_rad2 / rows["expected_growth_rad"]),
         probability_wear=float(np.mean(rows["trend_rad_per_year"] > 0.0)),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
@@ -17,7 +17,7 @@ from bayesbl.fleet.joint_job import JointAnswer, RecordingAnswer
 from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, pooled
 from bayesbl.measurement.dated_wear import date_after, years_between
 from bayesbl.measurement.wear import probability_before
-from bayesbl.measurement.wear_laws import KINDS
+from bayesbl.measurement.wear_laws import shares
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import IntervalKind, interval
 
@@ -263,7 +263,8 @@ def _joint_row(
     row["probability_wear"] = answer.probability_wear
     own: Any = slice(None) if chosen is None else chosen
     if answer.kind is not None:
-        row["law"] = _likeliest_law(answer.kind[own])
+        law = shares(answer.kind[own])
+        row["law"] = max(law, key=law.__getitem__)
     row |= level.of(rate[own], "rate_rad_per_year")
     row["rate_rad_per_year_sd"] = float(rate[own].std())
     if answer.years_to_limit is not None:
@@ -271,13 +272,6 @@ def _joint_row(
             answer.years_to_limit[own], Date.fromisoformat(dates[-1]), level, decide_before
         )
     return row
-
-
-def _likeliest_law(kind: FloatArray) -> str:
-    shares: Counter[str] = Counter()
-    for number, count in enumerate(np.bincount(kind.astype(int), minlength=len(KINDS))):
-        shares[KINDS[number].law] += int(count)
-    return shares.most_common(1)[0][0]
 
 
 def _forecast(

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.measurement.wear import SCATTER
-from bayesbl.measurement.wear_laws import KINDS
+from bayesbl.measurement.wear_laws import KINDS, by_law
 from bayesbl.recording.types import FloatArray
 
 FEWEST_JOINTS = 3
@@ -191,14 +191,11 @@ def pooled(
     )
     types = _sampled(together, x, generator)
     share = np.mean([one.share for one in types], axis=0)
-    law: dict[str, float] = {}
-    for each, mean in zip(KINDS, share, strict=True):
-        law[each.law] = law.get(each.law, 0.0) + float(mean)
     rates = TypeRates(
         len(joints),
         np.exp([one.centre for one in types]),
         np.array([one.spread for one in types]),
-        law,
+        by_law(share),
         np.array([one.own for one in types]),
         {
             name: Factor(float(values.std()), np.exp([one.slope[c] for one in types]))

@@ -11,8 +11,10 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import ConfigError, CurveError, RecordingError
 from bayesbl.measurement.as_printed import reasons_as_printed
 from bayesbl.recording.types import Recording
+from bayesbl.results.identified import bench_from
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.ringing.symbols import ROTATION
+from bayesbl.units import LimitError
 
 SNAPSHOTS_APART = 0.02
 """Largest relative difference in speed between snapshots.
@@ -48,6 +50,38 @@ SPEED = "nominal_speed_rpm"
 
 LIMIT_BEYOND = 10.0
 """A limit that lies beyond the gaps that can be measured by more than this factor is a mistake."""
+
+
+def limit_rad_of(config: SnapshotConfig) -> float | None:
+    """The limit of δ, rad, however it is stated; ``None`` without one.
+
+    Raises
+    ------
+    ConfigError
+        Where the joint's wind-up is not known, or leaves no room for a gap.
+    """
+    limit = config.joint.limit
+    if limit is None:
+        return config.joint.limit_rad
+    try:
+        return limit.stated().delta_rad(windup_rad_of(config))
+    except LimitError as error:
+        raise ConfigError(
+            error.problem, where="[joint] limit", found=error.found, expected=error.expected
+        ) from None
+
+
+def windup_rad_of(config: SnapshotConfig) -> float:
+    """What the joint gives way at the torque of a limit of lost motion, both ways; else 0."""
+    joint, bench = config.joint, config.estimator.bench
+    if joint.limit is None:
+        return 0.0
+    stiffness = None
+    if joint.limit.of == "lost_motion" and bench is not None:
+        given = bench_from(bench)
+        if given.drive != "rigid":
+            stiffness = given.parameters["shaft_stiffness_nm_per_rad"].value
+    return joint.limit.stated().windup_rad(joint.rated_torque_nm, stiffness)
 
 
 def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float] | None) -> None:

@@ -3,7 +3,7 @@
 Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
 the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
 where the answer is withheld, ``decide_before`` where that was asked, ``relative_sd_per_date`` with
-``drift_widens`` where the gaps drift.
+``drift_widens`` where the gaps drift, ``width_over_prior`` of the date.
 
 ``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Snapshot
 from bayesbl.measurement.summary_types import (
     DateInterval,
@@ -36,7 +37,7 @@ from bayesbl.measurement.wear import (
     trend,
     wear,
 )
-from bayesbl.measurement.wear_laws import LAWS
+from bayesbl.measurement.wear_laws import shares
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, attributes, dataset, table
@@ -69,14 +70,15 @@ WEAR = Group(
         date (dated) | text | date of snapshot
         used (dated) | 1 | 1 where taken since the last repair
         trend_rad_per_year? (chain, draw) | rad/year | slope of a straight line, of either sign
-        law? (chain, draw) | 1 | number of the law of wear, from 0
-        law_shape? (law_parameter, chain, draw) | 1 | its shape parameters; 1 where it has fewer
+        law? (chain, draw) | 1 | kind of the law at the last snapshot, from 0
+        law_shape? (law_parameter, chain, draw) | 1 | age, starts, exponents, factors of the law
         first_rad? (chain, draw) | rad | gap at the first snapshot in use, from all of them
         current_rad? (chain, draw) | rad | gap at the last snapshot, from all of them
         expected_growth_rad? (chain, draw) | rad | mean growth between them by the law
         rate_now_rad_per_year? (chain, draw) | rad/year | rate at the last snapshot by the law
         scatter_rad_per_root_year? (chain, draw) | rad/year^0.5 | irregular wear
         years_to_limit? (chain, draw) | year | time from the last snapshot to the limit
+        changes_ahead? (chain, draw) | 1 | 1 where wear changes before the limit is reached
     """),
     optional=True,
 )
@@ -117,7 +119,7 @@ def wear_of(
     drift_seed, wear_seed = seed.spawn(2)
     measured = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
-    start, limit = config.wear.in_service_since, config.joint.limit_rad
+    start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)
     fell = fall(drawn)
     if fell.is_fall:
@@ -133,6 +135,8 @@ def wear_of(
         return group
     slope = trend(drawn, years)
     group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)
+    if found.width_over_prior is not None:
+        group.attrs["width_over_prior"] = found.width_over_prior
     if config.wear.relative_sd_per_date > 0.0:
         group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
         group.attrs["drift_widens"] = float(slope.std() / trend(measured, years).std())
@@ -192,23 +196,23 @@ def summarise_wear(
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": None if limit is None else float(limit),
+        "limit": tree.attrs.get("limit"),
         "years_to_limit": None,
         "date_of_limit": None,
         "not_before": None,
         "decide_before": before,
         "probability_before": None,
+        "forecast_from_prior": None,
         "reason": group.attrs["reason"],
     }
     if withheld["reason"]:
         return withheld
-    shares = np.bincount(group["law"].values.astype(int).ravel(), minlength=len(LAWS))
-    shares = shares / shares.sum()
     grown = group["current_rad"].values - group["first_rad"].values
     rate = grown / years_between(dates[0], dates[-1])
     result: WearSummary = {
         **withheld,
         "probability_wear": float(np.mean(group["trend_rad_per_year"].values > 0.0)),
-        "law": {law.name: float(p) for law, p in zip(LAWS, shares, strict=True)},
+        "law": shares(group["law"].values),
         "rate": _rate(interval(rate, level, kind)),
         "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
         "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
@@ -224,6 +228,11 @@ def summarise_wear(
         result["date_of_limit"] = _dates(dates[-1], found)
         earliest = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
         result["not_before"] = {"date": earliest, "level": level}
+        if "width_over_prior" in group.attrs:
+            result["forecast_from_prior"] = {
+                "width_over_prior": float(group.attrs["width_over_prior"]),
+                "probability_change_ahead": float(group["changes_ahead"].mean()),
+            }
         if before is not None:
             ahead = years_between(dates[-1], Date.fromisoformat(before))
             passed = probability_before(years, ahead)

@@ -13,7 +13,7 @@ import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import ResultError
-from bayesbl.measurement.compatibility import require_plausible_limit
+from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
 from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
 from bayesbl.measurement.shared_groups import CHANGE
@@ -116,7 +116,7 @@ def measure(
         sampler is not installed.
     """
     measurer = measurer_of(config)
-    require_plausible_limit(config.joint.limit_rad, measurer.gap_range_rad)
+    require_plausible_limit(limit_rad_of(config), measurer.gap_range_rad)
     recordings = tuple(recordings or map(measurer.read, config.recordings))
     measurer.require_together(recordings)
     for recording in recordings:

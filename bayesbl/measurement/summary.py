@@ -22,6 +22,7 @@ from bayesbl.measurement.summary_types import (
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.summary_types import head
+from bayesbl.units import Limit
 
 
 def summarise_fit(tree: xr.DataTree) -> FitSummary:
@@ -79,6 +80,15 @@ def _snapshot(tree: xr.DataTree, stored: StoredSnapshot) -> SnapshotSummary:
     if stored.limit_rad is not None:
         result["limit_rad"] = stored.limit_rad
         result["probability_above_limit"] = stored.probability_above_limit
+    if "limit" in tree.attrs:
+        limit, windup = Limit.parse(tree.attrs["limit"]), float(tree.attrs["limit_windup_rad"])
+        delta, measured = result["delta_rad"], None
+        if delta is not None:
+            low, median, high = (
+                limit.stated(end, windup) for end in (delta["low"], delta["median"], delta["high"])
+            )
+            measured = Interval({**delta, "low": low, "median": median, "high": high})
+        result["limit"] = {"text": str(limit), "unit": limit.name, "measured": measured}
     return result
 
 

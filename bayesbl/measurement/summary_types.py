@@ -160,6 +160,14 @@ class _FromRamps(TypedDict, total=False):
     ramps: RampsSummary
 
 
+class StatedLimit(TypedDict):
+    """The limit as it was given, and δ in its unit and of its kind (``arcmin of play``)."""
+
+    text: str
+    unit: str
+    measured: Interval | None
+
+
 class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
     """One snapshot; every route gives the keys here, and some of its own.
 
@@ -180,6 +188,7 @@ class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
     reason: str | None
     model_check: JointCheckSummary
     limit_rad: NotRequired[float]
+    limit: NotRequired[StatedLimit]
     probability_above_limit: NotRequired[float | None]
 
 
@@ -241,6 +250,19 @@ class DateInterval(TypedDict):
     kind: str
 
 
+class ForecastFromPrior(TypedDict):
+    """How much of a forecast is what was believed before measuring.
+
+    ``width_over_prior`` is the width of ln years_to_limit over that with the same gap and mean rate
+    if the recordings said nothing of how wear goes on: near 1, the date is mostly belief.
+    ``probability_change_ahead`` is the share of forecasts in which wear changes between the last
+    recording and the limit, which no recording can show.
+    """
+
+    width_over_prior: float
+    probability_change_ahead: float
+
+
 class _DatedSummary(TypedDict):
     """Of dated snapshots since the last repair."""
 
@@ -249,6 +271,7 @@ class _DatedSummary(TypedDict):
     last_date: str
     level: float
     limit_rad: float | None
+    limit: str | None
     relative_sd_per_date: float
     drift_widens: float | None
     decide_before: str | None
@@ -262,7 +285,7 @@ class WearSummary(_DatedSummary):
     ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is irregular wear,
     ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may drift, as
     configured, and ``drift_widens`` by what factor that widens the rate. ``years_to_limit`` count
-    from the last snapshot.
+    from the last snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead.
     """
 
     probability_wear: float
@@ -275,6 +298,7 @@ class WearSummary(_DatedSummary):
     date_of_limit: DateInterval | None
     not_before: NotBefore | None
     probability_before: ProbabilityBefore | None
+    forecast_from_prior: ForecastFromPrior | None
     reason: None
 
 
@@ -291,6 +315,7 @@ class WithheldWearSummary(_DatedSummary):
     date_of_limit: None
     not_before: None
     probability_before: None
+    forecast_from_prior: None
     reason: str
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.change import changes
-from bayesbl.measurement.compatibility import same_files
+from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
 from bayesbl.measurement.dated_wear import wear_of
 from bayesbl.measurement.joint_check import as_stored
 from bayesbl.measurement.measurement import Measurement
@@ -64,8 +64,11 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         **measured.attributes,
         **provenance_of(config),
     }
-    if config.joint.limit_rad is not None:
-        tree.attrs["limit_rad"] = config.joint.limit_rad
+    if (limit_rad := limit_rad_of(config)) is not None:
+        tree.attrs["limit_rad"] = limit_rad
+    if config.joint.limit is not None:
+        tree.attrs["limit"] = str(config.joint.limit.stated())
+        tree.attrs["limit_windup_rad"] = windup_rad_of(config)
     return tree
 
 

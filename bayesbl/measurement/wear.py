@@ -5,10 +5,10 @@ Since the last repair the gap follows a monotone path,
     δ(t) = δ(t₁) + X(t),    X a gamma process with mean Δ u(t) and variance σ² u(t),    Δ > 0,
 
 whose mean u follows one of the laws of :mod:`bayesbl.measurement.wear_laws` and whose increments
-are irregular by σ (van Noortwijk 2009). Which law, its shapes and σ are drawn by sequential Monte
-Carlo (Del Moral, Doucet and Jasra 2006) from their marginal likelihood: δ(t₁) and Δ have flat
-priors and are integrated out; between snapshots the process is taken as normal with the same mean
-and covariance, beyond the last it is the gamma process itself.
+are irregular by σ (van Noortwijk 2009). Law and σ are drawn by sequential Monte Carlo (Del Moral,
+Doucet and Jasra 2006) from their marginal likelihood: δ(t₁) and Δ have flat priors and are
+integrated out; between snapshots the process is taken as normal with the same mean and covariance,
+beyond the last it is the gamma process itself, with changes of the law that no snapshot can show.
 
 The path is laid through *each joint draw* of the gaps, each with a law of its own. What the
 snapshots share, the curve's coefficients and the bench, is thereby one draw for all of them; a
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gdtrib, ndtr, ndtri
 
-from bayesbl.measurement.wear_laws import SHAPES, grown, prior, shapes, time_of
+from bayesbl.measurement.wear_laws import NORMALS, Laws
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 
@@ -65,9 +65,9 @@ class Wear:
     Attributes
     ----------
     law
-        Number of the law in :data:`bayesbl.measurement.wear_laws.LAWS`.
+        Number of its kind at the last snapshot in :data:`bayesbl.measurement.wear_laws.KINDS`.
     law_shape
-        Its shape parameters, (law_parameter, chain, draw); 1 where it has fewer.
+        :attr:`bayesbl.measurement.wear_laws.Laws.rows`, (law_parameter, chain, draw).
     first_rad, current_rad
         Gap at the first and at the last snapshot, given all of them.
     expected_growth_rad
@@ -79,6 +79,12 @@ class Wear:
     years_to_limit
         From the last snapshot until δ first reaches the limit, 0 where it has, at most
         ``LONGEST_YEARS``; ``None`` without a limit.
+    changes_ahead
+        1 where wear changes between the last snapshot and the limit, which nothing measured can
+        show; ``None`` without a limit.
+    width_over_prior
+        Width of the 90 % interval of ln years_to_limit over that with the same gap and mean rate
+        but laws as believed beforehand; ``None`` where hardly a draw has the limit ahead.
     """
 
     law: NDArray[np.int_]
@@ -89,6 +95,8 @@ class Wear:
     rate_now_rad_per_year: FloatArray
     scatter_rad_per_root_year: FloatArray
     years_to_limit: FloatArray | None
+    changes_ahead: FloatArray | None
+    width_over_prior: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,11 +187,10 @@ def wear(
     generator = np.random.default_rng(seed)
     gaps = delta_rad.reshape(len(years), -1)
     problem = _Problem.of(gaps, (years - years[0]) / span, age_years and age_years / span)
-    law, normal = _tempered(problem, generator)
+    normal = _tempered(problem, generator)
     count = gaps.shape[1]
-    particle = generator.permutation(np.arange(count) % law.size)
-    law, normal = law[particle], normal[:, particle]
-    elapsed, scatter = problem.growth(law, normal), problem.scatter(normal)
+    normal = normal[:, generator.permutation(np.arange(count) % PARTICLES)]
+    elapsed, scatter = problem.growth(normal), problem.scatter(normal)
     steps = np.sqrt(np.diff(elapsed, axis=0, prepend=0.0))
     path = scatter * np.cumsum(steps * generator.standard_normal(gaps.shape), axis=0)
     # Matheron's rule: the line through what a drawn path leaves of a draw is a draw of the line.
@@ -195,27 +202,39 @@ def wear(
     # Every draw that falls gives its place to one that grows.
     place = np.arange(count)
     place[np.setdiff1d(place, grows)] = generator.choice(grows, count - grows.size)
-    law, shape = law[place], problem.shapes(law, normal)[:, place]
+    laws = problem.laws(normal[:, place]).and_ahead(generator)
     first, growth, current, scatter = (x[place] for x in (first, growth, current, scatter))
-    years_to_limit = None
+    years_to_limit, changes_ahead, width = None, None, None
     if limit_rad is not None:
         needed = _growth_needed(limit_rad - current, scatter**2 / growth, generator)
-        longest = LONGEST_YEARS / span
-        times = time_of(law, shape, 1.0 + needed / growth, 1.0 + longest) - 1.0
-        years_to_limit = np.where(needed > 0.0, span * times, 0.0)
+        believed = problem.laws(generator.standard_normal(normal.shape)).and_ahead(generator)
+        longest = 1.0 + LONGEST_YEARS / span
+        spans, prior = (x.time_of(1.0 + needed / growth, longest) for x in (laws, believed))
+        is_ahead = needed > 0.0
+        years_to_limit = np.where(is_ahead, span * (spans - 1.0), 0.0)
+        changes_ahead = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
+        if is_ahead.mean() > LEAST_SHARE_GROWING:
+            width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior[is_ahead] - 1.0)
     before = np.full(count, 1.0 - 1e-3)
-    rate = growth * (1.0 - grown(law, shape, before)) / (1e-3 * span)
+    rate = growth * (1.0 - laws.grown(before)) / (1e-3 * span)
     dims = delta_rad.shape[1:]
     return Wear(
-        law.reshape(dims),
-        shape.reshape(SHAPES, *dims),
+        laws.kind().reshape(dims),
+        laws.rows.reshape(-1, *dims),
         first.reshape(dims),
         current.reshape(dims),
         growth.reshape(dims),
         rate.reshape(dims),
         (scatter / np.sqrt(span)).reshape(dims),
         None if years_to_limit is None else years_to_limit.reshape(dims),
+        None if changes_ahead is None else changes_ahead.reshape(dims),
+        width,
     )
+
+
+def _log_width(times: FloatArray) -> float:
+    low, high = np.quantile(np.log(np.maximum(times, 1e-12)), [0.05, 0.95])
+    return max(float(high - low), 1e-12)
 
 
 def own_variance(gaps: FloatArray) -> FloatArray:
@@ -245,20 +264,19 @@ class _Problem:
         scale = max(float(slope.mean()), float(slope.std()))
         return cls(gaps.mean(axis=1), own, elapsed, scale, age)
 
-    def shapes(self, law: NDArray[np.int_], normal: FloatArray) -> FloatArray:
-        return shapes(law, normal[:SHAPES], self.age)
+    def laws(self, normal: FloatArray) -> Laws:
+        return Laws.until_now(normal[:NORMALS], self.age)
 
     def scatter(self, normal: FloatArray) -> FloatArray:
         low, high = SCATTER
-        return np.asarray(self.scale_rad * low * (high / low) ** ndtr(normal[SHAPES]))
+        return np.asarray(self.scale_rad * low * (high / low) ** ndtr(normal[NORMALS]))
 
-    def growth(self, law: NDArray[np.int_], normal: FloatArray) -> FloatArray:
+    def growth(self, normal: FloatArray) -> FloatArray:
         """u at each snapshot, shape (snapshot, particle)."""
-        elapsed = np.broadcast_to(self.elapsed[:, None], (len(self.elapsed), law.size))
-        return grown(law, self.shapes(law, normal), elapsed)
+        return self.laws(normal).grown(self.elapsed[:, None])
 
-    def log_likelihood(self, law: NDArray[np.int_], normal: FloatArray) -> FloatArray:
-        growth, variance = self.growth(law, normal), self.scatter(normal) ** 2
+    def log_likelihood(self, normal: FloatArray) -> FloatArray:
+        growth, variance = self.growth(normal), self.scatter(normal) ** 2
         middle = np.broadcast_to(self.middle[:, None], growth.shape)
         return _fit(middle, growth, self.own, variance)[1]
 
@@ -294,36 +312,37 @@ def _fit(
     return line, log_likelihood
 
 
-def _tempered(
-    problem: _Problem, generator: np.random.Generator
-) -> tuple[NDArray[np.int_], FloatArray]:
-    """Laws and standard normal numbers of equally likely particles, by tempering the likelihood."""
+def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
+    """Standard normal numbers of equally likely laws and scatters, by tempering the likelihood."""
     from scipy.stats import qmc
 
-    uniform = qmc.Sobol(SHAPES + 2, rng=generator).random(PARTICLES)
-    law = np.searchsorted(np.cumsum(prior())[:-1], uniform[:, 0], side="right")
-    normal = ndtri(np.clip(uniform[:, 1:].T, 1e-9, 1.0 - 1e-9))
-    likely, done = problem.log_likelihood(law, normal), 0.0
+    uniform = qmc.Sobol(NORMALS + 1, rng=generator).random(PARTICLES)
+    normal = ndtri(np.clip(uniform.T, 1e-9, 1.0 - 1e-9))
+    likely, done = problem.log_likelihood(normal), 0.0
     while done < 1.0:
         step = _step(likely, 1.0 - done)
         done += step
         weight = np.exp(step * (likely - likely.max()))
-        spread = np.stack(
-            [_deviation(normal, weight * (law == number)) for number in range(len(prior()))]
-        )
         ladder = (np.arange(PARTICLES) + generator.uniform()) / PARTICLES
         chosen = np.searchsorted(np.cumsum(weight / weight.sum()), ladder)
-        chosen = np.minimum(chosen, PARTICLES - 1)
-        law, normal, likely = law[chosen], normal[:, chosen], likely[chosen]
+        chosen = generator.permutation(np.minimum(chosen, PARTICLES - 1))
+        normal, likely = normal[:, chosen], likely[chosen]
         for _ in range(MOVES):
-            size = 1.2 * generator.choice([1.0, 0.3], PARTICLES)
-            moved = normal + size * spread[law].T * generator.standard_normal(normal.shape)
-            found = problem.log_likelihood(law, moved)
+            # Along the difference of two others, in some of the numbers (ter Braak 2006).
+            others = normal[:, generator.permutation(PARTICLES)]
+            apart = normal[:, generator.permutation(PARTICLES)] - others
+            size = generator.choice([0.1, 0.4, 0.8], PARTICLES)
+            touched = generator.uniform(size=normal.shape) < generator.choice(
+                [0.2, 0.5, 1.0], PARTICLES
+            )
+            noise = 0.01 * generator.standard_normal(normal.shape)
+            moved = normal + np.where(touched, size * apart, 0.0) + noise
+            found = problem.log_likelihood(moved)
             gain = done * (found - likely) - 0.5 * np.sum(moved**2 - normal**2, axis=0)
             taken = np.log(generator.uniform(size=PARTICLES)) < gain
             normal = np.where(taken, moved, normal)
             likely = np.where(taken, found, likely)
-    return law, normal
+    return np.asarray(normal)
 
 
 def _step(likely: FloatArray, most: float) -> float:
@@ -340,15 +359,6 @@ def _step(likely: FloatArray, most: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if effective(middle) >= LEAST_EFFECTIVE else (low, middle)
     return high
-
-
-def _deviation(normal: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted standard deviation of each number, (number,); 1 where no particle is left."""
-    total = weight.sum()
-    if total <= 0.0:
-        return np.ones(len(normal))
-    centre = normal @ weight / total
-    return np.asarray(np.sqrt((normal - centre[:, None]) ** 2 @ weight / total) + 1e-6)
 
 
 def _growth_needed(

@@ -43,7 +43,8 @@ def snapshots(summary: MeasuredSummary) -> list[tuple[str, SnapshotSummary]]:
 def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     """Everything below the headline: table of the snapshots, wear, and what limits the answer."""
     _, *others = lead(summary)
-    for sentence in (*others, *steps(summary), above_limit(summary)):
+    limits = above_limit(summary), in_unit_of_limit(summary)
+    for sentence in (*others, *steps(summary), *limits):
         if sentence:
             yield Sentence(sentence)
     if has_shrunk(summary):
@@ -173,8 +174,22 @@ def above_limit(summary: MeasuredSummary) -> str | None:
     each = ", ".join(
         _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in limited
     )
-    limit = 1e3 * limited[0][1]["limit_rad"]
-    return f"Probability that the gap is above its limit of {limit:g} mrad: {each}."
+    first = limited[0][1]
+    limit = f"{1e3 * first['limit_rad']:.4g} mrad"
+    if (stated := first.get("limit")) is not None:
+        limit = f"{limit} ({words.limit(stated['text'])})"
+    return f"Probability that the gap is above its limit of {limit}: {each}."
+
+
+def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
+    """Each gap in the unit and of the kind that the limit was stated in; ``None`` without one."""
+    stated = [(n, p["limit"]) for n, p in snapshots(summary) if "limit" in p]
+    values = ", ".join(
+        f"{number(one['median'], words.decimals(one))} ({words.bounds(one)}){words.of(name)}"
+        for name, limit in stated
+        if (one := limit["measured"]) is not None
+    )
+    return f"The gap in {stated[0][1]['unit']}: {values}." if values else None
 
 
 def budget(summary: MeasuredSummary) -> Iterator[str]:

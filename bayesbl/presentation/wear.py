@@ -19,19 +19,17 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 MODEL = (
-    "Rate and date are averages over laws of wear, each by how well it fits, and over how "
-    "irregular wear may be. No law heals: draws in which the gap shrinks are not used for them, "
-    "so neither is evidence of wear."
+    "Rate and date are averages over laws of wear, each by how well it fits, over how irregular "
+    "wear may be, and over changes of wear that may still come. No law heals: draws in which the "
+    "gap shrinks are not used for them, so neither is evidence of wear."
 )
 
 LAWS = {
-    "linear": "steady",
-    "running_in": "slowing down (running in)",
-    "power": "speeding up as a power of age",
-    "exponential": "speeding up exponentially",
-    "s_shaped": "speeding up, then levelling off",
+    "slowing": "slowing down",
+    "steady": "steady",
+    "speeding_up": "speeding up",
 }
-"""The laws of :data:`bayesbl.measurement.wear_laws.LAWS` in words."""
+"""The laws of :data:`bayesbl.measurement.wear_laws.KINDS` in words."""
 
 _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 
@@ -120,7 +118,8 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
     years = wear["years_to_limit"]
     if years is None or wear["limit_rad"] is None:
         return
-    limit = f"the limit of {1e3 * wear['limit_rad']:g} mrad"
+    stated = "" if wear["limit"] is None else f" ({words.limit(wear['limit'])})"
+    limit = f"the limit of {1e3 * wear['limit_rad']:.4g} mrad{stated}"
     if years["high"] == 0.0:
         yield f"The gap passed {limit} before {wear['last_date']}."
     elif not_before(wear) == wear["last_date"]:
@@ -155,7 +154,7 @@ def law(wear: WearSummary) -> str:
     """How probable each law of wear is, the likeliest first."""
     ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
     told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
-    return f"If the joint wears, its wear is: {told}."
+    return f"If the joint wears, its wear by age is now: {told}."
 
 
 def notes(wear: WearSummary) -> Iterator[str]:
@@ -174,6 +173,13 @@ def notes(wear: WearSummary) -> Iterator[str]:
             f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
             "wear from measurement errors: the date allows for as much as is believed before "
             "measuring."
+        )
+    if (prior := wear["forecast_from_prior"]) is not None:
+        yield (
+            f"The interval of the date is {prior['width_over_prior']:.2f} times as wide (as a "
+            "ratio of times) as if the recordings said nothing of how wear goes on; in "
+            f"{words.probability(prior['probability_change_ahead'])} of forecasts wear changes "
+            "before the limit is reached. How often it does is an assumption, not measured."
         )
     if wear["drift_widens"] is not None:
         yield (

@@ -147,3 +147,9 @@ def glued(sentence: str) -> str:
     before_unit = r"(?<=\d) (?=%|mrad|rpm|rad|A\b|N m|kg m)"
     within = r"(?<=[<>]) (?=\d)|(?<=\d N) (?=m)|(?<=\d kg) (?=m)"
     return re.sub(f"{before_unit}|{within}", "\N{NO-BREAK SPACE}", sentence)
+
+
+def limit(text: str) -> str:
+    """A limit as it was given, in words: ``1 arcmin of lost motion at 3 %``."""
+    value, unit, rest = text.split(" ", 2)
+    return f"{value} {unit} of {rest.replace('_', ' ').replace('delta', 'δ')}"

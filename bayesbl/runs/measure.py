@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
-from bayesbl.measurement.compatibility import require_plausible_limit, same_files
+from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.results.work import WorkStore
@@ -67,11 +67,13 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         plan.add(f"recording {entry.name}", partial(checked, entry))
     plan.warnings += [*plan.withheld, *same_files(plan.recordings), *measurer.notes()]
     plan.add("speed", partial(measurer.require_together, plan.recordings))
-    if config.joint.limit_rad is not None:
-        plan.add("limit", partial(_limit, config.joint.limit_rad, measurer.gap_range_rad))
+    if config.joint.limit_rad is not None or config.joint.limit is not None:
+        plan.add("limit", partial(_limit, config, measurer.gap_range_rad))
 
 
-def _limit(limit_rad: float, range_rad: tuple[float, float] | None) -> str:
+def _limit(config: SnapshotConfig, range_rad: tuple[float, float] | None) -> str:
+    limit_rad, stated = limit_rad_of(config), config.joint.limit
     require_plausible_limit(limit_rad, range_rad)
     given = "" if range_rad else "; not asked without δ"
-    return f"{1e3 * limit_rad:g} mrad{given}"
+    meant = "" if stated is None else f" of δ ({stated.stated()})"
+    return f"{1e3 * (limit_rad or 0.0):.4g} mrad{meant}{given}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bayesbl.config.loading import load_config
@@ -94,6 +95,29 @@ def test_a_table_finds_recordings(plant):
     first, second = find_recordings(chosen, read_joints(chosen))
     assert first.file == str(plant / "data/R1-J2/2026-01-01.csv")
     assert "There is no such file." in str(second.reason)
+
+
+def test_a_limit_may_be_stated_as_on_a_data_sheet(plant):
+    (plant / "joints.csv").write_text("joint,limit\nR1-J2,3 arcmin play\nR1-J3,\n")
+    first, second = read_joints(section(plant))
+    assert first.limit_rad == pytest.approx(np.pi / 7200.0)
+    assert second.limit_rad is None
+    assert first.covariates == {}
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ("3 arcmin,", "row 1, limit.*Expected: VALUE UNIT KIND"),
+        ("3 arcmin lost_motion at 3 %,", "a limit of play or delta in a fleet"),
+        ("30 deg play,", "row 1, limit.*at most"),
+        ("3 arcmin play,1e-3", "row 1, limit.*one limit"),
+    ],
+)
+def test_a_limit_that_cannot_be_used_is_told_with_its_place(plant, row, told):
+    (plant / "joints.csv").write_text(f"joint,limit,limit_rad\nR1-J2,{row}\n")
+    with pytest.raises(ConfigError, match=told):
+        read_joints(section(plant))
 
 
 @pytest.mark.parametrize(

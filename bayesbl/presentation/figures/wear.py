@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.wear import LONGEST_YEARS
-from bayesbl.measurement.wear_laws import grown
+from bayesbl.measurement.wear_laws import Laws
 from bayesbl.presentation.figures import layout, panels, style
 from bayesbl.presentation.figures.snapshots import (
     gap_colour,
@@ -74,15 +74,14 @@ def path_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
     """
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
-    law = group["law"].values.astype(int).ravel()
-    shape = group["law_shape"].values.reshape(-1, law.size)
+    laws = Laws(group["law_shape"].values.reshape(-1, group["law"].size))
     first, current, expected = (
         group[name].values.ravel() for name in ("first_rad", "current_rad", "expected_growth_rad")
     )
     quantiles = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
     bands = []
     for elapsed in 1.0 + years / span:
-        share = grown(law, shape, np.full(law.size, elapsed)) - 1.0
+        share = laws.grown(np.asarray(elapsed)) - 1.0
         path = current + share * np.where(elapsed < 1.0, current - first, expected)
         bands.append(np.quantile(path, quantiles))
     return np.transpose(bands)
