@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.curve.gap_curve import GapCurve, published_curve
+from bayesbl.measurement.measurement import Reason
 from bayesbl.ringing.estimator import Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.refine import refine
@@ -23,27 +24,26 @@ An estimate that is off by half of its standard deviation is still held by 86 % 
 """
 
 
-def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[str]:
+def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
     """Why the answer of the paper's search, or by the paper's model, is withheld."""
     point = fit.point
     box = point.optimum.box_search
     if box is not None and not has_pulses_of_optimum(box, point):
-        yield (
-            f"The search of {box.searched}, ended elsewhere than the optimum that the recording "
-            f"suggests: A = {box.symbols[AMPLITUDE]:.3g} rpm at RMSE {box.rmse_rpm:.3g} rpm, of "
-            f"which eq. 4 would make {1e3 * gap_as_printed_rad(box):.3g} mrad, against A = "
-            f"{point.optimum.symbols[AMPLITUDE]:.3g} rpm at RMSE {point.optimum.rmse_rpm:.3g} rpm. "
-            'Use [estimator.search] method = "guess".'
-        )
+        values = {
+            "searched": box.searched,
+            "amplitude_rpm": box.symbols[AMPLITUDE],
+            "rmse_rpm": box.rmse_rpm,
+            "gap_as_printed_rad": gap_as_printed_rad(box),
+            "optimum_amplitude_rpm": point.optimum.symbols[AMPLITUDE],
+            "optimum_rmse_rpm": point.optimum.rmse_rpm,
+        }
+        yield Reason("box_search_missed", values, withholds=True)
     without = point.optimum.model.baseline_harmonics == 0
     if without and curve is not None and curve.fingerprint is None:
         alone, beside = point.optimum.symbols[AMPLITUDE], amplitude_with_baseline_rpm(point)
         if abs(beside - alone) > WAVE_MATTERS * math.sqrt(fit.point.spread.sandwich[0, 0]):
-            yield (
-                "Without a baseline the pulses are fitted to the wave that gravity leaves in the "
-                f"speed: A = {alone:.3g} rpm, but {beside:.3g} rpm beside one harmonic of the load "
-                "angle. Set [estimator.model] baseline_harmonics = 1."
-            )
+            values = {"amplitude_rpm": alone, "with_baseline_rpm": beside}
+            yield Reason("no_baseline", values, withholds=True)
 
 
 def has_pulses_of_optimum(box: BoxSearch, point: PointEstimate) -> bool:

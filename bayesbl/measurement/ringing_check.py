@@ -51,6 +51,6 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
                 (found - by_curve) / sd,
             )
         )
-    agrees = CONTRADICTED not in (gap.reason or "")
+    agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)
     causes = [] if agrees else [cause for item in items for cause in COULD_BE[item.quantity]]
     return JointCheck(agrees, items, tuple(dict.fromkeys(causes)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeAlias
 
+from bayesbl.sentences import told
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     )
 
 _SUMMARISE = {
-    "fit": ("bayesbl.measurement.summary", "summarise_fit"),
-    "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
+    "fit": ("bayesbl.measurement.stored", "summary_of"),
+    "compare": ("bayesbl.measurement.stored", "summary_of"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
     "plan": ("bayesbl.runs.plan", "summarise_plan"),
     "identify": ("bayesbl.identification.summary", "summarise_identification"),
@@ -45,5 +47,5 @@ def summarise(tree: xr.DataTree) -> Summary:
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
     module, function = _SUMMARISE[tree.attrs["kind"]]
-    summary: Summary = getattr(import_module(module), function)(tree)
+    summary: Summary = told(getattr(import_module(module), function)(tree))
     return summary
