@@ -80,7 +80,9 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
             print_details(read_result(config.run.output), summary, make_console())
     if summary["outcome"] == "withheld":
         if json:
-            say(f"Withheld: {summary['reason']}", err=True)
+            reason = summary["reason"]
+            text = reason if isinstance(reason, str | None) else reason["text"]
+            say(f"Withheld: {text}", err=True)
         raise typer.Exit(WITHHELD)
 
 

@@ -31,9 +31,9 @@ from bayesbl.fleet.joint_job import (
 )
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
+from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.dated_wear import wear_of, years_between
-from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored import as_stored, stored_answers, summary_of

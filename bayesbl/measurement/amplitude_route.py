@@ -514,9 +514,7 @@ def verdict(
     """
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
-    sampling = [
-        Reason.told("sampling", text, withholds=failed) for text in diagnostics.reasons
-    ]
+    sampling = [Reason.told("sampling", text, withholds=failed) for text in diagnostics.reasons]
     notes = [Reason.told("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]
@@ -607,9 +605,7 @@ def _sample_stats(fit: Fit, gap: Gap | None, index: NDArray[np.int64]) -> xr.Dat
     )
 
 
-def _log_likelihood(
-    fit: Fit, draws: Mapping[str, FloatArray], baseline: FloatArray
-) -> xr.Dataset:
+def _log_likelihood(fit: Fit, draws: Mapping[str, FloatArray], baseline: FloatArray) -> xr.Dataset:
     found = log_likelihood(fit.point, draws, baseline)
     return dataset(
         LOG_LIKELIHOOD,
@@ -664,9 +660,7 @@ def _prior(
     shape = (chains, REPLICATES)
     return {
         "log_prior": dataset(LOG_PRIOR, density, numbered((chains, count))),
-        "prior": dataset(
-            PRIOR, {n: v[None] for n, v in prior.items()}, numbered((1, PRIOR_DRAWS))
-        ),
+        "prior": dataset(PRIOR, {n: v[None] for n, v in prior.items()}, numbered((1, PRIOR_DRAWS))),
         **{
             group.name: dataset(
                 group,
@@ -803,7 +797,7 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
         raise ResultError(
             "This result holds no optimum to start from.",
             file=path,
-            found=f'kind = "{tree.attrs.get("kind")}", routes {", ".join(routes_of(tree)) or "none"}',
+            found=f'kind = "{tree.attrs.get("kind")}", routes: {", ".join(routes_of(tree))}',
             expected="the result of bayesbl fit or bayesbl compare by the ringing's amplitude",
         )
     require_declared(tree.children[ROUTE.name], [OPTIMUM], path)

@@ -28,6 +28,7 @@ from bayesbl.recording.types import FloatArray, Recording
 FALSE_ALARM = 0.01
 """Of the routes' disagreement, over all snapshots of a run."""
 
+
 @dataclass(frozen=True, slots=True)
 class AutoMeasurer(Measurer):
     """Both routes of one bench."""
@@ -83,9 +84,7 @@ class AutoMeasurer(Measurer):
             case UserError(), Measurement():
                 refusal = Reason.told("refused", str(direct))
                 because = [{"code": refusal.code, **refusal.values}]
-                return replace(
-                    self._by_amplitude(amplitude, because), refused={"direct": refusal}
-                )
+                return replace(self._by_amplitude(amplitude, because), refused={"direct": refusal})
             case Measurement(), Measurement():
                 return self._of_both(direct, amplitude)
         raise AssertionError("all cases are above")

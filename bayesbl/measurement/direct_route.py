@@ -175,8 +175,7 @@ class DirectMeasurer(Measurer):
         )
         level = self.config.interval.level
         answers = [
-            self._answer(recording, index, found)
-            for index, recording in enumerate(task.recordings)
+            self._answer(recording, index, found) for index, recording in enumerate(task.recordings)
         ]
         change_reason = undecided_change(
             found.joint,
@@ -410,7 +409,9 @@ def _numbers(
         ],
         "rotations": _rotations(posterior, index),
         "excluded_samples": shared.excluded_samples(recording),
-        "budget": dict(zip(*(groups["budget"][n].values.tolist() for n in ("source", "share")), strict=True)),
+        "budget": dict(
+            zip(*(groups["budget"][n].values.tolist() for n in ("source", "share")), strict=True)
+        ),
         "diagnostics": {
             **shared.sampling_summary(posterior.diagnostics),
             "effective_after_simulation": posterior.effective,

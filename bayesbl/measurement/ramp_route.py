@@ -205,8 +205,7 @@ class RampMeasurer(Measurer):
         outcome = "withheld" if why is not None else answer.diagnostics.outcome
         withheld = outcome == "withheld"
         sampling = [
-            Reason.told("sampling", text, withholds=withheld)
-            for text in answer.diagnostics.reasons
+            Reason.told("sampling", text, withholds=withheld) for text in answer.diagnostics.reasons
         ]
         reasons = [*([why] if why else []), *sampling]
         given = self.config.joint.gear_ratio is not None
@@ -315,9 +314,7 @@ def _on_flanks(flanks: Flanks, draws: Mapping[str, FloatArray]) -> Iterator[Reas
         yield Reason("play_unsure", values)
     soft = HELD / relative
     if flanks.finding == "play" and soft > GOOD_PART:
-        yield Reason(
-            "soft_flanks", {"relative_compliance": relative, "times": HELD, "share": soft}
-        )
+        yield Reason("soft_flanks", {"relative_compliance": relative, "times": HELD, "share": soft})
     if flanks.skipped_nm and flanks.answered:
         skipped = {"skipped_nm": list(flanks.skipped_nm), "amplitude_nm": level.amplitude_nm}
         yield Reason("ramps_skipped", skipped)

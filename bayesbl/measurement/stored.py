@@ -41,7 +41,9 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         groups |= {f"{one.route}/{name}": data for name, data in {**stacked, **one.shared}.items()}
     drawn = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
     if drawn:
-        gaps = {n: {"gap": dataset(GAP, {"delta_rad": d}, numbered(d.shape))} for n, d in drawn.items()}
+        gaps = {
+            n: {"gap": dataset(GAP, {"delta_rad": d}, numbered(d.shape))} for n, d in drawn.items()
+        }
         groups |= _stacked(gaps, config)
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
@@ -139,8 +141,7 @@ def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
         for reason in answer.verdict.withholding:
             found.setdefault(json_text(as_stored(reason)), (reason, []))[1].append(answer.name)
     reasons = [
-        as_stored(reason)
-        | ({} if len(names) == len(measured.answers) else {"recordings": names})
+        as_stored(reason) | ({} if len(names) == len(measured.answers) else {"recordings": names})
         for reason, names in found.values()
     ]
     if measured.without_gap:
@@ -202,14 +203,11 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         for number in range(count)
     ]
     total = _step(measured, 0, count - 1, config)
-    ringing = next(
-        (r for r in (measured, *measured.beside) if r.ringing_change is not None), None
-    )
+    ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
     grew = None
     # With a curve it is δ that is withheld, which the curve alone may be the reason for.
     if ringing is not None and (
-        ringing.curve
-        or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
+        ringing.curve or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
     ):
         grew = ringing.ringing_change
     return {
@@ -304,7 +302,9 @@ class StoredAnswer:
 
     def channel(self, name: str) -> FloatArray:
         """A channel of the recording, whether the route went by it or not, shape (n,)."""
-        return self.values("observed_data" if name in self.groups["observed_data"] else "constant_data", name)
+        return self.values(
+            "observed_data" if name in self.groups["observed_data"] else "constant_data", name
+        )
 
     @property
     def symbols(self) -> tuple[str, ...]:
@@ -350,5 +350,3 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[StoredAn
         parts = [(str(name), summary["routes"][route], whole)]
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     return [StoredAnswer(name, groups, part, level, kind) for name, part, groups in parts]
-
-

@@ -43,6 +43,7 @@ BY_COEFFICIENTS = ("regression", "rounding")
 
 _COEFFICIENTS = table("coefficients (power) | rad / rpm^k | coefficient of A^k in the gap curve")
 
+
 def _source(name: str) -> Variable | None:
     if name.startswith(SOURCE_PREFIX):
         source = name.removeprefix(SOURCE_PREFIX)

@@ -24,7 +24,7 @@ from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, re
 from bayesbl.presentation.page.templates import prose, templates
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
-from bayesbl.results.store import write_text
+from bayesbl.results.store import texts, write_text
 from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.summary import summarise
 
@@ -166,8 +166,7 @@ def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Pictur
 
 
 def _snapshot_names(tree: xr.DataTree) -> list[str]:
-    posterior = tree["posterior"].to_dataset() if "posterior" in tree.children else {}
-    return [str(name) for name in posterior["snapshot"].values] if "snapshot" in posterior else []
+    return texts(tree.attrs.get("recordings")) if tree.attrs.get("kind") == "compare" else []
 
 
 def _address(data: bytes, kind: str) -> str:
