@@ -52,7 +52,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 
 
 def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
-    from bayesbl.library import draw
+    from bayesbl.library import draw_answer
     from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.shown_progress import progress
     from bayesbl.presentation.terminal import make_console, say
@@ -63,7 +63,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(
             config,
-            draw,
+            draw_answer,
             force=force,
             progress=tell,
             say=console.print,

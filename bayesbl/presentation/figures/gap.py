@@ -44,7 +44,8 @@ class _Row:
 
 
 @stored_figure(
-    "(a) The gap of each snapshot by each route, with the limit; (b) the change from first to last.",
+    "(a) The gap of each snapshot by each route, with the limit; (b) its change from first to last"
+    ".",
     20,
     holding("gap/delta_rad"),
 )

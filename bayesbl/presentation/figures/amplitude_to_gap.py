@@ -36,7 +36,7 @@ _MOST_SHOWN = 400
     30,
     holding("posterior/curve_amplitude_rpm", "curve/delta_rad"),
 )
-def gap_from_curve(tree: xr.DataTree) -> Figure:
+def amplitude_to_gap(tree: xr.DataTree) -> Figure:
     """δ against A with the draws of both, their densities along the axes, and the whole curve."""
     parts = snapshots(tree, "posterior/curve_amplitude_rpm")
     lines = 2 + len(parts) + ("limit_rad" in tree.attrs)
