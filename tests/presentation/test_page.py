@@ -525,7 +525,8 @@ def test_figures_come_in_one_order_whatever_their_names(tree):
     for _ in range(5):
         ordered = reading_order(rng.permutation(names).tolist(), known, ["old", "new"])
         assert ordered == [
-            "signal", "gap", "amplitude_to_gap", "corner_old", "corner_new", "trace_old", "trace_new", "something",
+            "signal", "gap", "amplitude_to_gap", "corner_old", "corner_new", "trace_old",
+            "trace_new", "something",
         ]  # fmt: skip
     assert all(caption(figure.name, known) == figure.caption for figure in known)
     assert caption("corner_old", known).startswith("old: ")
