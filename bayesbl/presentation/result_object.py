@@ -179,7 +179,9 @@ class RouteResult:
         if not hasattr(arviz, "InferenceData"):
             return self._tree
         known = set(arviz.data.inference_data.SUPPORTED_GROUPS_ALL)
-        groups = {n: node.to_dataset() for n, node in self._tree.children.items() if n in known}
+        groups: Any = {
+            n: node.to_dataset() for n, node in self._tree.children.items() if n in known
+        }
         return arviz.InferenceData(**groups)
 
     def snapshot(self, name: str) -> RouteResult:

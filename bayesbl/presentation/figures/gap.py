@@ -56,7 +56,7 @@ def gap(tree: xr.DataTree) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.85 + _ROW_IN * count)
     columns = 2 if changes else 1
     spec = layout.grid(
-        figure, 1, columns, left=1.45, between=(0.0, 1.25), widths=(1.35, 1.0)[:columns]
+        figure, 1, columns, left=1.45, right=0.2, between=(0.0, 1.25), widths=(1.35, 1.0)[:columns]
     )
     axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
     titles = [f"gap δ, {interval_name(tree)}"]
