@@ -9,7 +9,6 @@ from typing import Any
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import ConfigError, CurveError, RecordingError
-from bayesbl.measurement.as_printed import reasons_as_printed
 from bayesbl.measurement.measurement import Reason
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
@@ -174,7 +173,7 @@ def unsuited(
     reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
     if curve is not None and not config.curve.allow_extrapolation:
         reasons.append(other_speed(recording, curve))
-    return [*reasons_as_printed(fit, curve), *(reason for reason in reasons if reason)]
+    return [reason for reason in reasons if reason]
 
 
 def _entry(key: str, meaning: Mapping[str, Any]) -> str:
