@@ -187,6 +187,8 @@ def test_an_answer_beyond_the_curve_is_withheld_with_a_one_sided_bound() -> None
     (below,) = gaps(curve(), [measured(2.0, 0.2, 1)], seed())
     (reason,) = below.reasons
     assert "δ is below 0.0001 rad with 90" in sentence(as_stored(reason))
+    assert below.upper_bound_rad == np.quantile(below.delta_rad, 0.95)
+    assert withheld.upper_bound_rad is None, "a gap that is told from none has no bound"
 
 
 def test_a_few_draws_beyond_the_curve_are_kept() -> None:
